@@ -54,7 +54,7 @@ def quoted(figure: Figure) -> str:
 
 def _digits(value: float, digits: int | None) -> str:
     if digits is not None and (abs(value) >= 10.0**-digits or value == 0.0):
-        return f"{value:,.{digits}f}"
+        return f"{value + 0.0:,.{digits}f}"
     if value != 0.0 and (abs(value) < 1e-3 or abs(value) >= 1e7):
         return f"{value:.2e}"
     return f"{float(f'{value:.3g}'):,.12g}"
@@ -84,8 +84,10 @@ def _place(place: str, group: Sequence[RowResult], pictures: str) -> list[str]:
     for result in group:
         many = len(group) > 1 and len(result.row.figures) > 0
         for each in result.results:
-            name = f"{result.row.title.rpartition(': ')[2]}, {each.figure.what}" if many else each.figure.what
-            budget = "" if each.value is None or "quick" not in result.budgets else " (quick)"
+            group_name = result.row.title.rpartition(": ")[2]
+            told = many and not each.figure.what.startswith(group_name)
+            name = f"{group_name}, {each.figure.what}" if told else each.figure.what
+            budget = " (quick)" if each.budget == "quick" else ""
             judged = "" if each.judged is None else str(each.judged)
             body.append((name, quoted(each.figure), shown(each.value, each.figure) + budget, judged))
     if body:

@@ -39,6 +39,7 @@ class Result:
     figure: Figure
     value: Value | None  # None: not measured yet
     judged: Judged | None
+    budget: Budget | None  # of the steps that it is from: the smaller, if they differ
 
 
 @dataclass(frozen=True)
@@ -101,9 +102,11 @@ def _result(figure: Figure, kept: Mapping[str, Kept]) -> Result:
     found = _value(figure.ours, kept)
     against = _value(figure.against, kept) if figure.against else None
     if found is None or (figure.against and against is None):
-        return Result(figure, None, None)
+        return Result(figure, None, None, None)
     value = ours(figure, found, against)
-    return Result(figure, value, judge(figure, value))
+    steps = [source.step for source in (figure.ours, figure.against) if source is not None]
+    quick = any(kept[name].budget == "quick" for name in steps)
+    return Result(figure, value, judge(figure, value), "quick" if quick else "full")
 
 
 def _value(source: Source, kept: Mapping[str, Kept]) -> Value | None:
