@@ -242,7 +242,7 @@ def _fly(
     variation: Variation | None,
     progress: Progress,
 ) -> EpisodeFigures:
-    conditions = Conditions(plan.aircraft, plan.task, count, seed, plan.mount, plan.noise)
+    conditions = Conditions(plan.aircraft, plan.task, count, seed, mount=plan.mount, noise=plan.noise)
     throttle = WorldConfig(throttle_max=plan.throttle_max).draw_throttle(count, np.random.default_rng(seed))
     return episode_figures(conditions.fly(controller, throttle, progress, variation))
 

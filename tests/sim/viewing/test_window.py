@@ -19,7 +19,8 @@ from toolchain.errors import NeuroflightError
 class Hand:
     """A clock that moves when somebody waits, and a hand that closes the window after some waits."""
 
-    def __init__(self, waits: int) -> None:
+    def __init__(self, waits: int, clients: list[int]) -> None:
+        self._clients = clients
         self.now = 0.0
         self.left = waits
         self.seen: list[tuple[float, ...]] = []  # orientation of body 0 at each wait
@@ -30,22 +31,30 @@ class Hand:
 
     def wait(self, seconds: float) -> None:
         """Look at the aircraft, let the time pass, close the window at last."""
-        self.seen.append(pybullet.getBasePositionAndOrientation(0)[1])
+        self.seen.append(pybullet.getBasePositionAndOrientation(0, self._clients[-1])[1])
         self.now += seconds
         self.left -= 1
         if self.left == 0:
-            pybullet.disconnect()
+            pybullet.disconnect(self._clients[-1])
 
 
 @pytest.fixture
-def no_window(monkeypatch: pytest.MonkeyPatch) -> None:
+def clients(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """Numbers of the worlds that were opened in place of a window."""
     connect = pybullet.connect
-    monkeypatch.setattr(pybullet, "connect", lambda mode: connect(pybullet.DIRECT))
+    opened: list[int] = []
+
+    def instead(mode: int) -> int:
+        client: int = connect(pybullet.DIRECT)
+        opened.append(client)
+        return client
+
+    monkeypatch.setattr(pybullet, "connect", instead)
+    return opened
 
 
-@pytest.mark.usefixtures("no_window")
-def test_the_window_plays_in_time_until_it_is_closed() -> None:
-    hand = Hand(90)
+def test_the_window_plays_in_time_until_it_is_closed(clients: list[int]) -> None:
+    hand = Hand(90, clients)
     window.play(recorded("roll", load_aircraft("nf1"), rolling_trace()), 2.0, hand.clock, hand.wait)
     rolls = [2 * np.arctan2(seen[0], seen[3]) for seen in hand.seen]
     assert len(rolls) == 90
@@ -55,7 +64,7 @@ def test_the_window_plays_in_time_until_it_is_closed() -> None:
 
 def test_a_window_that_does_not_open_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(pybullet, "connect", lambda mode: -1)
-    hand = Hand(1)
+    hand = Hand(1, [])
     with pytest.raises(NeuroflightError, match=r"--out FILE\.html"):
         window.play(recorded("roll", load_aircraft("nf1"), rolling_trace()), 1.0, hand.clock, hand.wait)
 

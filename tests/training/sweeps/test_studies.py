@@ -182,7 +182,7 @@ def test_a_study_that_was_stopped_goes_on_where_it_was(
         assert [each["asked"] for each in outcome["thrusts"]] == [None, 1.0, 2.0]
         closed, hover, twice = outcome["thrusts"]
         assert 0.4 < closed["current"]["mean"] < hover["current"]["mean"] < twice["current"]["mean"]
-        assert hover["beta", "power"]["mean"] == pytest.approx(16.0 * hover["current"]["mean"], rel=1e-5)
+        assert hover["power"]["mean"] == pytest.approx(16.0 * hover["current"]["mean"], rel=1e-5)
         assert outcome["mae"]["mean"] == pytest.approx((hover["mae"]["mean"] + twice["mae"]["mean"]) / 2)
         assert hover["throttle"] < twice["throttle"]
     assert (out / "power.png").read_bytes().startswith(b"\x89PNG")
