@@ -13,8 +13,8 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from training.reproduction.experiments import Experiments, Row, Step
-    from training.reproduction.steps import Done
-    from training.reproduction.stored import Kept, RowResult
+    from training.reproduction.steps import Done, Watcher
+    from training.reproduction.stored import Kept, Result, RowResult
 
 ROOT = Path(__file__).resolve().parents[2]
 STORED = ROOT / "docs" / "results" / "dissertation"
@@ -103,7 +103,8 @@ def _run(
     from training.reproduction.stored import keep
 
     place = Place(ROOT, args.out.resolve(), args.budget)
-    watcher = _watcher(Console(stderr=True, highlight=False), len(known.plan(rows)))
+    reasons: dict[str, str] = {}
+    watcher = _watcher(Console(stderr=True, highlight=False), len(known.plan(rows)), reasons)
     with nullcontext(None) if args.address is None else on_ray(args.address, args.jobs) as execute:
         done = run_steps(
             known.plan(rows),
@@ -118,7 +119,7 @@ def _run(
     kept = {name: keep(each, known.rows) for name, each in done.items() if name in used}
     if args.store:
         _store(known, kept, done)
-    return kept, watcher.reasons
+    return kept, reasons
 
 
 def _store(known: Experiments, kept: Mapping[str, Kept], done: Mapping[str, Done]) -> None:
@@ -147,14 +148,14 @@ def _check(known: Experiments) -> int:
     return 0
 
 
-def _watcher(console: Console, count: int) -> Any:  # noqa: ANN401 - a class made here, as imports are late
+def _watcher(console: Console, count: int, reasons: dict[str, str]) -> Watcher:
+    """Tells what steps do; why some failed goes into `reasons`."""
     from training.reproduction.steps import Watcher
 
     class Lines(Watcher):
         """Tells each step on a line of stderr."""
 
         def __init__(self) -> None:
-            self.reasons: dict[str, str] = {}
             self._ended = 0
 
         def started(self, step: Step) -> None:
@@ -167,7 +168,7 @@ def _watcher(console: Console, count: int) -> Any:  # noqa: ANN401 - a class mad
 
         def failed(self, step: Step, reason: str) -> None:
             self._ended += 1
-            self.reasons[step.name] = reason
+            reasons[step.name] = reason
             line = f"[{self._ended} of {count}] {step.name}: failed: {reason}"
             console.print(line, markup=False, style="red")
 
@@ -199,7 +200,7 @@ def _list(args: argparse.Namespace, known: Experiments, results: Sequence[RowRes
     console.print(f"{len(results)} rows", style="dim")
 
 
-def _told(result: Any) -> str:  # noqa: ANN401 - a Result
+def _told(result: Result) -> str:
     from training.reproduction.page import shown
 
     return f"{result.figure.what} {shown(result.value, result.figure)}"

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from training.reproduction.experiments import Figure, ReproduceError
@@ -80,7 +80,7 @@ def _mean(values: Sequence[Value]) -> Value:
     return sum(value for value in values if not isinstance(value, tuple)) / len(values)
 
 
-def _each(value: Value, of: Any) -> Value:  # noqa: ANN401 - a function of a number
+def _each(value: Value, of: Callable[[float], float]) -> Value:
     return tuple(of(each) for each in value) if isinstance(value, tuple) else of(value)
 
 
