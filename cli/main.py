@@ -23,10 +23,8 @@ SUMMARY = (
 ROOMS = {  # which folder of cli/ holds the module of a command; its name is the command's
     "toolchain": ("build", "compile", "verify", "timing", "freeze"),
     "sim": ("dyno", "stability", "fly", "board", "twin", "aircraft", "view"),
-    "training": (
-        *("train", "learning-curves", "sweep", "tune-pid", "adapt", "results", "reproduce"),
-        *("evaluate", "compare", "robustness", "failure", "manoeuvres", "power"),
-    ),
+    "training": ("train", "learning-curves", "sweep", "tune-pid", "adapt", "results", "reproduce"),
+    "training/evaluation": ("evaluate", "compare", "robustness", "failure", "manoeuvres", "power"),
     "flash": ("msp", "flash", "rescue", "motor", "rc", "monitor", "gateway"),
     "logs": ("log",),
 }
@@ -71,7 +69,7 @@ EXTRAS = {  # of pyproject.toml: packages that not every command needs, under th
     "train": ("gymnasium", "onnxruntime", "sb3_contrib", "stable_baselines3", "tensorboard", "torch"),
     "sweep": ("ray",),
 }
-ROOM_EXTRAS = {"training": "train"}  # what every command of a room needs at least
+ROOM_EXTRAS = {"training": "train", "training/evaluation": "train"}  # what every command there needs at least
 # Matrices here are small: a second thread gains little, loses twenty times as much to a busy neighbour, and
 # may round otherwise than the first alone, so that a seed would no longer say what a run gives.
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
@@ -104,7 +102,7 @@ def parser() -> argparse.ArgumentParser:
     commands = top.add_subparsers(dest="command", required=True, metavar="COMMAND")
     for name, summary in COMMANDS.items():
         sub = commands.add_parser(name, help=summary, description=summary)
-        module = importlib.import_module(f"cli.{room_of[name]}.{name.replace('-', '_')}")
+        module = importlib.import_module(f"cli.{room_of[name].replace('/', '.')}.{name.replace('-', '_')}")
         module.add_arguments(sub)
         sub.set_defaults(run=module.run)
     return top

@@ -8,7 +8,7 @@ import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cli.training.ranges import check_ranges
+from cli.training.evaluation.ranges import check_ranges
 
 if TYPE_CHECKING:
     from sim.aircraft.model import Aircraft

@@ -144,7 +144,7 @@ def run(args: argparse.Namespace) -> int:
 def _check(args: argparse.Namespace) -> None:
     """Check the arguments before anything is flown. Raises NeuroflightError."""
     from cli.output import check_output
-    from cli.training.ranges import check_ranges
+    from cli.training.evaluation.ranges import check_ranges
     from sim.aircraft.pid_write import NAME
     from sim.physics.world import COUNT_MAX
     from training.pid_tuning.tuning import IDLE_MAX, POPULATION

@@ -9,8 +9,8 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cli.training.conditions import check_controllers, progress_bars
-from cli.training.ranges import check_ranges
+from cli.training.evaluation.conditions import check_controllers, progress_bars
+from cli.training.evaluation.ranges import check_ranges
 
 if TYPE_CHECKING:
     from sim.aircraft.model import Aircraft

@@ -9,8 +9,8 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cli.training.conditions import MOUNTS, check_controllers, progress_bars
-from cli.training.ranges import check_ranges
+from cli.training.evaluation.conditions import MOUNTS, check_controllers, progress_bars
+from cli.training.evaluation.ranges import check_ranges
 
 if TYPE_CHECKING:
     from rich.console import Console

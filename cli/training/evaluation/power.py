@@ -9,9 +9,14 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cli.training.conditions import IDLE_MAX, THROTTLES_MAX, check_controllers, progress_bars
-from cli.training.contenders import THRUST_MAX, add_betaflight_arguments, all_names, open_contenders
-from cli.training.ranges import check_ranges
+from cli.training.evaluation.conditions import IDLE_MAX, THROTTLES_MAX, check_controllers, progress_bars
+from cli.training.evaluation.contenders import (
+    THRUST_MAX,
+    add_betaflight_arguments,
+    all_names,
+    open_contenders,
+)
+from cli.training.evaluation.ranges import check_ranges
 
 if TYPE_CHECKING:
     from sim.analysis.confidence import Mean

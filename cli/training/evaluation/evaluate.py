@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, replace
 from typing import TYPE_CHECKING
 
-from cli.training.conditions import (
+from cli.training.evaluation.conditions import (
     ONE_EPISODE,
     add_condition_arguments,
     command,
@@ -18,9 +18,9 @@ from cli.training.conditions import (
     flight_document,
     progress_bars,
 )
-from cli.training.contenders import add_contender_arguments, check_thrusts, open_contenders
-from cli.training.ranges import check_ranges
-from cli.training.task_arguments import drawn_as_flown, flown_words
+from cli.training.evaluation.contenders import add_contender_arguments, check_thrusts, open_contenders
+from cli.training.evaluation.ranges import check_ranges
+from cli.training.evaluation.task_arguments import drawn_as_flown, flown_words
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -99,7 +99,7 @@ def run(args: argparse.Namespace) -> int:
 def _at_thrusts(args: argparse.Namespace, contenders: Sequence[Contender], flown: Conditions) -> int:
     from rich.console import Console
 
-    from cli.training.thrust import documents, print_equal_thrust
+    from cli.training.evaluation.thrust import documents, print_equal_thrust
     from toolchain.errors import TrainingError
     from training.evaluation.equal_thrust import equal_thrust
 

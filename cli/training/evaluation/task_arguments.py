@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cli.training.ranges import check_ranges
+from cli.training.evaluation.ranges import check_ranges
 
 if TYPE_CHECKING:
     from training.evaluation.controllers import Conditions

@@ -6,7 +6,7 @@ import argparse
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from cli.training.contenders import BETAFLIGHT
+from cli.training.evaluation.contenders import BETAFLIGHT
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -46,7 +46,7 @@ def print_average(console: Console, found: dict[str, Any]) -> None:
     """Print the average of policies: a row a figure of their responses, a column an axis."""
     from rich.table import Table
 
-    from cli.training.evaluate import RESPONSE_ROWS
+    from cli.training.evaluation.evaluate import RESPONSE_ROWS
     from toolchain.contract import AXES
 
     policies, response = found["controllers"], found["response"]

@@ -10,8 +10,8 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cli.training.ranges import check_ranges
-from cli.training.task_arguments import add_task_arguments, task_document, task_name, task_of
+from cli.training.evaluation.ranges import check_ranges
+from cli.training.evaluation.task_arguments import add_task_arguments, task_document, task_name, task_of
 
 if TYPE_CHECKING:
     from training.evaluation.controllers import Conditions, Contender

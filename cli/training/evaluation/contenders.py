@@ -9,8 +9,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cli.training.conditions import THROTTLES_MAX
-from cli.training.ranges import check_ranges
+from cli.training.evaluation.conditions import THROTTLES_MAX
+from cli.training.evaluation.ranges import check_ranges
 
 if TYPE_CHECKING:
     from training.evaluation.controllers import Conditions, Contender

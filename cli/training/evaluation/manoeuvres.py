@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
 from cli.sim.fly_jobs import Crew, Show, usable_cores
-from cli.training.conditions import check_controllers
-from cli.training.ranges import check_ranges
+from cli.training.evaluation.conditions import check_controllers
+from cli.training.evaluation.ranges import check_ranges
 
 if TYPE_CHECKING:
     from sim.aircraft.model import Aircraft

@@ -8,8 +8,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cli.training.average import average_document, check_average, print_average
-from cli.training.conditions import (
+from cli.training.evaluation.average import average_document, check_average, print_average
+from cli.training.evaluation.conditions import (
     ONE_EPISODE,
     THROTTLES_MAX,
     add_condition_arguments,
@@ -21,14 +21,14 @@ from cli.training.conditions import (
     progress_bars,
     throttle_words,
 )
-from cli.training.contenders import (
+from cli.training.evaluation.contenders import (
     add_contender_arguments,
     all_names,
     check_thrusts,
     open_contenders,
 )
-from cli.training.ranges import check_ranges
-from cli.training.task_arguments import drawn_as_flown, flown_words
+from cli.training.evaluation.ranges import check_ranges
+from cli.training.evaluation.task_arguments import drawn_as_flown, flown_words
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -138,7 +138,7 @@ def _at_throttles(
 ) -> int:
     from rich.console import Console
 
-    from cli.training.thrust import print_transparency, rest_documents
+    from cli.training.evaluation.thrust import print_transparency, rest_documents
     from sim.plotting import save_png
     from training.evaluation.comparison import enter
     from training.evaluation.envelope_plot import draw_envelope
@@ -192,7 +192,7 @@ def _drawn(flown: Conditions, entries: Sequence[Entry], title: str, rests: Seque
 def _at_thrusts(args: argparse.Namespace, contenders: Sequence[Contender], flown: Conditions) -> int:
     from rich.console import Console
 
-    from cli.training.thrust import documents, print_equal_thrust
+    from cli.training.evaluation.thrust import documents, print_equal_thrust
     from sim.plotting import save_png
     from training.evaluation.equal_thrust import equal_thrust
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from cli.training.conditions import flight_document
+from cli.training.evaluation.conditions import flight_document
 
 if TYPE_CHECKING:
     from rich.console import Console
