@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
     from training.reproduction.experiments import Experiments, Row, Step
     from training.reproduction.steps import Done, Watcher
-    from training.reproduction.stored import Kept, Result, RowResult
+    from training.reproduction.stored import Kept, RowResult
 
 ROOT = Path(__file__).resolve().parents[2]
 STORED = ROOT / "docs" / "results" / "dissertation"
@@ -32,7 +32,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="such as 3.9, 4.4 or 3.9-ppo; 3 stands for all of chapter 3; default: all",
     )
     parser.add_argument(
-        "--list", action="store_true", help="run nothing; list rows, commands, stored figures"
+        "--list",
+        action="store_true",
+        help="run nothing; list rows, stored figures and commands, of named rows also what these run",
     )
     parser.add_argument(
         "--budget",
@@ -176,34 +178,35 @@ def _watcher(console: Console, count: int, reasons: dict[str, str]) -> Watcher:
 
 
 def _list(args: argparse.Namespace, known: Experiments, results: Sequence[RowResult]) -> None:
-    """Each row with its commands and what is stored of it."""
+    """Each row with what is stored of it and its command; what that runs only of rows that were named."""
     from rich.console import Console
+
+    from training.reproduction.page import quoted, shown
 
     if args.json:
         print(json.dumps([_document(each, known) for each in results], indent=2))
         return
-    console = Console(highlight=False)
+    console = Console(highlight=False, soft_wrap=True)
     for each in results:
         row = each.row
+        console.print(f"{row.name}  {row.place}: {row.title}", markup=False, style="bold")
         if row.hardware:
-            console.print(f"{row.name}  {row.place}: {row.title}", markup=False, style="bold")
-            console.print(f"    only hardware: {row.hardware}", markup=False)
+            console.print(f"    no run fills it: {row.hardware}", markup=False)
             continue
         budgets = " and ".join(each.budgets) or "nothing stored"
-        verdict = "" if each.verdict is None else f", {each.verdict}".rstrip(", ")
-        console.print(f"{row.name}  {row.place}: {row.title}", markup=False, style="bold")
-        told = "; ".join(_told(result) for result in each.results) or "a picture"
-        console.print(f"    {budgets}{verdict}: {told}", markup=False)
-        for step in known.plan([row]):
+        verdict = f", {each.verdict.value}" if each.results and each.verdict else ", a picture"
+        console.print(f"    {budgets}{verdict}", markup=False)
+        for result in each.results:
+            ours, theirs = shown(result.value, result.figure), quoted(result.figure)
+            judged = f": {result.judged}" if result.judged and str(result.judged) else ""
+            console.print(f"    {result.figure.what}: {ours}; dissertation {theirs}{judged}", markup=False)
+        console.print(
+            f"    neuroflight reproduce {row.name} --budget {args.budget}", markup=False, style="dim"
+        )
+        for step in known.plan([row]) if args.rows else ():
             words = " ".join(step.words(args.budget))
-            console.print(f"    {step.name}: neuroflight {words}", markup=False, style="dim")
+            console.print(f"        {step.name}: neuroflight {words}", markup=False, style="dim")
     console.print(f"{len(results)} rows", style="dim")
-
-
-def _told(result: Result) -> str:
-    from training.reproduction.page import shown
-
-    return f"{result.figure.what} {shown(result.value, result.figure)}"
 
 
 def _print(console: Console, results: Sequence[RowResult]) -> None:

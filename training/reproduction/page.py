@@ -40,7 +40,10 @@ def shown(value: Value | None, figure: Figure | None = None) -> str:
     if value is None:
         return "not run"
     digits = figure.quote.digits if figure is not None and figure.quote is not None else None
-    return " / ".join(_digits(each, digits) for each in (value if isinstance(value, tuple) else (value,)))
+    values = value if isinstance(value, tuple) else (value,)
+    if digits is not None and any(values) and all(abs(each) < 10.0**-digits for each in values):
+        digits = None  # nothing of them would be seen
+    return " / ".join(_digits(each, digits) for each in values)
 
 
 def quoted(figure: Figure) -> str:
@@ -53,8 +56,8 @@ def quoted(figure: Figure) -> str:
 
 
 def _digits(value: float, digits: int | None) -> str:
-    if digits is not None and (abs(value) >= 10.0**-digits or value == 0.0):
-        return f"{value + 0.0:,.{digits}f}"
+    if digits is not None:
+        return f"{round(value, digits) + 0.0:,.{digits}f}"
     if value != 0.0 and (abs(value) < 1e-3 or abs(value) >= 1e7):
         return f"{value:.2e}"
     return f"{float(f'{value:.3g}'):,.12g}"
@@ -79,7 +82,8 @@ def _summary(results: Sequence[RowResult]) -> str:
 
 def _place(place: str, group: Sequence[RowResult], pictures: str) -> list[str]:
     titles = dict.fromkeys(result.row.title for result in group)
-    parts = [f"### {place}: {titles.popitem()[0] if len(titles) == 1 else _common(list(titles))}"]
+    title = titles.popitem()[0] if len(titles) == 1 else _common(list(titles))
+    parts = [f"### {place}: {title}" if title else f"### {place}"]
     body = []
     for result in group:
         many = len(group) > 1 and len(result.row.figures) > 0

@@ -70,9 +70,9 @@ class Place:
         return [filled(word) for word in step.words(self.budget)]
 
     def _path(self, step: Step, name: str) -> str:
-        if name == PLOT:
-            return str(self.picture(step.name))
-        return str(self.folder(step.name if name == OUT else name))
+        path = self.picture(step.name) if name == PLOT else self.folder(step.name if name == OUT else name)
+        # Commands run in `root`: what is inside it has the same name wherever the project lies.
+        return str(path.relative_to(self.root) if path.is_relative_to(self.root) else path)
 
 
 class Watcher:

@@ -95,15 +95,22 @@ def test_headline_rows_are_of_the_full_budget() -> None:
         assert kept[name].budget == "full"
 
 
-def test_list_names_rows_commands_and_figures(capsys: pytest.CaptureFixture[str]) -> None:
+def test_list_names_rows_figures_and_commands(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["reproduce", "--list", "--budget", "full"]) == 0
+    printed = capsys.readouterr().out.splitlines()
+    rows = experiments().rows
+    assert len(rows) >= 60
+    for row in rows:
+        assert f"{row.name}  {row.place}: {row.title}" in printed
+        command = f"    neuroflight reproduce {row.name} --budget full"
+        assert (command in printed) is not bool(row.hardware)
+    assert "    MAE: 2 / 2 / 3; dissertation 3 / 2 / 2: not reached: yaw" in printed
+
+
+def test_list_of_a_row_tells_what_it_runs(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["reproduce", "--list", "3.9-ppo"]) == 0
     printed = capsys.readouterr().out
-    for part in (
-        "Table 3.9",
-        "full",
-        "m = 1",
-        "neuroflight train --aircraft training/reproduction/iris-3.toml",
-    ):
+    for part in ("Table 3.9", "full, surpassed", "m = 1: ", "iris-ppo-1: neuroflight train --aircraft "):
         assert part in printed
 
 

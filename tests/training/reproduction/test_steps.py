@@ -60,7 +60,7 @@ class Commands:
         if words[0] in self.broken:
             raise ReproduceError(f"{words[0]} ended with 1")
         if "--plot" in words:
-            Path(words[words.index("--plot") + 1]).write_bytes(b"png")
+            (folder / words[words.index("--plot") + 1]).write_bytes(b"png")
         return json.dumps({"a": {"b": 5.0}, "c": 7, "words": list(words)})
 
 
@@ -94,9 +94,14 @@ def test_what_a_step_needs_runs_before_it(known: Experiments, tmp_path: Path) ->
     told = run(known, tmp_path, commands, jobs=2)
     assert told.index("train ran") < told.index("fly ran")
     words = {words[0]: words for words in commands.seen}
-    assert words["compare"][1] == str(tmp_path / "quick/train/policy.onnx")
+    assert words["compare"][1] == "quick/train/policy.onnx"
     assert words["train"][-1] == "--json"
     assert words["evaluate"] == ["evaluate", "pid", "--episodes", "5", "--json"]
+
+
+def test_what_lies_outside_the_project_has_its_whole_path(known: Experiments, tmp_path: Path) -> None:
+    place = Place(tmp_path / "project", tmp_path / "results", "quick")
+    assert place.words(known.steps["fly"])[1] == str(tmp_path / "results/quick/train/policy.onnx")
 
 
 def test_finished_steps_are_not_repeated_unless_forced(known: Experiments, tmp_path: Path) -> None:
