@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 from toolchain import contract
 from toolchain.errors import PolicyError
 from toolchain.files import file_size
-from toolchain.policy.freeze_gru import Memory
+from toolchain.policy.freeze_memory import KINDS, Memory
 
 OPSET, IR_VERSION = 17, 8  # old enough for every runtime in use, new enough for every operator here
 ACTIVATIONS = {"tanh": "Tanh", "relu": "Relu"}
@@ -52,7 +52,7 @@ class FrozenConfig:
     control_rate_hz: int
     filters: tuple[object, ...]
     hidden: tuple[int, ...]
-    recurrent: bool  # the first hidden layer is a GRU
+    recurrent: str  # the first hidden layer: "gru", "lstm" or, without memory, "none"
     activation: str
     output_scale: float  # motor fraction = clip(output_scale * action + output_offset, 0, 1)
     output_offset: float
@@ -207,7 +207,7 @@ def _frozen_config(config: Mapping[str, Any]) -> FrozenConfig:
             control_rate_hz=int(config["control_rate_hz"]),
             filters=tuple(config["filters"]),
             hidden=tuple(int(width) for width in config["hidden"]),
-            recurrent=_is_recurrent(config),
+            recurrent=_recurrent(config),
             activation=str(config["activation"]),
             output_scale=float(config["output"]["scale"]),
             output_offset=float(config["output"]["offset"]),
@@ -230,10 +230,16 @@ def _frozen_config(config: Mapping[str, Any]) -> FrozenConfig:
     return frozen
 
 
-def _is_recurrent(config: Mapping[str, Any]) -> bool:
-    if (kind := config.get("recurrent", "none")) not in ("none", "gru"):
-        raise ValueError(f"recurrent is {str(kind)[:40]!r}, expected none or gru")
-    return bool(kind == "gru")
+def _recurrent(config: Mapping[str, Any]) -> str:
+    if (kind := str(config.get("recurrent", "none"))) not in ("none", *KINDS):
+        raise ValueError(f"recurrent is {kind[:40]!r}, expected none or {' or '.join(KINDS)}")
+    return kind
+
+
+def _memory(frozen: FrozenConfig, state: Mapping[str, ArrayLike]) -> Memory | None:
+    if frozen.recurrent == "none":
+        return None
+    return Memory.of(frozen.recurrent, state, len(frozen.observation_scale), frozen.hidden[0])
 
 
 def _weights(frozen: FrozenConfig, state: Mapping[str, ArrayLike]) -> list[tuple[Matrix, Matrix]]:
@@ -241,7 +247,7 @@ def _weights(frozen: FrozenConfig, state: Mapping[str, ArrayLike]) -> list[tuple
 
     Those behind the memory, if there is one.
     """
-    widths = [len(frozen.observation_scale), *frozen.hidden, frozen.motors][frozen.recurrent :]
+    widths = [len(frozen.observation_scale), *frozen.hidden, frozen.motors][frozen.recurrent != "none" :]
     names = [f"mlp_extractor.policy_net.{2 * i}" for i in range(len(widths) - 2)] + ["action_net"]
     layers = []
     for name, inputs, outputs in zip(names, widths, widths[1:], strict=False):
@@ -262,11 +268,15 @@ def _layers(
     frozen: FrozenConfig, state: Mapping[str, ArrayLike], fold: bool
 ) -> tuple[Memory | None, list[tuple[Matrix, Matrix]]]:
     """The memory and the layers; fold: with the observation's scale and the output's map in them."""
-    scale, memory, layers = np.array(frozen.observation_scale), None, _weights(frozen, state)
+    scale, memory, layers = (
+        np.array(frozen.observation_scale),
+        _memory(frozen, state),
+        _weights(frozen, state),
+    )
     if not fold:
-        return Memory.of(state, len(scale), frozen.hidden[0]) if frozen.recurrent else None, layers
-    if frozen.recurrent:
-        memory = Memory.of(state, len(scale), frozen.hidden[0]).scaled(scale)
+        return memory, layers
+    if memory is not None:
+        memory = memory.scaled(scale)
     else:
         weight, bias = layers[0]
         layers = [(weight * scale, bias), *layers[1:]]

@@ -28,7 +28,7 @@ def read_actor(checkpoint: Path) -> Callable[[Float32], Float32]:
         scale = torch.tensor(config["observation_scale"], dtype=torch.float32)
         factor, offset = float(config["output"]["scale"]), float(config["output"]["offset"])
         squash = bool(config["output"].get("squash", False))
-        memory = _memory(state) if config.get("recurrent") == "gru" else None
+        memory = _memory(state, config["recurrent"]) if config.get("recurrent", "none") != "none" else None
         count = len(config["hidden"]) - (memory is not None)
         names = [f"mlp_extractor.policy_net.{2 * index}" for index in range(count)]
         layers = [
@@ -52,8 +52,8 @@ def read_actor(checkpoint: Path) -> Callable[[Float32], Float32]:
     return actions
 
 
-def _memory(state: State) -> torch.nn.GRU:
-    """The GRU whose tensors are called "recurrent."."""
+def _memory(state: State, kind: str) -> torch.nn.GRU | torch.nn.LSTM:
+    """The layer whose tensors are called "recurrent."."""
     place = "recurrent."
     tensors = {
         name.removeprefix(place): torch.from_numpy(array)
@@ -61,6 +61,7 @@ def _memory(state: State) -> torch.nn.GRU:
         if name.startswith(place)
     }
     inputs, units = (int(tensors[name].shape[1]) for name in ("weight_ih_l0", "weight_hh_l0"))
-    memory = torch.nn.GRU(inputs, units, batch_first=True)
+    memory: torch.nn.GRU | torch.nn.LSTM
+    memory = {"gru": torch.nn.GRU, "lstm": torch.nn.LSTM}[kind](inputs, units, batch_first=True)
     memory.load_state_dict(tensors)
     return memory

@@ -52,7 +52,7 @@ OBSERVATION_SCALES = {
     "rate_estimate_error": 0.3,
 }
 ACTIVATIONS = ("relu", "tanh")
-RECURRENT = ("none", "gru")
+RECURRENT = ("none", "gru", "lstm")
 GYRO_FILTERS = ("none", POLICY_FILTER_MEAN)
 SEED_MAX = 2**32 - 1
 STEPS_MAX = 10**12  # months of computing time
@@ -152,7 +152,7 @@ class TrainingConfig:
     control_rate_hz: int = 1000
     hidden: tuple[int, ...] = (64, 64)
     activation: str = "tanh"
-    recurrent: str = "none"  # or "gru": the first of the hidden layers, with memory; pathwise only
+    recurrent: str = "none"  # or "gru", "lstm": the first of the hidden layers, with memory; pathwise only
     output: OutputMap = field(default_factory=OutputMap)
     idle: float = 0.0  # motor fraction of armed motors at no thrust; part of the policy, as the next two
     mix: str = Mix.ATTITUDE_FIRST.text  # of outputs and throttle

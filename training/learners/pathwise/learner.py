@@ -109,7 +109,7 @@ class PathwiseLearner:
         """See Learner."""
         parts = [torch.from_numpy(part.copy()) for part in self._shape.split(self._state.parameters)]
         memory: dict[str, torch.Tensor] = {}
-        if self._shape.recurrent:
+        if self._shape.recurrent != "none":
             names = ("weight_ih", "bias_ih", "weight_hh", "bias_hh")
             memory = {f"recurrent.{name}_l0": part for name, part in zip(names, parts, strict=False)}
             parts = parts[len(names) :]
@@ -171,9 +171,7 @@ def _surroundings(aircraft: Aircraft, config: TrainingConfig, pathwise: Pathwise
         mix=config.mixing,
         idle=config.idle,
         model=model_constants(aircraft, rate_hz) if needs_model(terms) else None,
-        shape=Shape(
-            (inputs, *config.hidden, motors), config.activation, config.output, config.recurrent == "gru"
-        ),
+        shape=Shape((inputs, *config.hidden, motors), config.activation, config.output, config.recurrent),
         of_motors=pathwise.change_of == "motors",
         soft=pathwise.soft,
         noise=config.world.noise,

@@ -14,28 +14,28 @@ from training.config.training_config import OutputMap
 Array = NDArray[np.float32]
 HIDDEN_GAIN = 1.4  # of the initial orthogonal matrices
 LAST_GAIN = 0.02  # small: the outputs of an untrained policy hardly depend on the observation
-GATES = 3  # of a recurrent unit: reset, update and new
+GATES = {"gru": 3, "lstm": 4}  # of a recurrent unit: reset, update and new; input, forget, cell and output
 
 
 @dataclass(frozen=True)
 class Shape:
-    """An MLP: hidden layers with `activation`, the last one with `output`; perhaps a GRU as the first."""
+    """An MLP: hidden layers with `activation`, of which the first may have memory, and one with `output`."""
 
     widths: tuple[int, ...]  # of observation, hidden layers, motors
     activation: str  # "tanh" or "relu"
     output: OutputMap
-    recurrent: bool = False  # the first hidden layer is a GRU, by PyTorch's convention
+    recurrent: str = "none"  # the first hidden layer: "gru" or "lstm", by PyTorch's convention
 
     @property
     def parts(self) -> tuple[tuple[int, ...], ...]:
         """Shapes of the parameters in their order: weight (outputs, inputs) and bias of each layer.
 
-        A GRU has those of its input, then those of its state, by gates: reset, update, new.
+        A layer with memory has those of its input, then those of its state, by gates.
         """
         parts: list[tuple[int, ...]] = []
         for index, (inputs, outputs) in enumerate(pairwise(self.widths)):
-            if index == 0 and self.recurrent:
-                gates = GATES * outputs
+            if index == 0 and self.recurrent != "none":
+                gates = GATES[self.recurrent] * outputs
                 parts += [(gates, inputs), (gates,), (gates, outputs), (gates,)]
             else:
                 parts += [(outputs, inputs), (outputs,)]
@@ -60,15 +60,21 @@ class Shape:
         weight[:] = LAST_GAIN * _orthogonal(weight, rng)
         start = (start_output - self.output.offset) / self.output.scale
         bias[:] = np.arctanh(np.clip(start, -0.99, 0.99)) if self.output.squash else start
-        if self.recurrent:
+        if self.recurrent != "none":
             self._slow_down(hidden, rng)
         return parameters
 
     def _slow_down(self, hidden: list[Array], rng: np.random.Generator) -> None:
-        """Units of a GRU that forget at different paces at first: within two to some hundred steps."""
-        units = self.widths[1]
-        hidden[1][units : 2 * units] = np.log(np.exp(rng.uniform(0.0, np.log(200.0), units)) + 1e-3)
-        for gate in range(GATES):
+        """Units that forget at different paces at first: within two to some hundred steps.
+
+        The second gate says what a unit keeps. An LSTM takes in as much less as it keeps more, by its first
+        gate, so that its sums stay of one size (Tallec and Ollivier 2018).
+        """
+        units, bias = self.widths[1], hidden[1]
+        bias[units : 2 * units] = np.log(np.exp(rng.uniform(0.0, np.log(200.0), units)) + 1e-3)
+        if self.recurrent == "lstm":
+            bias[:units] = -bias[units : 2 * units]
+        for gate in range(GATES[self.recurrent]):
             own = hidden[2][gate * units : (gate + 1) * units]
             own[:] = _orthogonal(own, rng)
 

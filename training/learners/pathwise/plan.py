@@ -132,7 +132,7 @@ class Surroundings:
         shape, network = self.shape, made.network
         network.layers = len(shape.widths) - 1
         _fill(network.width, np.array(shape.widths))
-        network.recurrent = shape.recurrent
+        network.memory = getattr(library().lib, f"MEMORY_{shape.recurrent.upper()}")
         network.activation = getattr(library().lib, f"ACTIVATION_{shape.activation.upper()}")
         output = shape.output
         network.scale, network.offset, network.squash = output.scale, output.offset, output.squash

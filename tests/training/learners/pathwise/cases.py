@@ -35,7 +35,7 @@ class Case:
     hidden: tuple[int, ...] = (12, 10)
     activation: str = "tanh"
     squash: bool = False
-    recurrent: bool = False
+    recurrent: str = "none"
     mix: Mix = Mix.CENTRED
     samples: int = 4
     of_motors: bool = True

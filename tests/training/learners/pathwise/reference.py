@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import Any
+
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
 from training.learners.pathwise.network import Shape
@@ -11,17 +15,18 @@ Floats = NDArray[np.float32]
 
 
 class Network:
-    """A network for `count` samples at a time; it remembers what a GRU remembers."""
+    """A network; a GRU or an LSTM in it is torch's."""
 
-    def __init__(self, shape: Shape, parameters: Floats, count: int) -> None:
+    def __init__(self, shape: Shape, parameters: Floats) -> None:
         self._shape, self._parts = shape, shape.split(parameters)
-        self._memory = np.zeros((count, shape.widths[1]), np.float32)
+        self._cell = None if shape.recurrent == "none" else _cell(shape, self._parts)
+        self._state: Any = None
 
     def __call__(self, value: Floats) -> Floats:
-        """Motor fractions before the clip, (count, M), of scaled observations (count, n)."""
+        """Motor fractions before the clip, (N, M), of scaled observations (N, n)."""
         parts = self._parts
-        if self._shape.recurrent:
-            value, parts = self._remember(value), parts[4:]
+        if self._cell is not None:
+            value, parts = self._remember(self._cell, value), parts[4:]
         *hidden, (weight, bias) = zip(parts[::2], parts[1::2], strict=True)
         for own, offset in hidden:
             value = value @ own.T + offset
@@ -31,11 +36,18 @@ class Network:
             value = np.tanh(value)
         return self._shape.output.unclipped(value)
 
-    def _remember(self, value: Floats) -> Floats:
-        weight, bias, state_weight, state_bias = self._parts[:4]
-        of_input = np.split(value @ weight.T + bias, 3, axis=1)
-        of_state = np.split(self._memory @ state_weight.T + state_bias, 3, axis=1)
-        reset, update = (1.0 / (1.0 + np.exp(-of_input[i] - of_state[i])) for i in range(2))
-        new = np.tanh(of_input[2] + reset * of_state[2])
-        self._memory = ((1.0 - update) * new + update * self._memory).astype(np.float32)
-        return self._memory
+    def _remember(self, cell: torch.nn.RNNCellBase, value: Floats) -> Floats:
+        with torch.inference_mode():
+            self._state = cell(torch.from_numpy(np.asarray(value, np.float32)), self._state)
+        after = self._state[0] if isinstance(self._state, tuple) else self._state
+        return np.asarray(after.numpy(), np.float32)
+
+
+def _cell(shape: Shape, parts: Sequence[Floats]) -> torch.nn.RNNCellBase:
+    """torch's own cell with the first four parts of a network's parameters."""
+    inputs, units, *_ = shape.widths
+    made: torch.nn.RNNCellBase
+    made = {"gru": torch.nn.GRUCell, "lstm": torch.nn.LSTMCell}[shape.recurrent](inputs, units)
+    names = ("weight_ih", "bias_ih", "weight_hh", "bias_hh")
+    made.load_state_dict({name: torch.from_numpy(part) for name, part in zip(names, parts, strict=False)})
+    return made

@@ -25,8 +25,10 @@ CASES = {
     "disturbed": Case(disturbance=100.0),
     "relu": Case(activation="relu", strength=0.05),
     "squashed": Case(squash=True),
-    "a gru alone": Case(hidden=(7,), recurrent=True),
-    "a gru before a layer": Case(recurrent=True),
+    "a gru alone": Case(hidden=(7,), recurrent="gru"),
+    "a gru before a layer": Case(recurrent="gru"),
+    "an lstm alone": Case(hidden=(7,), recurrent="lstm"),
+    "an lstm before a layer": Case(recurrent="lstm"),
     "low-passes": Case(observation=",".join(f"{name}~40Hz" for name in EVERY_BLOCK.split(","))),
     "ages": Case(observation=",".join(f"{name}@{1 + k}" for k, name in enumerate(EVERY_BLOCK.split(",")))),
     "all of a block": Case(observation="rate,rate~15Hz,rate~60Hz@3,rate@2,previous_motors@1,previous_motors"),
@@ -70,8 +72,8 @@ def test_gradient_misses_little_when_a_battery_sags() -> None:
     flights.close()
 
 
-@pytest.mark.parametrize("recurrent", [False, True])
-def test_single_precision_finds_the_gradient_of_double_precision(recurrent: bool) -> None:
+@pytest.mark.parametrize("recurrent", ["none", "gru", "lstm"])
+def test_single_precision_finds_the_gradient_of_double_precision(recurrent: str) -> None:
     case = Case(steps=400, recurrent=recurrent, noise=False)
     gradients = []
     for number in ("float32", "float64"):

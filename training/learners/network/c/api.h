@@ -23,10 +23,12 @@ enum {
 
 enum { ACTIVATION_RELU, ACTIVATION_TANH };
 
+enum { MEMORY_NONE, MEMORY_GRU, MEMORY_LSTM };
+
 struct network {
 	uint32_t layers;               /* the hidden ones and the last */
 	uint32_t width[LAYERS_MAX + 1]; /* observation, hidden layers, motors */
-	bool recurrent;                /* the first hidden layer is a GRU */
+	int memory;                    /* of the first hidden layer */
 	int activation;
 	real scale, offset; /* output to motor fraction */
 	bool squash;

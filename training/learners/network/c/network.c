@@ -10,8 +10,8 @@ void layers_layout(struct layers *n, struct arena *a, const struct network *netw
 	for (size_t i = 0; i < network->layers; ++i) {
 		const size_t inputs = network->width[i], outputs = network->width[i + 1u];
 
-		if (i == 0 && network->recurrent)
-			gru_layout(&n->gru, a, steps, inputs, outputs);
+		if (i == 0 && network->memory != MEMORY_NONE)
+			memory_layout(&n->memory, a, network->memory, steps, inputs, outputs);
 		else
 			dense_layout(&n->dense[i], a, inputs, outputs);
 		n->stored[i] = padded(outputs, PART);
@@ -25,15 +25,15 @@ void layers_layout(struct layers *n, struct arena *a, const struct network *netw
 void layers_load(struct layers *n, const real *parameters)
 {
 	for (size_t i = 0; i < n->network->layers; ++i)
-		parameters = i == 0 && n->network->recurrent ? gru_load(&n->gru, parameters) :
-							       dense_load(&n->dense[i], parameters);
+		parameters = i == 0 && n->network->memory != MEMORY_NONE ? memory_load(&n->memory, parameters) :
+									   dense_load(&n->dense[i], parameters);
 }
 
 void layers_store(const struct layers *n, real *gradient)
 {
 	for (size_t i = 0; i < n->network->layers; ++i)
-		gradient = i == 0 && n->network->recurrent ? gru_store(&n->gru, gradient) :
-							     dense_store(&n->dense[i], gradient);
+		gradient = i == 0 && n->network->memory != MEMORY_NONE ? memory_store(&n->memory, gradient) :
+									 dense_store(&n->dense[i], gradient);
 }
 
 static real *layers_hidden(const struct layers *n, size_t i, size_t k)
@@ -71,8 +71,8 @@ void layers_forward(const struct layers *n, size_t k, const real *x, real *uncli
 
 	for (size_t i = 0; i < net->layers; ++i) {
 		output = layers_hidden(n, i, k);
-		if (i == 0 && net->recurrent) {
-			gru_forward(&n->gru, k, x, k > 0 ? layers_hidden(n, 0, k - 1u) : NULL, output);
+		if (i == 0 && net->memory != MEMORY_NONE) {
+			memory_forward(&n->memory, k, x, k > 0 ? layers_hidden(n, 0, k - 1u) : NULL, output);
 		} else {
 			dense_forward(&n->dense[i], x, output);
 			if (i < last)
@@ -104,8 +104,8 @@ void layers_backward(struct layers *n, size_t k, const real *x, const real *by_u
 
 		dense_gather(&n->dense[i], n->by_sum, value);
 		dense_backward(&n->dense[i], n->by_sum, n->by_hidden);
-		if (i == 1 && net->recurrent) {
-			gru_backward(&n->gru, k, x, k > 0 ? layers_hidden(n, 0, k - 1u) : NULL, n->by_hidden, by_x);
+		if (i == 1 && net->memory != MEMORY_NONE) {
+			memory_backward(&n->memory, k, x, k > 0 ? layers_hidden(n, 0, k - 1u) : NULL, n->by_hidden, by_x);
 			return;
 		}
 		layers_unsquash(net->activation, value, n->by_hidden, n->by_sum, rows);

@@ -2,11 +2,12 @@
 #ifndef NETWORK_H
 #define NETWORK_H
 
-#include "gru.h"
+#include "dense.h"
+#include "memory.h"
 
 struct layers {
 	const struct network *network;
-	struct gru gru;                  /* instead of the first layer of a recurrent network */
+	struct memory memory;            /* instead of the first layer of a recurrent network */
 	struct dense dense[LAYERS_MAX];
 	size_t stored[LAYERS_MAX];       /* rows of a hidden layer's outputs at a control step */
 	real *hidden[LAYERS_MAX];        /* (T, stored) */

@@ -1,4 +1,4 @@
-"""Checkpoints with a GRU to policy.onnx, with torch's own GRU as the peer."""
+"""Checkpoints with a GRU or an LSTM to policy.onnx, with torch's own as the peer."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ SCALE = [0.3, 0.3, 0.3, 10.0, 10.0, 10.0]
 UNITS, HIDDEN, MOTORS = 5, 7, 4
 
 
-def configuration(**changes: object) -> dict[str, Any]:
+def configuration(recurrent: str, **changes: object) -> dict[str, Any]:
     return {
         "aircraft": {"name": "nf1", "sha256": "ab" * 32},
         "observation": "rate_error,rate_error_delta",
@@ -26,7 +26,7 @@ def configuration(**changes: object) -> dict[str, Any]:
         "control_rate_hz": 1000,
         "filters": [],
         "hidden": [UNITS, HIDDEN],
-        "recurrent": "gru",
+        "recurrent": recurrent,
         "activation": "tanh",
         "output": {"scale": 0.5, "offset": 0.25},
         "motors": MOTORS,
@@ -37,10 +37,11 @@ def configuration(**changes: object) -> dict[str, Any]:
 class Peer(torch.nn.Module):
     """The policy of `configuration` in torch: a sequence of observations to motor fractions."""
 
-    def __init__(self) -> None:
+    def __init__(self, kind: str) -> None:
         super().__init__()
         torch.manual_seed(2)
-        self.recurrent = torch.nn.GRU(len(SCALE), UNITS)
+        self.kind = kind
+        self.recurrent = {"gru": torch.nn.GRU, "lstm": torch.nn.LSTM}[kind](len(SCALE), UNITS)
         self.hidden = torch.nn.Linear(UNITS, HIDDEN)
         self.last = torch.nn.Linear(HIDDEN, MOTORS)
 
@@ -58,13 +59,13 @@ class Peer(torch.nn.Module):
         }
 
 
-@pytest.fixture
-def peer() -> Peer:
-    return Peer()
+@pytest.fixture(params=["gru", "lstm"])
+def peer(request: pytest.FixtureRequest) -> Peer:
+    return Peer(request.param)
 
 
 def test_policy_remembers_as_torch_does(peer: Peer) -> None:
-    policy = parse_policy(to_onnx(configuration(), peer.tensors()))
+    policy = parse_policy(to_onnx(configuration(peer.kind), peer.tensors()))
     observation = np.random.default_rng(1).normal(size=(30, 1, 6)).astype(np.float32)
     with torch.no_grad():
         expected = peer(torch.from_numpy(observation)).numpy()
@@ -75,25 +76,25 @@ def test_policy_remembers_as_torch_does(peer: Peer) -> None:
 
 
 def test_the_file_is_one_step_of_the_policy_in_onnxruntime(peer: Peer) -> None:
-    session = onnxruntime.InferenceSession(to_onnx(configuration(), peer.tensors()))
+    session = onnxruntime.InferenceSession(to_onnx(configuration(peer.kind), peer.tensors()))
     observation = np.random.default_rng(1).normal(size=(1, 6)).astype(np.float32)
     with torch.no_grad():
         expected = peer(torch.from_numpy(observation[None])).numpy()[0]
     assert session.run(None, {"observation": observation})[0] == pytest.approx(expected, abs=1e-5)
 
 
-def test_the_gru_may_be_the_only_hidden_layer(peer: Peer) -> None:
+def test_the_memory_may_be_the_only_hidden_layer(peer: Peer) -> None:
     tensors = peer.tensors()
     tensors["action_net.weight"] = torch.randn(MOTORS, UNITS)
     del tensors["mlp_extractor.policy_net.0.weight"], tensors["mlp_extractor.policy_net.0.bias"]
-    policy = parse_policy(to_onnx(configuration(hidden=[UNITS]), tensors))
+    policy = parse_policy(to_onnx(configuration(peer.kind, hidden=[UNITS]), tensors))
     assert policy.action_count == MOTORS
 
 
 @pytest.mark.parametrize(
     ("changes", "removed", "message"),
     [
-        ({"recurrent": "lstm"}, None, "recurrent is 'lstm', expected none or gru"),
+        ({"recurrent": "rnn"}, None, "recurrent is 'rnn', expected none or gru or lstm"),
         ({}, "recurrent.bias_hh_l0", "lacks the tensor 'recurrent.bias_hh_l0'"),
         ({"hidden": [6, HIDDEN]}, None, r"tensor '.*' is float32 \[.*\], expected float32"),
     ],
@@ -104,4 +105,4 @@ def test_a_checkpoint_that_does_not_fit_is_rejected(
     tensors = peer.tensors()
     tensors.pop(removed or "", None)
     with pytest.raises(PolicyError, match=message):
-        to_onnx(configuration(**changes), tensors)
+        to_onnx(configuration(peer.kind) | changes, tensors)

@@ -1,4 +1,4 @@
-"""The memory of a recurrent policy in policy.onnx: its first layer, a GRU as torch's exporter writes it."""
+"""The memory of a recurrent policy in policy.onnx: its first layer, as torch's exporter writes it."""
 
 from __future__ import annotations
 
@@ -12,18 +12,23 @@ from numpy.typing import ArrayLike, NDArray
 from toolchain.errors import PolicyError
 
 Matrix = NDArray[np.float64]
-GATES = 3
+# Where ONNX has the gates of torch's rows: update, reset, new; input, output, forget, cell.
+KINDS = {"gru": (1, 0, 2), "lstm": (0, 3, 1, 2)}
 _NAMES = ("weight_ih", "weight_hh", "bias_ih", "bias_hh")
 
 
 @dataclass(frozen=True, eq=False)
 class Memory:
-    """Weights of H units with n inputs, rows by gates as torch has them: reset, update, new."""
+    """Weights of H units with n inputs, rows by gates as torch has them.
 
-    weight: Matrix  # (3H, n)
-    state_weight: Matrix  # (3H, H)
-    bias: Matrix  # (3H,)
-    state_bias: Matrix  # (3H,)
+    G gates: a GRU's reset, update, new; an LSTM's input, forget, cell, output.
+    """
+
+    kind: str  # "gru" or "lstm"
+    weight: Matrix  # (GH, n)
+    state_weight: Matrix  # (GH, H)
+    bias: Matrix  # (GH,)
+    state_bias: Matrix  # (GH,)
 
     @property
     def units(self) -> int:
@@ -31,9 +36,9 @@ class Memory:
         return int(self.state_weight.shape[1])
 
     @staticmethod
-    def of(state: Mapping[str, ArrayLike], inputs: int, units: int) -> Memory:
-        """The GRU of a checkpoint's tensors. Raises PolicyError naming the one that does not fit."""
-        size = GATES * units
+    def of(kind: str, state: Mapping[str, ArrayLike], inputs: int, units: int) -> Memory:
+        """That of a checkpoint's tensors. Raises PolicyError naming the one that does not fit."""
+        size = len(KINDS[kind]) * units
         parts = []
         for name, shape in zip(_NAMES, ((size, inputs), (size, units), (size,), (size,)), strict=True):
             key = f"recurrent.{name}_l0"
@@ -44,18 +49,19 @@ class Memory:
                 got = f"{array.dtype} {list(array.shape)}"
                 raise PolicyError(f"tensor {key!r} is {got}, expected float32 {list(shape)}")
             parts.append(array.astype(np.float64))
-        return Memory(*parts)
+        return Memory(kind, *parts)
 
     def scaled(self, factors: Matrix) -> Memory:
         """The same for inputs that are not yet multiplied by `factors` (n,)."""
-        return Memory(self.weight * factors, self.state_weight, self.bias, self.state_bias)
+        return Memory(self.kind, self.weight * factors, self.state_weight, self.bias, self.state_bias)
 
     def onnx_arrays(self) -> dict[str, Matrix]:
-        """W (1, 3H, n), R (1, 3H, H) and B (1, 6H) of an ONNX GRU, whose gates are update, reset, new."""
+        """W (1, GH, n), R (1, GH, H) and B (1, 2GH) of the ONNX operator."""
 
         def ordered(values: Matrix) -> Matrix:
-            reset, update, new = np.split(values, GATES)
-            return np.concatenate([update, reset, new])
+            places = KINDS[self.kind]
+            gates = np.split(values, len(places))
+            return np.concatenate([gates[place] for place in places])
 
         biases = np.concatenate([ordered(self.bias), ordered(self.state_bias)])
         return {
@@ -70,9 +76,12 @@ class Memory:
 
         weights = list(self.onnx_arrays())
         outputs = ["", "memory_after"]
-        options: dict[str, Any] = {"hidden_size": self.units, "linear_before_reset": 1}
+        options: dict[str, Any] = {"hidden_size": self.units} | (
+            {"linear_before_reset": 1} if self.kind == "gru" else {}
+        )
+        operator = self.kind.upper()
         return [
             helper.make_node("Unsqueeze", [value, "memory_axis"], ["memory_sequence"], name="sequence"),
-            helper.make_node("GRU", ["memory_sequence", *weights], outputs, name="memory", **options),
+            helper.make_node(operator, ["memory_sequence", *weights], outputs, name="memory", **options),
             helper.make_node("Squeeze", ["memory_after", "memory_axis"], [result], name="remembered"),
         ]
