@@ -66,7 +66,7 @@ def run(args: argparse.Namespace) -> int:
     if args.dry_run:
         _report(args, {"factors": _factors(factors)}, factors, None)
         return 0
-    config, learned = warm_config(args.policy, args.steps, args.seed)
+    warm_config(args.policy, args.steps, args.seed)  # refuses what cannot be refined before anything flies
     args.out.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix=".adapt-", dir=args.out.parent) as folder:
         aside = Path(folder) / "run"
@@ -74,7 +74,7 @@ def run(args: argparse.Namespace) -> int:
         # Meshes of the file are named relative to it; the adapted file has to lie beside them then.
         base = Path(args.aircraft).parent if Path(args.aircraft).is_file() else None
         adapted = parse_aircraft(text, f"{args.out}/{AIRCRAFT}", base)
-        refine(adapted, config, learned, aside, command=_command(args))
+        refine(adapted, args.policy, args.steps, args.seed, aside, command=_command(args))
         old, new = args.policy / POLICY, aside / POLICY
         proof = prove(old, new, aircraft, adapted, args.episodes, args.seed + 1)
         verdict = _verified(new)

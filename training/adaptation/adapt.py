@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -14,12 +15,15 @@ from training.config.training_config import TrainingConfig
 from training.evaluation.controllers import Conditions, load_controller
 from training.evaluation.evaluation import Scores, mean_over, scores
 from training.runs.checkpoint import Learned, load_learned
-from training.runs.train import CHECKPOINT, RECORD, Callback, train
+from training.runs.train import CHECKPOINT, POLICY, RECORD, Callback, train
 from training.tasks.task import PulseTask
 
 LEARNING_RATE = 5e-4  # a tenth of a fresh run's: the policy flies already
 WARM_UP = 20
 WITHIN = 0.05  # the adapted aircraft's own uncertainty of inertia and thrust
+TRIES = 3  # trainings at most, each with a lower limit of the motors' change
+CALIBRATION, CALIBRATION_SEED = 40, 1000  # episodes that find that limit; what is added to their seed
+CHANGE_AIMED = 1.05  # |change| of the old policy's with which a training is good enough
 CHANGE_MORE = 1.1  # most |change| of a motor in 1 ms, of the old policy's
 ORIGINAL_MORE = (
     1.5  # most MAE on the aircraft of the unadapted file, of the old policy's: the log may be wrong
@@ -69,9 +73,12 @@ class Proof:
         return None
 
 
-def warm_config(folder: Path, steps: int, seed: int) -> tuple[TrainingConfig, Learned]:
+def warm_config(
+    folder: Path, steps: int, seed: int, change_factor: float = 1.0
+) -> tuple[TrainingConfig, Learned]:
     """The configuration of a refinement of the policy in `folder`, and what its run had learned.
 
+    change_factor: what the limit of the motors' change is multiplied by.
     Raises TrainingError on a folder that holds no run of the pathwise learner.
     """
     config = load_config(
@@ -89,20 +96,42 @@ def warm_config(folder: Path, steps: int, seed: int) -> tuple[TrainingConfig, Le
         raise TrainingError(
             f"{folder}: trained with {algorithm.name}, expected pathwise: only that learner is refined"
         )
-    algorithm = replace(algorithm, learning_rate=LEARNING_RATE, warm_up=WARM_UP)
+    limit = algorithm.change_limit
+    algorithm = replace(
+        algorithm,
+        learning_rate=LEARNING_RATE,
+        warm_up=WARM_UP,
+        change_limit=None if limit is None else change_factor * limit,
+    )
     return replace(config, algorithm=algorithm), load_learned(folder / CHECKPOINT)
 
 
 def refine(
     aircraft: Aircraft,
-    config: TrainingConfig,
-    learned: Learned,
+    folder: Path,
+    steps: int,
+    seed: int,
     out: Path,
     callback: Callback | None = None,
     command: str | None = None,
 ) -> None:
-    """Train on `aircraft` from what was learned; writes checkpoint, policy and record to `out`."""
-    train(aircraft, config, out, callback, command=command, start=learned)
+    """Train on `aircraft` from what the run in `folder` learned; writes checkpoint, policy, record to `out`.
+
+    A policy may stay below the limit of the motors' change that it was trained with. One whose refinement
+    uses what was left of it is refined again, from the same start with the limit as much lower. That is
+    judged on commands that neither training nor proof flies.
+    """
+    policy, factor = out / POLICY, 1.0
+    wanted = bench(folder / POLICY, aircraft, CALIBRATION, seed + CALIBRATION_SEED).change
+    for left in reversed(range(TRIES)):
+        config, learned = warm_config(folder, steps, seed, factor)
+        train(aircraft, config, out, callback, command=command, start=learned)
+        change = bench(policy, aircraft, CALIBRATION, seed + CALIBRATION_SEED).change
+        if change <= CHANGE_AIMED * wanted or not left:
+            return
+        factor *= wanted / change
+        shutil.rmtree(out)
+        out.mkdir()
 
 
 def prove(old: Path, new: Path, original: Aircraft, adapted: Aircraft, episodes: int, seed: int) -> Proof:
