@@ -51,7 +51,7 @@ COMMANDS = {
     "reproduce": "run the dissertation's experiments again, its figures beside ours",
     "fly": "fly a firmware against the twin and print tracking figures",
     "board": "run the image on an emulated board that lies still; other programs use its serial ports",
-    "twin": "measure gyro noise, bias and moments of inertia from recordings, for the aircraft file",
+    "twin": "gyro noise, moments of inertia and a propeller's fall of thrust, from recordings",
     "aircraft": "check and draw an aircraft file",
     "view": "show the aircraft in the attitudes of a flight: in a window, as a page that plays it, GIF, PNG",
     "rescue": "put an image on a board through the boot loader in its chip's ROM, whatever its flash holds",

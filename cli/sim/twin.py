@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cli.sim.twin_inertia import add_inertia
+from cli.sim.twin_propeller import add_propeller
 from toolchain.errors import NeuroflightError
 
 if TYPE_CHECKING:
@@ -49,6 +50,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     noise.add_argument("--json", action="store_true", help="print JSON instead of a table")
     noise.set_defaults(act=run_noise)
     add_inertia(actions)
+    add_propeller(actions)
 
 
 def run(args: argparse.Namespace) -> int:

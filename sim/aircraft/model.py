@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from sim.aircraft.advance import AdvanceRatio, read_advance
 from sim.aircraft.airframe import ZERO, Meshes, read_parts, read_rotors, reject_collisions
 from sim.aircraft.airframe import Rotor as Rotor
 from sim.aircraft.mass import MassProperties, Part, Vector, mass_properties
@@ -70,6 +71,9 @@ class Propulsion:
     supply_voltage: float | None  # [V], where the speed curve was measured; None: not known
     efficiency: float  # electrical power to power on the shaft, motor and ESC, 0..1
     propeller_diameter: float | None = None  # [m]; None: not known
+    advance: AdvanceRatio | None = (
+        None  # needs the diameter; None: forces are those of a rotor at rest in the air
+    )
 
     @property
     def speed_max(self) -> float:
@@ -316,7 +320,10 @@ def _propulsion(table: StrictTable) -> Propulsion:
         supply_voltage=_optional(table, "supply_voltage_v", 1, 1000),
         efficiency=table.number("efficiency", 0.05, 1, EFFICIENCY_DEFAULT),
         propeller_diameter=diameter,
+        advance=read_advance(table.table("advance_ratio")) if table.has("advance_ratio") else None,
     )
+    if propulsion.advance is not None and diameter is None:
+        raise table.error("propeller_diameter_m", "missing; [propulsion.advance_ratio] needs it")
     table.finish()
     return propulsion
 

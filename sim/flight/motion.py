@@ -26,7 +26,13 @@ class Motion:
     def __call__(self) -> None:
         """Keep the twin's state as it is now."""
         live = self._twin.live
-        parts = live.position[0], live.velocity[0], live.rotation[0, 2], live.rotor_speed[0]
+        parts = (
+            live.position[0],
+            live.velocity[0],
+            live.rotation[0, 2],
+            live.rotor_speed[0],
+            live.thrust_factor[0],
+        )
         self._rows.append(tuple(value for part in parts for value in part.tolist()))
 
     @property
@@ -49,7 +55,8 @@ class Motion:
     def thrust(self) -> Array:
         """Thrust of all rotors together over the aircraft's weight, (N,)."""
         thrust, _ = thrust_and_torque(self._columns(9, 9 + self._motors), self._propulsion)
-        return np.asarray(thrust.sum(axis=1) / self._weight)
+        factor = self._columns(9 + self._motors, 9 + 2 * self._motors)
+        return np.asarray((thrust * factor).sum(axis=1) / self._weight)
 
     def _columns(self, begin: int, end: int) -> Array:
-        return np.array(self._rows, np.float64).reshape(-1, 9 + self._motors)[:, begin:end]
+        return np.array(self._rows, np.float64).reshape(-1, 9 + 2 * self._motors)[:, begin:end]

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sim.aircraft.model import Aircraft, Propulsion, TorqueResponse
-from sim.physics.library import elements, library, pointer, struct
+from sim.physics.library import assign, elements, library, pointer, struct
 from sim.physics.rotation import cross_matrix
 
 Array = NDArray[np.float64]
@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 @lru_cache(maxsize=64)
 def propulsion_struct(propulsion: Propulsion) -> Any:  # noqa: ANN401 - a struct of cffi
     """The propulsion as C has it."""
-    return struct(
+    made = struct(
         "propulsion",
         speed_curve=propulsion.speed_curve,
         thrust=_polynomial(propulsion.thrust_coefficient),
@@ -32,6 +32,16 @@ def propulsion_struct(propulsion: Propulsion) -> Any:  # noqa: ANN401 - a struct
         efficiency=propulsion.efficiency,
         limited=isinstance(propulsion.response, TorqueResponse),
     )
+    if propulsion.advance is not None:
+        assert propulsion.propeller_diameter is not None  # the reader of the file
+        assign(
+            made,
+            diameter=propulsion.propeller_diameter,
+            thrust_advance=propulsion.advance.thrust,
+            torque_advance=propulsion.advance.torque,
+            advance_max=propulsion.advance.ratio_max,
+        )
+    return made
 
 
 def _polynomial(terms: tuple[float, ...]) -> dict[str, object]:
@@ -115,7 +125,10 @@ def coefficient(polynomial: tuple[float, ...], speed: ArrayLike) -> Array:
 
 
 def thrust_and_torque(speed: ArrayLike, propulsion: Propulsion) -> tuple[Array, Array]:
-    """Thrust [N] and drag torque [N m] of rotors at `speed` [rad/s], any shape: K_T w^2 and K_Q thrust."""
+    """Thrust [N] and drag torque [N m] of rotors at `speed` [rad/s], any shape: K_T w^2 and K_Q thrust.
+
+    Of rotors at rest in the air, advance ratio 0.
+    """
     (at,) = elements(speed)
     thrust, torque = np.empty_like(at), np.empty_like(at)
     library().lib.rotor_loads(
@@ -133,13 +146,14 @@ class RotorGeometry:
     square_wrench: Array | None  # (M, 6): wrench a speed squared, if both coefficients are constants
     reaction_wrench: Array  # (M, 6): wrench a rad/s^2 of each rotor's acceleration
     motion_wrench: Array  # (6M, 6): wrench a speed * twist, twist = velocity, rate in body axes
+    inflow: Array  # (6, M): speed of each hub along its axis a twist, v_z + w_x r_y - w_y r_x
     propulsion: Propulsion
 
 
 def rotor_geometry(aircraft: Aircraft) -> RotorGeometry:
     """Maps of `aircraft`, about its centre of mass."""
     propulsion = aircraft.propulsion
-    thrust, torque, reaction, motion = [], [], [], []
+    thrust, torque, reaction, motion, inflow = [], [], [], [], []
     up, nothing = np.array([0.0, 0.0, 1.0]), np.zeros(3)
     across = np.diag([1.0, 1.0, 0.0])
     for r, spin in zip(aircraft.rotor_positions, aircraft.spins, strict=True):
@@ -150,6 +164,7 @@ def rotor_geometry(aircraft: Aircraft) -> RotorGeometry:
         reaction.append(np.concatenate([nothing, -momentum]))
         # v_hub = v + w x r = v - [r] w; its part across the rotor axis makes drag and a rolling moment.
         hub = across @ np.hstack([np.eye(3), -cross_matrix(r)])
+        inflow.append(np.concatenate([up, np.cross(r, up)]))  # (w x r) . z = w . (r x z)
         force = -propulsion.drag_coefficient * hub
         moment = cross_matrix(r) @ force - propulsion.rolling_coefficient * hub
         # Gyroscopic moment: -w x h = h x w.
@@ -166,6 +181,7 @@ def rotor_geometry(aircraft: Aircraft) -> RotorGeometry:
         square_wrench=square_wrench,
         reaction_wrench=np.array(reaction),
         motion_wrench=np.ascontiguousarray(np.concatenate(motion)),
+        inflow=np.ascontiguousarray(np.array(inflow).T),
         propulsion=propulsion,
     )
 
@@ -177,6 +193,7 @@ def rotors_struct(geometry: RotorGeometry) -> Any:  # noqa: ANN401 - a struct of
         "torque_wrench": geometry.torque_wrench,
         "reaction_wrench": geometry.reaction_wrench,
         "motion_wrench": geometry.motion_wrench,
+        "inflow": geometry.inflow,
     }
     if geometry.square_wrench is not None:
         maps["square_wrench"] = geometry.square_wrench
@@ -189,22 +206,51 @@ def rotor_wrench(
     """Wrench of all rotors on the aircraft over one step, (N, 6).
 
     before, after: rotor speeds (N, M) [rad/s] at the step's ends; velocity (N, 3) [m/s] of the centre of
-    mass through the air and rate (N, 3) [rad/s], both in body axes. Thrust, drag torque, reaction to rotor
-    acceleration, gyroscopic moment, rotor drag and rolling moment.
+    mass through the air and rate (N, 3) [rad/s], both in body axes. Thrust and drag torque at the rotors'
+    advance ratios, if the aircraft has coefficients of them; reaction to rotor acceleration, gyroscopic
+    moment, rotor drag and rolling moment.
     """
     count = len(after)
     wrench, factors = np.empty((count, 6)), np.ones((count, 6))
     given = [np.ascontiguousarray(rows, np.float64) for rows in (before, after, velocity, rate)]
+    advance = (library().ffi.NULL, library().ffi.NULL)
+    if geometry.propulsion.advance is not None:
+        found = advance_factors(after, velocity, rate, geometry)
+        advance = (pointer(found[0]), pointer(found[1]))
     library().lib.rotor_wrenches(
         propulsion_struct(geometry.propulsion),
         rotors_struct(geometry),
         count,
         dt,
         *(pointer(rows) for rows in given),
+        *advance,
         pointer(factors),
         pointer(wrench),
     )
     return wrench
+
+
+def advance_factors(
+    speed: Array, velocity: Array, rate: Array, geometry: RotorGeometry
+) -> tuple[Array, Array]:
+    """Factors (N, M) of thrust and drag torque at the advance ratio J of each rotor.
+
+    speed: (N, M) [rad/s]; velocity (N, 3) [m/s] of the centre of mass through the air and rate (N, 3)
+    [rad/s], body axes. J = V / (n D) = 2 pi V / (w D), V the speed of the hub along its axis,
+    v_z + w_x r_y - w_y r_x. Where V is below 0 the rotor sinks into its own wake, of which coefficients over
+    J say nothing: J is 0 there. For an aircraft with [propulsion.advance_ratio].
+    """
+    given = [np.ascontiguousarray(rows, np.float64) for rows in (speed, velocity, rate)]
+    thrust, torque = np.empty_like(given[0]), np.empty_like(given[0])
+    library().lib.rotor_advance(
+        propulsion_struct(geometry.propulsion),
+        rotors_struct(geometry),
+        len(thrust),
+        *(pointer(rows) for rows in given),
+        pointer(thrust),
+        pointer(torque),
+    )
+    return thrust, torque
 
 
 def load_factors(thrust: Array, torque: Array) -> Array:

@@ -41,6 +41,8 @@ class Supply:
         self._charge: float | Array = 0.0 if charge is None else charge
         self._bench = np.full(count, charge is None)  # those on the bench supply beside batteries
         self._torque = np.ones(count)  # factors of the drag torque
+        # Of each rotor's drag torque at its advance ratio, as the twin's step leaves them.
+        self.advance = np.ones((count, aircraft.motor_count))
         self._power = np.zeros(count)  # [W]
         self._ratio = np.ones(count)
         self.state = struct(
@@ -54,6 +56,8 @@ class Supply:
             power=self._power,
             voltage_ratio=self._ratio,
         )
+        if aircraft.propulsion.advance is not None:
+            assign(self.state, advance=self.advance)
         if charge is not None:
             self._connect()
 
@@ -92,7 +96,7 @@ class Supply:
     def telemetry(self, speed: Array, thrust_factor: Array, temperature: Array) -> Telemetry:
         """What the ESCs report at rotor speeds (N, M); voltage and current are NaN where unknown.
 
-        thrust_factor: of each aircraft's thrust, (N,); the drag torque's was given to `vary`.
+        thrust_factor: of each rotor's thrust, (N, M); those of the drag torque are the supply's own.
         temperature: of the windings [degC], (N, M).
         """
         drawn = self.draw(speed, speed)
@@ -101,8 +105,8 @@ class Supply:
             speed.copy(),
             drawn.voltage,
             drawn.current,
-            thrust * thrust_factor[:, None],
-            torque * self._torque[:, None],
+            thrust * thrust_factor,
+            torque * self.advance * self._torque[:, None],
             temperature,
             self._aircraft.esc,
         )
@@ -114,7 +118,7 @@ class Supply:
         battery at its voltage under load. NaN on a bench supply of unknown voltage.
         """
         propulsion = self._aircraft.propulsion
-        drag = thrust_and_torque(after, propulsion)[1] * self._torque[:, None]
+        drag = thrust_and_torque(after, propulsion)[1] * self.advance * self._torque[:, None]
         torque = drag + propulsion.rotor_inertia * (after - before) * self.state.rate_hz
         voltage = np.full(self._count, _known(propulsion.supply_voltage))
         if self._battery is not None:

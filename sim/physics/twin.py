@@ -2,7 +2,7 @@
 
 A step runs its stages in order:
 
-    commands -> delay -> rotor speed -> supply -> wind -> wrench of rotors and drag -> world -> sensors
+    commands -> delay -> rotor speed -> wind -> wrench of rotors and drag -> supply -> world -> sensors
 
 It runs in C (twin.c), in one call. Each stage is a module beside this one, and a C file of the same name: the
 module makes the arrays and fills in a struct that points to them. What keeps a state between samples is an
@@ -53,6 +53,7 @@ class Live:
     velocity: Array
     position: Array
     rotor_speed: Array
+    thrust_factor: Array  # (N, M), of each rotor's thrust at its advance ratio; 1 where that is not modelled
     specific_force: Array
     gyro: Array
     accelerometer: Array
@@ -134,6 +135,7 @@ class Twin:
             velocity=self._world.velocity,
             position=self._world.position,
             rotor_speed=np.zeros(shape),
+            thrust_factor=np.ones(shape),
             specific_force=np.zeros((count, 3)),
             gyro=np.zeros((count, 3)),
             accelerometer=np.zeros((count, 3)),
@@ -181,6 +183,8 @@ class Twin:
             acceleration=self.live.accelerometer,
             **self._scratch,
         )
+        if propulsion.advance is not None:
+            assign(state, thrust_factor=self.live.thrust_factor, torque_factor=self._supply.advance)
         if self._phase is not None:
             assign(state, phase=self._phase)
         parts = {"wind": self._wind, "gyroscope": self._gyro, "accelerometer": self._accelerometer}
@@ -243,7 +247,7 @@ class Twin:
         """
         speed, heat = self.live.rotor_speed, self._heat
         temperature = np.full_like(speed, np.nan) if heat is None else heat.temperature.copy()
-        return self._supply.telemetry(speed, self._load_factor[:, 2], temperature)
+        return self._supply.telemetry(speed, self.live.thrust_factor * self._load_factor[:, 2:3], temperature)
 
     @property
     def draw(self) -> Draw:
@@ -321,6 +325,7 @@ class Twin:
         index = np.arange(self.count) if index is None else index
         self._delay.reset(index)
         self.live.rotor_speed[index] = self._scratch["before"][index] = 0.0
+        self.live.thrust_factor[index] = self._supply.advance[index] = 1.0
         if self._phase is not None:
             self._phase[index] = self._phase_rng.uniform(0.0, 2 * np.pi, (len(index), self._phase.shape[1]))
         self._world.reset(index.tolist())

@@ -27,6 +27,10 @@ struct propulsion {
 	double rotor_inertia;     /* [kg m^2] */
 	double efficiency;        /* electrical power to power on the shaft */
 	bool limited;             /* the rotors' acceleration has limits: see rotor_next_speed */
+	double diameter;          /* [m], of the propeller; the rest is used where rotors have an advance ratio */
+	double thrust_advance[2]; /* a1, a2: thrust at an advance ratio J is that at J = 0 times 1 + a1 J + a2 J^2 */
+	double torque_advance[2]; /* drag torque likewise */
+	double advance_max;       /* J beyond which both stay as they are there */
 };
 
 struct rotors {
@@ -36,6 +40,7 @@ struct rotors {
 	const double *square_wrench;   /* (M, 6) a speed squared, if both coefficients are constants; else NULL */
 	const double *reaction_wrench; /* (M, 6) a rad/s^2 */
 	const double *motion_wrench;   /* (6M, 6) a speed times a twist, which is velocity and rate */
+	const double *inflow;          /* (6, M) speed of each hub along its axis, a twist */
 };
 
 void polynomial_values(const struct polynomial *p, size_t count, const double *at, double *value);
@@ -46,9 +51,11 @@ void rotor_next_speeds(const struct propulsion *p, size_t count, const double *r
 void rotor_speeds_along(const struct propulsion *p, size_t steps, size_t count, const double *response,
 			const double *target, double *speed);
 void rotor_loads(const struct propulsion *p, size_t count, const double *speed, double *thrust, double *torque);
+void rotor_advance(const struct propulsion *p, const struct rotors *r, size_t count, const double *speed,
+		   const double *velocity, const double *rate, double *thrust_factor, double *torque_factor);
 void rotor_wrenches(const struct propulsion *p, const struct rotors *r, size_t count, double dt, const double *before,
-		    const double *after, const double *velocity, const double *rate, const double *load_factor,
-		    double *wrench);
+		    const double *after, const double *velocity, const double *rate, const double *thrust_factor,
+		    const double *torque_factor, const double *load_factor, double *wrench);
 
 /* ---- delay.c ---- */
 
@@ -87,6 +94,7 @@ struct supply {
 	const struct pack *pack;     /* NULL: all are on the bench supply */
 	const bool *bench;           /* (N), those on the bench supply beside a pack's */
 	const double *torque_factor; /* (N), of the drag torque */
+	const double *advance;       /* (N, M), of the drag torque, of rotor_advance; NULL: all 1 */
 	double *power;               /* (N) [W], drawn in the last step */
 	double *charge;              /* (N) [A s], used */
 	double *current;             /* (N) [A] */
@@ -199,6 +207,7 @@ struct twin {
 	const double *response;     /* (N, 3), of rotor_next_speed */
 	const double *speed_factor; /* (N, M) */
 	const double *load_factor;  /* (N, 6) */
+	double *thrust_factor, *torque_factor; /* (N, M), of rotor_advance; NULL: rotors have no advance ratio */
 	const double *mass;         /* (N) [kg] */
 	const double *command;      /* (N, M), given in this sample */
 	double *acting, *before, *target; /* (N, M) */

@@ -1,5 +1,7 @@
 #include "rotor.h"
 
+#define TURN 6.283185307179586 /* rad */
+
 double polynomial_value(const struct polynomial *p, double at)
 {
 	double value = p->term[p->terms - 1u];
@@ -91,17 +93,84 @@ void rotor_loads(const struct propulsion *p, size_t count, const double *speed, 
 	}
 }
 
-static void rotor_load(const struct propulsion *p, const struct rotors *r, const double *speed, double *load)
+/* J = V / (n D) of a rotor that moves along its axis at `inflow` V [m/s] and makes n revolutions a second, 0 to
+ * advance_max. Below 0 (a rotor that sinks into its own wake) the formula has no measurement behind it: there J is 0. A
+ * rotor that stands has advance_max, if it moves forward. */
+static double rotor_advance_ratio(const struct propulsion *p, double speed, double inflow)
+{
+	const double tip = speed * p->diameter;
+
+	if (!(inflow > 0.0))
+		return 0.0;
+	return TURN * inflow < p->advance_max * tip ? TURN * inflow / tip : p->advance_max;
+}
+
+static double rotor_advance_factor(const double *terms, double ratio)
+{
+	const double factor = 1.0 + (terms[0] + terms[1] * ratio) * ratio;
+
+	return factor > 0.0 ? factor : 0.0;
+}
+
+/* Factors (count, M) of the thrust and the drag torque of rotors that turn at `speed` (count, M) on aircraft that move at
+ * `velocity` through the air and turn at `rate` (count, 3), body axes. Source: J of Koch 2019, list of symbols, and C_T(J)
+ * and C_Q(J) of the UIUC Propeller Data Site, as parabolas over their values at J = 0. */
+void rotor_advance(const struct propulsion *p, const struct rotors *r, size_t count, const double *speed,
+		   const double *velocity, const double *rate, double *thrust_factor, double *torque_factor)
+{
+	double twist[6], inflow[MOTORS_MAX];
+
+	for (size_t i = 0; i < count; ++i) {
+		for (size_t j = 0; j < 3; ++j) {
+			twist[j] = velocity[3u * i + j];
+			twist[3u + j] = rate[3u * i + j];
+		}
+		row_times(twist, r->inflow, 6, r->motors, inflow);
+		for (uint32_t m = 0; m < r->motors; ++m) {
+			const size_t at = i * r->motors + m;
+			const double ratio = rotor_advance_ratio(p, speed[at], inflow[m]);
+
+			thrust_factor[at] = rotor_advance_factor(p->thrust_advance, ratio);
+			torque_factor[at] = rotor_advance_factor(p->torque_advance, ratio);
+		}
+	}
+}
+
+static void rotor_scale(uint32_t motors, const double *factor, double *value)
+{
+	for (uint32_t i = 0; factor != NULL && i < motors; ++i)
+		value[i] *= factor[i];
+}
+
+/* Rotors are upright: thrust has no yaw moment, and drag torque has no other. */
+static void rotor_square_load(const struct rotors *r, const double *speed, const double *thrust_factor,
+			      const double *torque_factor, double *load)
+{
+	double square[MOTORS_MAX], turning[MOTORS_MAX], torque[6];
+
+	for (uint32_t i = 0; i < r->motors; ++i)
+		square[i] = turning[i] = speed[i] * speed[i];
+	rotor_scale(r->motors, thrust_factor, square);
+	row_times(square, r->square_wrench, r->motors, 6, load);
+	if (torque_factor == NULL)
+		return;
+	rotor_scale(r->motors, torque_factor, turning);
+	row_times(turning, r->square_wrench, r->motors, 6, torque);
+	load[5] = torque[5];
+}
+
+static void rotor_load(const struct propulsion *p, const struct rotors *r, const double *speed,
+		       const double *thrust_factor, const double *torque_factor, double *load)
 {
 	double one[MOTORS_MAX], other[MOTORS_MAX], drag[6];
 
 	if (r->square_wrench != NULL) {
-		for (uint32_t i = 0; i < r->motors; ++i)
-			one[i] = speed[i] * speed[i];
-		row_times(one, r->square_wrench, r->motors, 6, load);
+		rotor_square_load(r, speed, thrust_factor, torque_factor, load);
 		return;
 	}
 	rotor_loads(p, r->motors, speed, one, other);
+	rotor_scale(r->motors, thrust_factor, one);
+	rotor_scale(r->motors, torque_factor, other);
 	row_times(one, r->thrust_wrench, r->motors, 6, load);
 	row_times(other, r->torque_wrench, r->motors, 6, drag);
 	for (size_t j = 0; j < 6; ++j)
@@ -109,14 +178,16 @@ static void rotor_load(const struct propulsion *p, const struct rotors *r, const
 }
 
 /* Of all rotors of an aircraft over a step, whose ends have the speeds `before` and `after`; velocity is that of the centre
- * of mass through the air. Thrust and drag torque times load_factor (6), reaction to the rotors' acceleration, gyroscopic
- * moment, rotor drag and rolling moment. */
+ * of mass through the air. Thrust times thrust_factor (M) and drag torque times torque_factor (M), of rotor_advance or
+ * NULL, both times load_factor (6); reaction to the rotors' acceleration, gyroscopic moment, rotor drag and rolling
+ * moment. */
 void rotor_wrench(const struct propulsion *p, const struct rotors *r, double dt, const double *before, const double *after,
-		  const double *velocity, const double *rate, const double *load_factor, double *wrench)
+		  const double *velocity, const double *rate, const double *thrust_factor, const double *torque_factor,
+		  const double *load_factor, double *wrench)
 {
 	double gained[MOTORS_MAX], motion[6 * MOTORS_MAX], load[6], reaction[6], drag[6];
 
-	rotor_load(p, r, after, load);
+	rotor_load(p, r, after, thrust_factor, torque_factor, load);
 	for (uint32_t i = 0; i < r->motors; ++i) {
 		gained[i] = (after[i] - before[i]) / dt;
 		for (size_t j = 0; j < 3; ++j) {
@@ -131,10 +202,14 @@ void rotor_wrench(const struct propulsion *p, const struct rotors *r, double dt,
 }
 
 void rotor_wrenches(const struct propulsion *p, const struct rotors *r, size_t count, double dt, const double *before,
-		    const double *after, const double *velocity, const double *rate, const double *load_factor,
-		    double *wrench)
+		    const double *after, const double *velocity, const double *rate, const double *thrust_factor,
+		    const double *torque_factor, const double *load_factor, double *wrench)
 {
-	for (size_t i = 0; i < count; ++i)
-		rotor_wrench(p, r, dt, before + i * r->motors, after + i * r->motors, velocity + 3u * i, rate + 3u * i,
-			     load_factor + 6u * i, wrench + 6u * i);
+	for (size_t i = 0; i < count; ++i) {
+		const size_t at = i * r->motors;
+
+		rotor_wrench(p, r, dt, before + at, after + at, velocity + 3u * i, rate + 3u * i,
+			     thrust_factor != NULL ? thrust_factor + at : NULL,
+			     torque_factor != NULL ? torque_factor + at : NULL, load_factor + 6u * i, wrench + 6u * i);
+	}
 }

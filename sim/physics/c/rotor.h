@@ -10,6 +10,7 @@ double rotor_next_speed(const struct propulsion *p, const double *response, doub
 double rotor_thrust(const struct propulsion *p, double speed);
 double rotor_torque(const struct propulsion *p, double speed, double thrust);
 void rotor_wrench(const struct propulsion *p, const struct rotors *r, double dt, const double *before, const double *after,
-		  const double *velocity, const double *rate, const double *load_factor, double *wrench);
+		  const double *velocity, const double *rate, const double *thrust_factor, const double *torque_factor,
+		  const double *load_factor, double *wrench);
 
 #endif

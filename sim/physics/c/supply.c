@@ -13,7 +13,8 @@ void supply_power(const struct supply *s, const struct propulsion *p, size_t cou
 		for (size_t m = i * s->motors; m < (i + 1u) * s->motors; ++m) {
 			const double gained = p->rotor_inertia * (after[m] - before[m]) * s->rate_hz;
 			const double thrust = rotor_thrust(p, after[m]);
-			const double torque = rotor_torque(p, after[m], thrust) * s->torque_factor[i] + gained;
+			const double factor = s->advance != NULL ? s->advance[m] * s->torque_factor[i] : s->torque_factor[i];
+			const double torque = rotor_torque(p, after[m], thrust) * factor + gained;
 			const double given = after[m] * torque;
 
 			shaft += given > 0.0 ? given : 0.0;

@@ -1,4 +1,4 @@
-/* One sample of N aircraft: command -> delay -> rotor speed -> supply -> wind -> wrench -> bodies -> sensors. */
+/* One sample of N aircraft: command -> delay -> rotor speed -> wind -> wrench -> supply -> bodies -> sensors. */
 #include <string.h>
 
 #include "air.h"
@@ -39,8 +39,11 @@ static void twin_find_wrenches(struct twin *t)
 {
 	const double *const velocity = t->wind != NULL ? t->air_velocity : t->world->body_velocity;
 
+	if (t->thrust_factor != NULL)
+		rotor_advance(t->propulsion, t->rotors, t->count, t->rotor_speed, velocity, t->world->rate,
+			      t->thrust_factor, t->torque_factor);
 	rotor_wrenches(t->propulsion, t->rotors, t->count, t->dt, t->before, t->rotor_speed, velocity, t->world->rate,
-		       t->load_factor, t->wrench);
+		       t->thrust_factor, t->torque_factor, t->load_factor, t->wrench);
 	for (size_t i = 0; t->world->mount == MOUNT_FREE && i < t->count; ++i) {
 		double drag[3];
 
@@ -120,10 +123,10 @@ int twin_step(struct twin *t)
 	if (!delay_step(t->delay, t->count, t->command, t->acting))
 		return STEP_BAD_COMMAND;
 	twin_turn_rotors(t);
-	supply_step(t->supply, t->propulsion, t->count, t->before, t->rotor_speed);
 	if (t->wind != NULL)
 		twin_meet_wind(t);
 	twin_find_wrenches(t);
+	supply_step(t->supply, t->propulsion, t->count, t->before, t->rotor_speed); /* the next sample meets its voltage */
 	if (!twin_move(t))
 		return STEP_BULLET_FAILED;
 	twin_measure(t, t->count, NULL);

@@ -414,6 +414,9 @@ def plain(allowed: str) -> str:
 
 
 PID = """
+[propulsion.advance_ratio]
+thrust = [-1, 0]
+torque = [-0.5, 0]
 [esc.thermal]
 winding_ohm = 0.1
 resistance_k_w = 8
