@@ -25,7 +25,6 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 SEEDS_MAX, DESCENTS = 100, 3
 GUST_MAX = 50.0  # [m/s]
-BUILD = Path(__file__).resolve().parents[2] / "build" / "BETAFLIGHT"
 DRAWN = ("roll", "split-s")
 COLUMNS = (  # heading, figure, digits
     ("MAE", "mae", 2),
@@ -210,13 +209,14 @@ def _descents(args: argparse.Namespace) -> int:
 
 def _betaflight(args: argparse.Namespace) -> Betaflight | None:
     """Betaflight, built if it is to fly and is not there; stages of the build go to stderr."""
+    from cli.sim.fly_ports import BETAFLIGHT as FOLDER
     from sim.ports.betaflight.build import build_betaflight
     from training.evaluation.manoeuvres import BETAFLIGHT
 
     if BETAFLIGHT not in args.contenders:
         return None
     return build_betaflight(
-        BUILD, lambda stage: print(f"Betaflight is not built yet, once: {stage}", file=sys.stderr)
+        FOLDER, lambda stage: print(f"Betaflight is not built yet, once: {stage}", file=sys.stderr)
     )
 
 
