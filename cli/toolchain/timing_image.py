@@ -179,6 +179,7 @@ def _document(
         "device_cycles": DEVICE_CYCLES,
         "model": priced.pricer or None,
         "predicted_cycles_reason": priced.no_cycles_reason,
+        "missed_deadlines": sum(flight.missed for flight in metered),
         "interruptions": sum(flight.interruptions for flight in metered),
         "interrupting_instructions": sum(flight.interrupting for flight in metered),
         "edge_instructions": {
@@ -255,6 +256,7 @@ def _print(document: dict[str, Any], costs: tuple[TaskCost, ...], priced: Priced
             f"{'PID' if name == 'pid' else name} {rate:,.0f} Hz" for name, rate in rates.items()
         )
         console.print(f"highest control rate, by the worst armed control task: {words}")
+    console.print(f"missed deadlines, as the firmware counts them: {document['missed_deadlines']:,}")
     if priced.no_cycles_reason:
         model = f"No predicted cycles: {priced.no_cycles_reason}"
     else:

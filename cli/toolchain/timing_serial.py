@@ -14,13 +14,13 @@ if TYPE_CHECKING:
     from sim.board.serial.told_times import ToldTimes
     from sim.flight.scenario import Scenario
 
-BAUD = 921_600  # of the line while a flight is streamed: it carries every second control step
+BAUD = 921_600  # of the line while a flight is streamed: it carries 500 control steps a second
 SERIAL_MAX = 1_000_000  # control tasks
 SOURCE = "firmware over UART"
 NOTE = (
     "firmware_timing: by the firmware's cycle counter, what interrupts a task included; the emulated core "
     "takes the same 1.63 cycles for each instruction, see docs/emulated-board.md. Armed: control steps that "
-    "were streamed, every second one at 1 kHz"
+    "were streamed, at most 500 a second"
 )
 
 

@@ -20,6 +20,7 @@ from sim.board.board import Board
 from sim.board.core.engine import CODE_HALFWORDS, Outcome, code_row, row_address
 from sim.board.debug.profile import code_counts, task_counts
 from sim.board.debug.variables import read_variables
+from toolchain.contract import Task
 from toolchain.cortex_m7.cycles import Priced, Route, RouteCost, price_routes
 from toolchain.cortex_m7.disassembly import Instruction
 from toolchain.errors import BuildError
@@ -89,6 +90,7 @@ class Metered:
     interruptions: int  # of what is measured, by other handlers
     interrupting: int  # instructions of theirs
     edge: tuple[int, int]  # fewest and most instructions of a run of EDGE_HANDLER
+    missed: int  # deadlines of control steps since boot, as the firmware counts them
 
 
 @dataclass
@@ -123,7 +125,7 @@ class ControlMeter:
 
         Raises BuildError when `elf` lacks the functions and variables that are looked for.
         """
-        self._board, self._engine = board, board.engine
+        self._board, self._engine, self._elf = board, board.engine, elf
         for name in (HANDLER, *CONTROLLERS):
             if name not in board.symbols:
                 raise BuildError(f"{elf}: has no function {name}; build it with `make firmware`")
@@ -155,7 +157,8 @@ class ControlMeter:
         for task in task_counts(self._engine):
             if task.handler == EDGE_HANDLER:
                 edge = (task.least, task.most)
-                return Metered(self.runs(), self.interruptions, self.interrupting, edge)
+                missed = missed_deadlines(self._board, self._elf)
+                return Metered(self.runs(), self.interruptions, self.interrupting, edge, missed)
         raise BuildError(f"the image never ran {EDGE_HANDLER}")
 
     def runs(self) -> dict[Kind, tuple[Run, ...]]:
@@ -291,6 +294,16 @@ class _Code:
             if times:
                 first, end = int(self.rows[place]), int(self.rows[after])
                 yield (row_address(first), 2 * (end - first)), times
+
+
+def missed_deadlines(board: Board, elf: Path) -> int:
+    """Control steps since boot that ended after the next one was due, as the firmware of `elf` counts them.
+
+    A step whose gyro samples were lost counts too. Raises BuildError where the ELF has no such count.
+    """
+    (stats,) = read_variables(elf, "stats")
+    tasks = np.frombuffer(board.engine.memory(stats.address, stats.size), stats.dtype.base)
+    return int(tasks[Task.CONTROL]["misses"])
 
 
 def task_costs(

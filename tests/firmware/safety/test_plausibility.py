@@ -151,6 +151,29 @@ def test_outputs_that_do_not_answer_are_told_after_their_time(scripted: Any, axi
         assert watch.step(error, 0.0, 0.1) == NONE, "and the time begins anew"
 
 
+@pytest.mark.parametrize("rate_hz", [1000, 2000, 4000])
+def test_the_times_and_the_angle_are_the_same_when_the_control_rate_is_another(
+    scripted: Any, rate_hz: int
+) -> None:
+    steps_ms = rate_hz // 1000
+    error = WRONG_WAY_ERROR_DEG_S + 1
+    found = Watch(scripted, rate_hz=rate_hz).first(500 * steps_ms, error, 0.0, -0.1)
+    assert found == (WRONG_WAY_MS * steps_ms, WRONG_WAY)
+    error = NO_RESPONSE_ERROR_DEG_S + 1
+    found = Watch(scripted, rate_hz=rate_hz).first(900 * steps_ms, error, 0.0, 0.3)
+    assert found == (NO_RESPONSE_MS * steps_ms, NO_RESPONSE)
+    watch, rate, astray = Watch(scripted, rate_hz=rate_hz), -WRONG_WAY_ERROR_DEG_S, 0.0
+    while astray < 2 * WRONG_WAY_DEG and not watch.step(0.0, rate, -0.5):
+        rate -= 5000.0 / rate_hz
+        astray -= rate / rate_hz
+    assert WRONG_WAY_DEG < astray < WRONG_WAY_DEG + 0.02 * WRONG_WAY_ERROR_DEG_S
+    watch, hz = Watch(scripted, rate_hz=rate_hz), 16.0
+    times = np.arange(2 * rate_hz) / rate_hz
+    swing = (3 * OSCILLATION_ERROR_DEG_S * np.sin(math.tau * hz * times)).tolist()
+    told = [watch.step(0.0, each, 0.0) for each in swing].index(OSCILLATION) / rate_hz
+    assert OSCILLATION_SWINGS - 1 <= told * 2 * hz <= OSCILLATION_SWINGS + 1
+
+
 def test_outputs_that_brake_are_plausible_while_the_rate_nears_its_setpoint(scripted: Any) -> None:
     watch = Watch(scripted)
     for step in range(500):
