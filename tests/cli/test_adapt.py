@@ -66,7 +66,7 @@ def swapped(*arguments: object) -> Proof:
 
 def test_a_dry_run_tells_the_factors_and_writes_nothing(log: Path, tmp_path: Path, capsys: Capture) -> None:
     out = tmp_path / "adapted"
-    arguments = ["adapt", str(log), "--policy", str(POLICY), "--out", str(out), "--dry-run"]
+    arguments = ["adapt", str(log), "--policy", str(POLICY), "--out", str(out), "--dry-run", *SMALL]
     assert main([*arguments, "--json"]) == 0
     factors = json.loads(capsys.readouterr().out)["factors"]
     for axis, times in zip(("roll", "pitch", "yaw"), HEAVIER, strict=True):
@@ -175,7 +175,7 @@ def test_mistake_is_one_line_and_nothing_is_written(
             Path(name).write_text("no log\n")
         Path("broken.npz").write_text("no trace\n")
     before = {path: path.read_bytes() for path in Path().iterdir()}
-    given = {"--policy": str(policy), "--out": "adapted", **options}
+    given = {"--policy": str(policy), "--out": "adapted", "--steps": "2000", "--episodes": "2", **options}
     assert main(["adapt", log_name, *(word for pair in given.items() for word in pair)]) == 1
     told = capsys.readouterr()
     assert message in told.err and told.err.count("\n") == 1 and told.out == ""

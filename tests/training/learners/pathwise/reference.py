@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from training.learners.pathwise.network import Shape
+from training.learners.network.shape import Shape
 
 Floats = NDArray[np.float32]
 
