@@ -13,7 +13,7 @@ from sim.design.drawing import SPIN_COLOURS
 from sim.physics.rotation import quaternion
 from sim.plotting import AXIS_COLOURS, MOTOR_COLOURS
 from sim.viewing.scene import Scene
-from sim.viewing.shapes import FULL_COLOUR, IDLE_COLOUR, aircraft_faces, reach
+from sim.viewing.shapes import BELOW, FULL_COLOUR, IDLE_COLOUR, aircraft_faces, reach
 from toolchain.contract import AXES
 from toolchain.files import write_text
 from toolchain.rendering.jinja import render
@@ -22,7 +22,6 @@ Array = NDArray[np.float64]
 FRAME_S = 0.02  # between two poses of a page
 FRAMES_MAX = 30_000  # ten minutes, 4 MB
 SPEEDS = (0.05, 0.1, 0.25, 0.5, 1, 2, 5)  # to choose from in the page
-BELOW = 1.3  # of the aircraft's radius: how far the grid lies below the lowest place
 
 
 def page_times(scene: Scene) -> Array:

@@ -20,6 +20,7 @@ PLATE = 0.3  # side of a frame's plate, of the distance between the hubs that ar
 PLATE_M = 0.004  # its thickness, and that of an arm
 ARM = 0.12  # width of an arm, of a propeller's radius
 TRIANGLES_MAX = 1500  # of the true surfaces together; finer meshes are drawn coarser
+BELOW = 1.3  # of the aircraft's radius: how far the floor lies below the lowest place
 IDLE_COLOUR, FULL_COLOUR = "#ffe9a8", "#b3261e"  # of a rotor disc: command 0, command 1
 
 

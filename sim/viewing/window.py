@@ -11,13 +11,18 @@ from numpy.typing import NDArray
 from sim.physics.bullet import pybullet
 from sim.physics.rotation import quaternion
 from sim.viewing.scene import Scene
-from sim.viewing.shapes import Face, Kind, aircraft_faces, disc_colour, reach
+from sim.viewing.shapes import BELOW, Face, Kind, aircraft_faces, disc_colour, reach
 from toolchain.errors import NeuroflightError
 
 Array = NDArray[np.float64]
 BODY, NOSE = (0.54, 0.58, 0.63, 1.0), (0.13, 0.15, 0.18, 1.0)
+RENDER = pybullet.COV_ENABLE_SINGLE_STEP_RENDERING  # a frame is drawn whole, once all has moved
 OPACITY = 0.6  # of a rotor disc
+FLOOR = (1.0, 1.0, 1.0, 1.0)
+CELLS_MAX = 60  # of the chequered floor, along one side
+AROUND_M = 15.0  # of floor beyond the place of a flight
 FRAME_S = 1 / 60
+BACKGROUND = " ".join(f"--background_color_{name}=0.96" for name in ("red", "green", "blue"))
 
 
 def play(scene: Scene, speed: float, clock: Callable[[], float], wait: Callable[[float], None]) -> None:
@@ -26,7 +31,7 @@ def play(scene: Scene, speed: float, clock: Callable[[], float], wait: Callable[
     clock: seconds, rising. wait: sleeps for so many seconds. Raises NeuroflightError if no window opens.
     """
     try:
-        client = pybullet.connect(pybullet.GUI)
+        client = pybullet.connect(pybullet.GUI, options=BACKGROUND)
     except pybullet.error as error:
         raise NeuroflightError(f"no window: {error}; give --out FILE.html") from error
     if client < 0:
@@ -43,33 +48,56 @@ def _show(
     scene: Scene, speed: float, client: int, clock: Callable[[], float], wait: Callable[[float], None]
 ) -> None:
     faces, size = aircraft_faces(scene.aircraft), reach(scene.aircraft)
-    pybullet.configureDebugVisualizer(pybullet.COV_ENABLE_GUI, 0, physicsClientId=client)
+    for setting in (pybullet.COV_ENABLE_GUI, pybullet.COV_ENABLE_SHADOWS):
+        pybullet.configureDebugVisualizer(setting, 0, physicsClientId=client)
+    pybullet.configureDebugVisualizer(lightPosition=[-40, -30, 100], physicsClientId=client)
     solid = [
         _body([face for face in faces if face.kind is kind], colour, client)
         for kind, colour in ((Kind.BODY, BODY), (Kind.NOSE, NOSE))
     ]
     discs = {face.motor: _body([face], _disc(0.0), client) for face in faces if face.kind is Kind.DISC}
+    _body(floor_faces(scene, size), FLOOR, client)
     t = scene.trace.t
     length = float(t[-1] - t[0])
+    follows = scene.position is not None  # the camera; who turns it by mouse keeps the direction
+    yaw, pitch, distance, place = -55.0, -28.0, 2.4 * size, [0.0, 0.0, 0.0]
+    pybullet.resetDebugVisualizerCamera(distance, yaw, pitch, place, physicsClientId=client)
     begin = clock()
-    yaw, pitch, distance = -55.0, -28.0, 3.0 * size
     while pybullet.isConnected(client):
         passed = speed * (clock() - begin)
         row = scene.rows(np.array([float(t[0]) + (passed % length if length > 0 else 0.0)]))[0]
         w, x, y, z = quaternion(scene.rotation[row])
-        place = [0.0, 0.0, 0.0] if scene.position is None else scene.position[row].tolist()
+        if scene.position is not None:
+            place = scene.position[row].tolist()
         for body in (*solid, *discs.values()):
             pybullet.resetBasePositionAndOrientation(body, place, (x, y, z, w), physicsClientId=client)
         for motor, body in discs.items():
             colour = _disc(float(scene.trace.motors[row, motor]))
             pybullet.changeVisualShape(body, -1, rgbaColor=colour, physicsClientId=client)
-        if scene.position is not None:  # the camera follows; who turned it by mouse keeps the direction
+        if follows:
             seen = pybullet.getDebugVisualizerCamera(physicsClientId=client)
-            if passed > 0 and seen[10]:
+            if seen[10]:
                 yaw, pitch, distance = seen[8], seen[9], seen[10]
-        if scene.position is not None or passed == 0:
             pybullet.resetDebugVisualizerCamera(distance, yaw, pitch, place, physicsClientId=client)
+        pybullet.configureDebugVisualizer(RENDER, 1, physicsClientId=client)
         wait(FRAME_S)
+
+
+def floor_faces(scene: Scene, size: float) -> list[Face]:
+    """Every other square of a chequered floor below the flight; size: the aircraft's radius [m]."""
+    cell, low, high = size, np.full(3, -5 * size), np.full(3, 5 * size)
+    if scene.position is not None:
+        low, high = scene.position.min(axis=0) - AROUND_M, scene.position.max(axis=0) + AROUND_M
+        cell = max(1.0, float((high - low)[:2].max()) / CELLS_MAX)
+    lowest = 0.0 if scene.position is None else float(scene.position[:, 2].min())
+    across, along = (int(np.ceil(each / cell)) for each in (high - low)[:2])
+    square = cell * np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
+    corner = np.array([low[0], low[1], lowest - BELOW * size])
+    return [
+        Face(Kind.BODY, corner + cell * np.array([i, j, 0]) + square)
+        for i in range(across)
+        for j in range(i % 2, along, 2)
+    ]
 
 
 def _disc(command: float) -> tuple[float, float, float, float]:

@@ -9,6 +9,7 @@ import numpy as np
 import torch
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.utils import set_random_seed
 
 from sim.aircraft.model import Aircraft
@@ -49,6 +50,7 @@ class Sb3Learner:
         self._env.action_space.seed(seed)
         model = self._model
         model._last_obs = None  # a new segment begins with new episodes
+        model.set_logger(Logger(None, []))  # its default one makes an empty folder in /tmp
         steps = min(self._config.algorithm.leg_steps, self._config.steps - self.steps)
 
         def reported(update: Report) -> None:

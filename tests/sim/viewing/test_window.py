@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +14,7 @@ from sim.aircraft.model import load_aircraft
 from sim.physics.bullet import pybullet
 from sim.viewing import window
 from sim.viewing.scene import recorded
+from sim.viewing.shapes import reach
 from tests.sim.viewing.test_view import rolling, rolling_trace
 from toolchain.errors import NeuroflightError
 
@@ -44,7 +47,7 @@ def clients(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     connect = pybullet.connect
     opened: list[int] = []
 
-    def instead(mode: int) -> int:
+    def instead(mode: int, options: str) -> int:
         client: int = connect(pybullet.DIRECT)
         opened.append(client)
         return client
@@ -62,8 +65,42 @@ def test_the_window_plays_in_time_until_it_is_closed(clients: list[int]) -> None
     assert rolls[45] == pytest.approx(np.pi / 4, abs=0.05)  # it begins anew after 0.5 s
 
 
+def test_the_camera_begins_near_the_aircraft_and_follows_it(
+    clients: list[int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    put: list[tuple[float, list[float]]] = []
+    reset = pybullet.resetDebugVisualizerCamera
+
+    def kept(distance: float, yaw: float, pitch: float, place: list[float], **client: int) -> None:
+        put.append((distance, place))
+        reset(distance, yaw, pitch, place, **client)
+
+    monkeypatch.setattr(pybullet, "resetDebugVisualizerCamera", kept)
+    aircraft, trace = load_aircraft("nf1"), rolling_trace()
+    still = recorded("roll", aircraft, trace)
+    hand = Hand(3, clients)
+    ticks = itertools.count(5.0, 0.01)
+    window.play(still, 1.0, lambda: next(ticks), hand.wait)  # time passes before the first frame
+    assert [distance for distance, _ in put] == pytest.approx([2.4 * reach(aircraft)])  # the mouse is free
+    put.clear()
+    climb = np.linspace([0.0, 0.0, 0.0], [0.0, 0.0, 10.0], len(trace.t))
+    hand = Hand(30, clients)
+    window.play(replace(still, position=climb), 1.0, hand.clock, hand.wait)
+    assert put[-1][1][2] == pytest.approx(10 * 29 / 60, abs=0.02)
+
+
+def test_the_floor_lies_under_the_whole_flight() -> None:
+    trace = rolling_trace()
+    fall = np.linspace([0.0, 0.0, 0.0], [400.0, -3.0, -2.0], len(trace.t))
+    scene = replace(recorded("roll", load_aircraft("nf1"), trace), position=fall)
+    corners = np.concatenate([face.corners for face in window.floor_faces(scene, 0.2)])
+    assert (corners[:, 2] < -2.0).all()
+    assert (corners.min(axis=0)[:2] <= [0, -3]).all() and (corners.max(axis=0)[:2] >= [400, 0]).all()
+    assert len(corners) / 4 <= window.CELLS_MAX**2 / 2 + window.CELLS_MAX
+
+
 def test_a_window_that_does_not_open_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(pybullet, "connect", lambda mode: -1)
+    monkeypatch.setattr(pybullet, "connect", lambda mode, options: -1)
     hand = Hand(1, [])
     with pytest.raises(NeuroflightError, match=r"--out FILE\.html"):
         window.play(recorded("roll", load_aircraft("nf1"), rolling_trace()), 1.0, hand.clock, hand.wait)

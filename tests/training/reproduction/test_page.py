@@ -40,13 +40,23 @@ def test_every_command_is_one_that_the_command_line_understands(budget: str) -> 
         top.parse_args([*words, *(() if words[0] in PICTURES else ("--json",))])
 
 
+SIZES = ("steps", "episodes", "count", "seeds", "seconds")  # of a command, defaults included
+
+
+def sizes(words: list[str]) -> dict[str, float]:
+    """The command's sizes by name; of a list how many it has."""
+    args = vars(parser().parse_args(words))
+    given = {name: args[name] for name in SIZES if args.get(name) is not None}
+    return {name: len(value) if isinstance(value, list) else float(value) for name, value in given.items()}
+
+
 def test_quick_is_never_more_than_full() -> None:
+    compared = set()
     for step in experiments().steps.values():
-        counts = [
-            [int(number) for number in re.findall(r"--(?:steps|episodes|count|seeds) (\d+)", command)]
-            for command in (step.quick, step.full)
-        ]
-        assert len(step.quick) <= len(step.full) + 20 or sum(counts[0]) <= sum(counts[1])
+        quick, full = (sizes(Place(ROOT, Path("out"), budget).words(step)) for budget in BUDGETS)
+        assert {name for name in quick if name in full and quick[name] > full[name]} == set(), step.name
+        compared |= quick.keys() & full.keys()
+    assert compared == set(SIZES)
 
 
 def test_every_quoted_figure_of_the_page_is_of_the_file_of_quotes() -> None:

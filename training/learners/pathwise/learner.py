@@ -28,11 +28,11 @@ from toolchain.contract import needs_model
 from toolchain.errors import TrainingError
 from training.config.pathwise_config import PathwiseConfig
 from training.config.training_config import OBSERVATION_SCALES, TrainingConfig
+from training.learners.network.shape import Shape
 from training.learners.pathwise.batch import draw
 from training.learners.pathwise.descent import State, adapted, descended
 from training.learners.pathwise.flights import Flights
 from training.learners.pathwise.loss import Figures, Weights
-from training.learners.pathwise.network import Shape
 from training.learners.pathwise.plan import Surroundings
 from training.learners.protocol import Report, named_layers
 

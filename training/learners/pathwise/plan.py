@@ -22,9 +22,9 @@ from toolchain.contract import (
     needs_model,
 )
 from toolchain.policy.model_constants import ModelConstants
+from training.learners.network.shape import Shape
 from training.learners.pathwise.library import library
 from training.learners.pathwise.loss import Weights
-from training.learners.pathwise.network import Shape
 
 Array = NDArray[np.float64]
 

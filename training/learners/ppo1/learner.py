@@ -30,7 +30,7 @@ from sim.aircraft.model import Aircraft
 from training.config.algorithms import Ppo1Config
 from training.config.training_config import OutputMap, TrainingConfig
 from training.envs.vector import AttitudeVecEnv
-from training.learners.pathwise.network import Shape
+from training.learners.network.shape import Shape
 from training.learners.ppo1.normalization import ObservedMoments, ReturnMoments
 from training.learners.ppo1.rollout import Rollout, advantages
 from training.learners.ppo1.update import ActorCritic, Engine, Losses, Normalization, Samples

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from training.learners.network.library import aligned, load, pointer
-from training.learners.pathwise.network import Shape
+from training.learners.network.shape import Shape
 
 Numbers = NDArray[np.floating]
 

@@ -12,9 +12,9 @@ from sim.control.estimator import model_constants
 from sim.physics.variation import Variation
 from toolchain.contract import Mix, needs_model, observation_blocks
 from training.config.training_config import OBSERVATION_SCALES, OutputMap
+from training.learners.network.shape import Shape
 from training.learners.pathwise.batch import Batch, disturbances
 from training.learners.pathwise.loss import Weights
-from training.learners.pathwise.network import Shape
 from training.learners.pathwise.plan import Surroundings
 from training.tasks.random_steps import StepWeights
 

@@ -9,7 +9,7 @@ import torch
 from numpy.typing import NDArray
 
 from training.config.training_config import OutputMap
-from training.learners.pathwise.network import Shape
+from training.learners.network.shape import Shape
 from training.learners.ppo1.update import ActorCritic, Engine, Losses, Normalization, Samples
 
 COUNT, INPUTS, MOTORS = 50, 7, 4

@@ -1,4 +1,4 @@
-"""The policy network: its shape, and its weights as one array; network.c computes it."""
+"""Shape of a network, and its weights as one array; c/network.c computes it."""
 
 from __future__ import annotations
 

@@ -1,0 +1,182 @@
+"""`neuroflight adapt` as a user types it: a log whose truth is known, few steps, few episodes."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import cli.training.adapt
+import training.adaptation.adapt
+from cli.main import main
+from sim.aircraft.model import load_aircraft
+from sim.flight.trace import Trace, save_trace
+from tests.sim.identification.test_moments import NF1, flight
+from toolchain.policy.model import read_policy
+from training.adaptation.adapt import Proof, prove
+
+Capture = pytest.CaptureFixture[str]
+POLICY = Path("training/policies/nf1")
+HEAVIER = np.array([1.9, 1.6, 1.4])  # times the file's moments
+SMALL = ["--steps", "2000", "--episodes", "2"]
+
+
+def save(path: Path, steps: int = 4000, spread: float = 0.1) -> Path:
+    """The trace of a flight without a controller, of an aircraft whose moments are HEAVIER."""
+    turn, properties = np.diag(np.sqrt(HEAVIER)), NF1.mass_properties
+    heavy = replace(NF1, mass_properties=replace(properties, inertia=turn @ properties.inertia @ turn))
+    flown = flight(heavy, spread)
+    none, dshot = np.zeros((steps, 3), np.float32), np.full((steps, 4), 500, np.uint16)
+    gyro = flown.gyro[:steps]
+    trace = Trace(
+        np.arange(steps) / flown.rate_hz,
+        none,
+        gyro.astype(np.float64),
+        gyro.astype(np.float32),
+        flown.motors[:steps],
+        dshot,
+        none[:, 0],
+    )
+    save_trace(path, trace)
+    return path
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Four seconds of it."""
+    return save(tmp_path_factory.mktemp("flown") / "flight.npz")
+
+
+def swapped(*arguments: object) -> Proof:
+    """The proof with old and new in each other's place: few steps make a policy worse, so this one wins."""
+    proof = prove(*arguments)  # type: ignore[arg-type]
+    return Proof(
+        proof.new,
+        proof.old,
+        replace(proof.gain, value=-proof.gain.value, low=0.01),
+        proof.new_original,
+        proof.old_original,
+    )
+
+
+def test_a_dry_run_tells_the_factors_and_writes_nothing(log: Path, tmp_path: Path, capsys: Capture) -> None:
+    out = tmp_path / "adapted"
+    arguments = ["adapt", str(log), "--policy", str(POLICY), "--out", str(out), "--dry-run", *SMALL]
+    assert main([*arguments, "--json"]) == 0
+    factors = json.loads(capsys.readouterr().out)["factors"]
+    for axis, times in zip(("roll", "pitch", "yaw"), HEAVIER, strict=True):
+        assert factors[axis]["turns"] == pytest.approx(1.0 / times, rel=0.05)
+        assert factors[axis]["inertia_over_thrust"] == pytest.approx(times, rel=0.05)
+        assert factors[axis]["explained"] > 0.9
+    assert main(arguments) == 0
+    assert capsys.readouterr().out.count("times as much as the file says") == 3
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_policy_that_is_not_better_is_refused_and_nothing_is_kept(
+    log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
+) -> None:
+    before = {path.name: path.read_bytes() for path in POLICY.iterdir()}
+    out = tmp_path / "runs" / "adapted"
+    monkeypatch.setattr(cli.training.adapt, "VERIFIED", 8)
+    assert main(["adapt", str(log), "--policy", str(POLICY), "--out", str(out), *SMALL, "--json"]) == 1
+    told = capsys.readouterr()
+    document = json.loads(told.out)
+    assert document["refused"] in told.err and "refused, nothing was kept" in told.err
+    assert told.err.count("\n") == 1
+    gain = document["proof"]["adapted"]["gain"]
+    assert gain["low"] <= 0.0
+    assert list(out.parent.iterdir()) == []
+    assert {path.name: path.read_bytes() for path in POLICY.iterdir()} == before
+
+
+def test_a_policy_whose_proof_holds_lies_in_the_new_folder(
+    log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
+) -> None:
+    monkeypatch.setattr(training.adaptation.adapt, "prove", swapped)
+    verified: list[bytes] = []
+    monkeypatch.setattr(
+        cli.training.adapt, "_verified", lambda path: verified.append(path.read_bytes()) or "holds"
+    )
+    out = tmp_path / "adapted"
+    arguments = ["adapt", str(log), "--policy", str(POLICY), "--out", str(out), *SMALL]
+    assert main(arguments) == 0
+    assert f"neuroflight flash --policy {out / 'policy.onnx'}" in capsys.readouterr().out
+    kept = {path.name: path.read_bytes() for path in out.iterdir()}
+    assert set(kept) >= {"aircraft.toml", "policy.onnx", "adaptation.json", "training.json", "checkpoint.pt"}
+    assert list(tmp_path.iterdir()) == [out]  # nothing beside it
+    adapted = load_aircraft(out / "aircraft.toml")
+    moments = np.diag(adapted.mass_properties.inertia) / np.diag(NF1.mass_properties.inertia)
+    assert moments == pytest.approx(HEAVIER, rel=0.05)
+    # The policy was trained on that file, and is another one than it began as.
+    policy = read_policy(out / "policy.onnx")
+    assert policy.aircraft_sha256 == hashlib.sha256(kept["aircraft.toml"]).hexdigest()
+    assert verified == [kept["policy.onnx"]]
+    assert kept["policy.onnx"] != (POLICY / "policy.onnx").read_bytes()
+    document = json.loads(kept["adaptation.json"])
+    assert document["refused"] is None and document["proof"]["episodes"] == 2
+    assert document["proof"]["original"]["aircraft_sha256"] == NF1.sha256
+
+    assert main(arguments) == 1  # once more: no policy is replaced
+    assert f"--out {out}: exists" in capsys.readouterr().err
+    assert {path.name: path.read_bytes() for path in out.iterdir()} == kept
+
+
+def test_a_policy_that_computes_otherwise_on_the_machines_is_not_kept(
+    log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
+) -> None:
+    finding = SimpleNamespace(finding=SimpleNamespace(message="the core differs"), verdict="differs")
+    monkeypatch.setattr(training.adaptation.adapt, "prove", swapped)
+    monkeypatch.setattr("toolchain.verification.verify.all_candidates", lambda *_: [])
+    monkeypatch.setattr("toolchain.verification.verify.verify", lambda *_, **__: finding)
+    out = tmp_path / "adapted"
+    assert main(["adapt", str(log), "--policy", str(POLICY), "--out", str(out), *SMALL]) == 1
+    assert "refused, nothing was kept: the core differs" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("log_name", "options", "message"),
+    [
+        ("none.npz", {}, "none.npz"),
+        ("flight.csv", {}, "expected a trace (.npz) or a blackbox log"),
+        ("flight.txt", {}, "flight.txt: holds no log"),
+        ("broken.npz", {}, "broken.npz"),
+        ("short.npz", {}, "expected at least 2000; fly longer"),
+        ("calm.npz", {}, "fly steps"),
+        ("flight.npz", {"--policy": "none"}, "none"),
+        ("flight.npz", {"--aircraft": "none.toml"}, "none.toml"),
+        ("flight.npz", {"--aircraft": "hexa"}, "4 motors, the aircraft has 6"),
+        ("flight.npz", {"--steps": "0"}, "--steps 0"),
+        ("flight.npz", {"--episodes": "1"}, "--episodes 1"),
+        ("flight.npz", {"--seed": "-1"}, "--seed -1, expected 0 or more"),
+        ("flight.npz", {"--out": "flight.npz"}, "--out flight.npz: exists"),
+    ],
+)
+def test_mistake_is_one_line_and_nothing_is_written(
+    log_name: str,
+    options: dict[str, str],
+    message: str,
+    log: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: Capture,
+) -> None:
+    policy = POLICY.resolve()
+    monkeypatch.chdir(log.parent)
+    if not Path("short.npz").exists():
+        save(Path("short.npz"), steps=1500)
+        save(Path("calm.npz"), spread=0.0)
+        for name in ("flight.csv", "flight.txt"):
+            Path(name).write_text("no log\n")
+        Path("broken.npz").write_text("no trace\n")
+    before = {path: path.read_bytes() for path in Path().iterdir()}
+    given = {"--policy": str(policy), "--out": "adapted", "--steps": "2000", "--episodes": "2", **options}
+    assert main(["adapt", log_name, *(word for pair in given.items() for word in pair)]) == 1
+    told = capsys.readouterr()
+    assert message in told.err and told.err.count("\n") == 1 and told.out == ""
+    assert {path: path.read_bytes() for path in Path().iterdir()} == before
