@@ -58,7 +58,7 @@ def swapped(*arguments: object) -> Proof:
     return Proof(
         proof.new,
         proof.old,
-        replace(proof.gain, value=-proof.gain.value, low=0.01),
+        replace(proof.gain, value=-proof.gain.value, low=np.asarray(0.01)),
         proof.new_original,
         proof.old_original,
     )
@@ -100,9 +100,12 @@ def test_a_policy_whose_proof_holds_lies_in_the_new_folder(
 ) -> None:
     monkeypatch.setattr(training.adaptation.adapt, "prove", swapped)
     verified: list[bytes] = []
-    monkeypatch.setattr(
-        cli.training.adapt, "_verified", lambda path: verified.append(path.read_bytes()) or "holds"
-    )
+
+    def verify(path: Path) -> str:
+        verified.append(path.read_bytes())
+        return "holds"
+
+    monkeypatch.setattr(cli.training.adapt, "_verified", verify)
     out = tmp_path / "adapted"
     arguments = ["adapt", str(log), "--policy", str(POLICY), "--out", str(out), *SMALL]
     assert main(arguments) == 0
