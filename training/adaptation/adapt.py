@@ -127,7 +127,8 @@ def refine(
         config, learned = warm_config(folder, steps, seed, factor)
         train(aircraft, config, out, callback, command=command, start=learned)
         change = bench(policy, aircraft, CALIBRATION, seed + CALIBRATION_SEED).change
-        if change <= CHANGE_AIMED * wanted or not left:
+        limited = isinstance(config.algorithm, PathwiseConfig) and config.algorithm.change_limit is not None
+        if change <= CHANGE_AIMED * wanted or not limited or not left:
             return
         factor *= wanted / change
         shutil.rmtree(out)
