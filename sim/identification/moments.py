@@ -1,12 +1,14 @@
 """How much more or less than its file says an aircraft turns, from a log of a flight: motors and gyro.
 
-The logged motor values turn the rotors of the aircraft file, whose forces make angular accelerations. Over
-short windows these add up to changes of the rate, which the gyro measured. The ratio, by least squares an
-axis, is the factor of moment over inertia. Rates alone cannot tell a weaker rotor from a larger inertia.
+The logged motor values turn the rotors of the aircraft file, whose moments make angular accelerations: by
+thrust, drag and reaction, and by the rotors' own angular momentum, which couples roll and pitch while yaw is
+turned. The body's moments couple the axes as well, and are what is looked for: the fit is repeated with those
+that it found. Over short windows the accelerations add up to changes of the rate, which the gyro measured.
+The ratio, by least squares an axis, is the factor of moment over inertia. Rates alone cannot tell a weaker
+rotor from a larger inertia.
 
-The margin is the fit's own. It covers the truth where motors move by themselves. In the one closed-loop
-flight of the twin that was tried, whose controller moves the motors by the gyro's noise, roll came out 6 %
-too small.
+The margin is the fit's own: of the gyro's noise, not of what the file says wrongly of the rotors' response
+(docs/future/adaptation.md).
 """
 
 from __future__ import annotations
@@ -22,7 +24,7 @@ from sim.analysis.confidence import NORMAL
 from sim.blackbox.log import read_log
 from sim.blackbox.units import channels
 from sim.flight.trace import load_trace
-from sim.physics.rotor import rotor_geometry, speeds_along, target_speed, thrust_and_torque
+from sim.physics.rotor import rotor_geometry, rotor_wrench, speeds_along, target_speed
 from sim.recorded.log import SUFFIXES, split_number
 from toolchain.contract import AXES
 from toolchain.errors import AircraftError, TraceError
@@ -37,6 +39,8 @@ RATE_MIN_HZ = 250.0  # of a log: rotors move much between slower rows
 MARGIN_MAX = 0.1  # half of a factor's 95 % interval: more is a flight without manoeuvres
 FACTOR_MIN, FACTOR_MAX = 0.2, 5.0
 EXPLAINED_MIN = 0.5
+ROUNDS_MAX = 20  # of the fit, each with the coupling of the moments that the one before found
+MOVED_MAX = 1e-4  # of a factor in a round that ends them
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,7 +98,20 @@ def read_turning(path: Path, motors: int) -> Turning:
 
 def turning_factors(flown: Turning, aircraft: Aircraft, name: str) -> Factors:
     """The factors of a flight. Raises TraceError where it does not tell them."""
-    expected = _accelerations(flown, aircraft)
+    inertia = aircraft.mass_properties.inertia
+    body, value = inertia.copy(), np.ones(3)
+    for _ in range(ROUNDS_MAX):
+        factors = _fit(flown, _accelerations(flown, aircraft, body), name)
+        moved, value = np.abs(factors.value - value).max(), factors.value
+        if moved < MOVED_MAX:
+            break
+        np.fill_diagonal(body, np.diag(inertia) / np.clip(value, FACTOR_MIN, FACTOR_MAX))
+    _check(factors, name)
+    return factors
+
+
+def _fit(flown: Turning, expected: Array, name: str) -> Factors:
+    """The factors of the accelerations `expected` (N, 3) [rad/s^2]."""
     length = max(1, round(WINDOW_S * flown.rate_hz))
     first = round(SETTLE_S * flown.rate_hz)
     count = (len(flown.gyro) - 1 - first) // length
@@ -116,9 +133,7 @@ def turning_factors(flown: Turning, aircraft: Aircraft, name: str) -> Factors:
         value[axis], steady[axis] = found[0], found[1] / WINDOW_S
         margin[axis] = NORMAL * np.sqrt(inverse[0, 0] * left.var())
         explained[axis] = 1.0 - left.var() / changed[:, axis].var()
-    factors = Factors(value, margin, steady, explained, count)
-    _check(factors, name)
-    return factors
+    return Factors(value, margin, steady, explained, count)
 
 
 def _check(factors: Factors, name: str) -> None:
@@ -140,25 +155,22 @@ def _check(factors: Factors, name: str) -> None:
             )
 
 
-def _accelerations(flown: Turning, aircraft: Aircraft) -> Array:
-    """Angular acceleration [rad/s^2] (N, 3) that the file's aircraft would have in each row."""
+def _accelerations(flown: Turning, aircraft: Aircraft, body: Array) -> Array:
+    """Angular acceleration [rad/s^2] (N, 3) that the file's aircraft would have in each row.
+
+    body: moments (3, 3) [kg m^2] of what was flown, whose own turning couples the axes.
+    """
     propulsion, dt = aircraft.propulsion, 1.0 / flown.rate_hz
     late = max(1, round(propulsion.delay * flown.rate_hz))  # rows until a command acts
     acting = np.vstack([np.repeat(flown.motors[:1], late, axis=0), flown.motors])[: len(flown.motors)]
     targets = target_speed(acting, propulsion)
     speeds = speeds_along(targets[0], targets, dt, propulsion)
-    middle = 0.5 * (speeds[1:] + speeds[:-1])
-    thrust, torque = thrust_and_torque(np.asarray(middle, np.float64), propulsion)
-    geometry = rotor_geometry(aircraft)
-    wrench = np.asarray(
-        thrust @ geometry.thrust_wrench
-        + torque @ geometry.torque_wrench
-        + np.diff(speeds, axis=0) / dt @ geometry.reaction_wrench,
-        np.float64,
-    )
-    inertia = aircraft.mass_properties.inertia
-    turning = np.cross(flown.gyro, flown.gyro @ inertia)
-    found = np.linalg.solve(inertia, (wrench[:, 3:] - turning).T).T
+    middle, gained = 0.5 * (speeds[1:] + speeds[:-1]), np.diff(speeds, axis=0)
+    # At rest in the air, as far as a log without the velocity tells.
+    still = np.zeros_like(flown.gyro)
+    wrench = rotor_wrench(middle - gained, middle, dt, still, flown.gyro, rotor_geometry(aircraft))
+    turning = np.cross(flown.gyro, flown.gyro @ body)
+    found = np.linalg.solve(aircraft.mass_properties.inertia, (wrench[:, 3:] - turning).T).T
     return np.asarray(found, np.float64)
 
 

@@ -13,6 +13,7 @@ import pytest
 
 from flash import messages, records
 from flash.client import Client
+from sim.board.debug.control_timing import missed_deadlines
 from sim.board.debug.fault_injection import FAULTS, Fault, parse_fault
 from sim.board.debug.variables import read_variables
 from sim.board.devices.esc import SILENT_S
@@ -33,6 +34,7 @@ from toolchain.contract import (
     Msp,
     Task,
 )
+from toolchain.cortex_m7.cycles import CORE_HZ
 from toolchain.errors import LinkError, ScenarioError
 
 RATE = 4000  # of gyro samples
@@ -272,6 +274,40 @@ def test_lost_samples_are_missed_deadlines_and_time_goes_on_when_the_processor_i
     steps = 0.5 - 0.01 - DEADLINE_MISSES_MAX / 1000
     assert stats[Task.CONTROL]["misses"] >= 1000 * steps
     assert stats[Task.GYRO]["misses"] >= 1000 * steps
+
+
+@pytest.mark.parametrize(
+    ("slow_s", "missed"),
+    [
+        (0.0, 0),
+        (0.00005, 0),  # late, but over before the next sample
+        (0.0006, 1),  # within its period; the step after it lacks samples
+        (0.0012, 2),  # longer than its period, and the step after it lacks samples
+    ],
+)
+def test_missed_deadlines_are_counted_when_one_control_step_is_slow(
+    slow_s: float, missed: int, started: tuple[Still, Any], board_image: Path
+) -> None:
+    still, moment = started
+    port, calls = still.port, still.port.board.symbols["functions"]
+    still.restore(moment)
+    assert missed_deadlines(port.board, board_image) == 0
+    normal = port.board.engine.memory(calls, 64)
+    before = read(port, board_image, "stats")[Task.CONTROL]
+    if slow_s:
+        still.restore(moment, f"overload={slow_s}@{START_S}")
+        while port.events[-1].what == "ARMED":
+            still.fly(1 / RATE)
+    still.fly(3 / RATE)  # with the sample at which it began one control period, so that one step is slow
+    port.board.engine.poke(calls, normal)
+    still.fly(0.02)
+    after = read(port, board_image, "stats")[Task.CONTROL]
+    assert missed_deadlines(port.board, board_image) == missed
+    assert slow_s < after["worst"] / CORE_HZ < slow_s + 0.0002
+    assert after["runs"] - before["runs"] == pytest.approx(21, abs=1)
+    line = LineTransport(UartLine(port.board), port.board.run_to)
+    load = records.tasks(Client(line, line.clock).request(Msp.TASKS)).loads[Task.CONTROL]
+    assert (load.misses, load.worst_cycles) == (missed, after["worst"])
 
 
 def test_the_receiver_is_lost_in_its_time_when_the_processor_is_overloaded(drill: Drill) -> None:

@@ -35,7 +35,7 @@ def test_factors_are_those_of_the_inertia_when_it_is_another(factors: tuple[floa
     properties = NF1.mass_properties
     heavy = replace(NF1, mass_properties=replace(properties, inertia=turn @ properties.inertia @ turn))
     found = turning_factors(flight(heavy), NF1, "log")
-    assert found.value == pytest.approx(1.0 / np.array(factors), rel=0.05)
+    assert found.value == pytest.approx(1.0 / np.array(factors), rel=0.02)
 
 
 def test_log_is_refused_when_nothing_is_steered() -> None:
