@@ -1,6 +1,6 @@
 """`neuroflight dyno`: a rotor on a simulated dynamometer or a real one; fit a rotor's model to a log.
 
-What needs hardware stands in dyno_bench.py and dyno_calibrate.py.
+Here stands the fit; the others stand in dyno_run.py, dyno_bench.py and dyno_calibrate.py.
 """
 
 from __future__ import annotations
@@ -12,45 +12,20 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cli.sim import dyno_bench, dyno_calibrate
+from cli.sim import dyno_bench, dyno_calibrate, dyno_run
+from cli.sim.dyno_repeats import heading_table, print_repeats, repeats_document
+from cli.sim.dyno_run import COLUMNS, check_range
 from toolchain.errors import NeuroflightError
 
 if TYPE_CHECKING:
-    from rich.table import Table
-
-    from sim.identification.dyno.bench import Step
     from sim.identification.dyno.fit import Fit
     from sim.identification.dyno.response import ResponseFit
     from sim.identification.dyno.robust_fit import Estimate
-
-COLUMNS = "columns time_s, throttle (0..1), rpm, thrust_n, torque_n_m"
-RATE_HZ_DEFAULT = 500
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the actions."""
     actions = parser.add_subparsers(dest="action", required=True, metavar="ACTION")
-    summary = "simulate step (25, 50, 75, 100 %%) and ramp (0-100-0 %% in 40 s) experiments of one rotor"
-    run = actions.add_parser("run", help=summary, description=summary)
-    run.add_argument("--aircraft", default="nf1", metavar="NAME|FILE", help="whose rotor")
-    run.add_argument("--experiment", choices=["steps", "ramp", "all"], default="all")
-    run.add_argument("--rate-hz", type=float, default=RATE_HZ_DEFAULT, metavar="HZ", help="rows a second")
-    run.add_argument("--noise", type=float, default=0.0, metavar="PERCENT", help="standard deviation")
-    run.add_argument(
-        "--noise-of",
-        choices=["full-scale", "reading"],
-        default="full-scale",
-        help="what the percentage is of: a channel's largest value, or each value",
-    )
-    run.add_argument(
-        "--outliers", type=float, default=0.0, metavar="PERCENT", help="of each channel's values, gross"
-    )
-    run.add_argument("--uneven", action="store_true", help="rows at uneven times, some of them lost")
-    run.add_argument("--seed", type=int, default=0, metavar="S", help="of noise, outliers and uneven rows")
-    run.add_argument("--out", type=Path, required=True, metavar="DATA.csv", help=COLUMNS)
-    run.add_argument("--plot", type=Path, metavar="FILE.png", help="draw what was recorded")
-    run.add_argument("--json", action="store_true", help="print JSON instead of a table")
-
     summary = "fit speed curve, thrust, torque and response of a rotor to a dynamometer's log"
     fit = actions.add_parser("fit", help=summary, description=summary)
     fit.add_argument("data", type=Path, nargs="+", metavar="DATA.csv", help=f"one or more runs: {COLUMNS}")
@@ -76,63 +51,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     fit.add_argument("--inertia", type=float, metavar="KG_M2", help="rotor inertia, instead of the file's")
     fit.add_argument("--plot", type=Path, metavar="FILE.png", help="draw the model beside the data")
     fit.add_argument("--json", action="store_true", help="print JSON instead of tables")
-    for name, module in (("bench", dyno_bench), ("calibrate", dyno_calibrate)):
+    modules = (("run", dyno_run), ("bench", dyno_bench), ("calibrate", dyno_calibrate))
+    for name, module in modules:
         action = actions.add_parser(name, help=module.SUMMARY, description=module.SUMMARY)
         module.add_arguments(action)
 
 
 def run(args: argparse.Namespace) -> int:
     """Run the action. Returns 0."""
-    return {"run": _run, "fit": _fit, "bench": dyno_bench.run, "calibrate": dyno_calibrate.run}[args.action](
-        args
-    )
-
-
-def _run(args: argparse.Namespace) -> int:
-    import numpy as np
-
-    from cli.output import check_output
-    from sim.aircraft.model import load_aircraft
-    from sim.identification.dyno import bench as dyno
-    from sim.identification.dyno.recording import write_recording
-
-    check_output(args.out, ".csv")
-    check_output(args.plot, ".png")
-    _check_range("--rate-hz", args.rate_hz, dyno.RATE_HZ_MIN, dyno.RATE_HZ_MAX)
-    _check_range("--noise", args.noise, 0, 100)
-    _check_range("--outliers", args.outliers, 0, 50)
-    _check_range("--seed", args.seed, 0, 2**63)
-    aircraft = load_aircraft(args.aircraft)
-    rng = np.random.default_rng(args.seed)
-    experiment = dyno.EXPERIMENTS[args.experiment]
-    time = dyno.sample_times(dyno.duration(experiment), args.rate_hz, rng if args.uneven else None)
-    recording = dyno.disturbed(
-        dyno.run(aircraft.propulsion, experiment, time),
-        rng,
-        noise=args.noise / 100,
-        of_reading=args.noise_of == "reading",
-        outliers=args.outliers / 100,
-    )
-    write_recording(args.out, recording)
-    if args.plot:
-        from sim.identification.dyno.plot import save_recording_plot
-
-        save_recording_plot(args.plot, recording, f"{aircraft.name}: dynamometer, {args.experiment}")
-    steps = dyno.steps(recording)
-    if args.json:
-        document = {
-            "aircraft": aircraft.name,
-            "experiment": args.experiment,
-            "seed": args.seed,
-            "out": str(args.out),
-            "rows": len(recording.time),
-            "duration_s": float(recording.time[-1]),
-            "steps": [_step(step) for step in steps],
-        }
-        print(json.dumps(document, indent=2))
-    else:
-        _print_run(f"{aircraft.name}: {len(recording.time)} rows in {args.out}", steps)
-    return 0
+    actions = {"run": dyno_run.run, "fit": _fit, "bench": dyno_bench.run, "calibrate": dyno_calibrate.run}
+    return actions[args.action](args)
 
 
 def _fit(args: argparse.Namespace) -> int:
@@ -148,9 +76,9 @@ def _fit(args: argparse.Namespace) -> int:
     check_output(args.plot, ".png")
     check_output(args.write, ".toml")
     if args.delay is not None:
-        _check_range("--delay", args.delay, 0, DELAY_MAX)
+        check_range("--delay", args.delay, 0, DELAY_MAX)
     if args.inertia is not None:
-        _check_range("--inertia", args.inertia, 1e-12, 10)
+        check_range("--inertia", args.inertia, 1e-12, 10)
     name = args.aircraft if args.aircraft is not None else args.write
     if args.aircraft is None and args.write is not None and not args.write.is_file():
         raise NeuroflightError(
@@ -190,21 +118,6 @@ def _fit(args: argparse.Namespace) -> int:
     return 0
 
 
-def _check_range(name: str, value: float, low: float, high: float) -> None:
-    if not low <= value <= high:  # NaN included
-        raise NeuroflightError(f"{name} {value:g}, expected {low:g} to {high:g}")
-
-
-def _step(step: Step) -> dict[str, float]:
-    return {
-        "throttle": round(step.level, 4),
-        "rise_0_90_s": step.rise,
-        "rpm": step.speed * 30 / math.pi,
-        "thrust_n": step.thrust,
-        "torque_n_m": step.torque,
-    }
-
-
 def _document(args: argparse.Namespace, fit: Fit, inertia: float | None) -> dict[str, Any]:
     from sim.aircraft.model import RPM
 
@@ -233,6 +146,8 @@ def _document(args: argparse.Namespace, fit: Fit, inertia: float | None) -> dict
         document["delay_s"] = estimate(item.delay)
         document["speed_rms_percent"] = 100 * item.rms / fit.speed_max
         return document
+
+    from sim.identification.bench.summary import repeats
 
     return {
         "data": [str(path) for path in args.data],
@@ -263,57 +178,35 @@ def _document(args: argparse.Namespace, fit: Fit, inertia: float | None) -> dict
         "outliers": dict(
             zip(("rpm", "thrust", "torque"), (int(off.sum()) for off in fit.outliers), strict=True)
         ),
+        "repeats": repeats_document(repeats(fit.recording)),
         "written": None if args.write is None else str(args.write),
     }
-
-
-def _table(title: str, *headings: str) -> Table:
-    from rich.table import Table
-    from rich.text import Text
-
-    table = Table(title=Text(title), title_justify="left", box=None)
-    for number, heading in enumerate(headings):
-        table.add_column(heading, justify="right" if number else "left")
-    return table
-
-
-def _print_run(title: str, steps: tuple[Step, ...]) -> None:
-    from rich.console import Console
-    from rich.text import Text
-
-    if not steps:
-        Console().print(Text(title))
-        return
-    table = _table(title, "step to", "0 to 90 %, ms", "rpm", "thrust, N", "torque, N m")
-    for step in steps:
-        row = _step(step)
-        table.add_row(
-            f"{100 * step.level:.0f} %",
-            f"{1000 * step.rise:.0f}",
-            f"{row['rpm']:,.0f}",
-            f"{step.thrust:.3f}",
-            f"{step.torque:.5f}",
-        )
-    Console().print(table)
 
 
 def _print_fit(title: str, fit: Fit, inertia: float | None, written: Path | None) -> None:
     from rich.console import Console
     from rich.text import Text
 
+    from sim.identification.bench.summary import repeats
+
     console = Console()
     rows, outliers = len(fit.recording.time), [int(off.sum()) for off in fit.outliers]
-    table = _table(f"{title}: {rows} rows", "", "fitted", "± standard error", "")
+    table = heading_table(f"{title}: {rows} rows", "", "fitted", "± standard error", "")
     for label, item, scale, unit in _parameters(fit, inertia):
         error = f"{item.error * scale:.2g}" if math.isfinite(item.error) else "at least"
         table.add_row(label, f"{item.value * scale:.5g}", error, unit)
     console.print(table)
-    table = _table("\nspeed error, % of top speed", "throttle", "MAE", "RMS", "max", "model RMS", "model max")
+    table = heading_table(
+        "\nspeed error, % of top speed", "throttle", "MAE", "RMS", "max", "model RMS", "model max"
+    )
     for part in fit.speed_errors:
         values = (part.mae, part.rms, part.largest, part.model_rms, part.model_largest)
         level = "elsewhere" if part.level is None else f"step to {100 * part.level:.0f} %"
         table.add_row(level, *(f"{100 * value:.2f}" for value in values))
     console.print(table)
+    if repeated := repeats(fit.recording):
+        title = f"\n{repeated.runs} runs: mean ± 95 % interval"
+        print_repeats(title, repeated.steps, repeated.ramp_top)
     lines = [
         "model: data minus model averaged over 50 ms, so that noise is not counted; outliers left out",
         f"thrust MAE {fit.thrust_mae:.3g} N, torque MAE {fit.torque_mae:.3g} N m; "

@@ -12,6 +12,7 @@ from time import monotonic
 from typing import TYPE_CHECKING, Any
 
 from cli.output import check_output
+from cli.sim.dyno_repeats import print_repeats
 from toolchain.errors import NeuroflightError
 
 if TYPE_CHECKING:
@@ -20,7 +21,6 @@ if TYPE_CHECKING:
     from sim.identification.bench.plan import Plan, Run
     from sim.identification.bench.quantities import Rig
     from sim.identification.bench.session import Told
-    from sim.identification.bench.summary import Figure
 
 SUMMARY = "drive a rotor on a dynamometer through a flight controller and record it, for `dyno fit`"
 CLEAR = "bench clear"
@@ -208,7 +208,8 @@ def _limits(args: argparse.Namespace, rig: Rig) -> Limits:
 def _plan(args: argparse.Namespace, limit: float, rig: Rig) -> Plan:
     from dataclasses import asdict
 
-    from sim.identification.bench.plan import HOLD_S, KINDS, RAMP_S, REPEATS, Plan
+    from sim.identification.bench.plan import HOLD_S, RAMP_S, REPEATS, Plan
+    from sim.identification.dyno.bench import KINDS
 
     repeats = REPEATS if args.repeats is None else args.repeats
     hold = HOLD_S if args.hold is None else args.hold
@@ -341,28 +342,6 @@ def _print(
         }
         print(json.dumps(document, indent=2))
         return
-    from rich.console import Console
-    from rich.table import Table
-    from rich.text import Text
-
-    def cell(item: Figure, scale: float, digits: int) -> str:
-        return f"{item.mean * scale:,.{digits}f} ± {item.margin * scale:,.{digits}f}"
-
-    title = f"{args.out}: {rows} rows, {plan.repeats} repeats; mean ± 95 % interval"
-    table = Table(title=Text(title), title_justify="left", box=None)
-    for number, heading in enumerate(("throttle", "0 to 90 %, ms", "rpm", "thrust, N", "torque, N m")):
-        table.add_column(heading, justify="right" if number else "left")
-    for item in steps:
-        table.add_row(
-            f"step to {item.level:.1%}",
-            cell(item.rise_s, 1000, 0),
-            cell(item.rpm, 1, 0),
-            cell(item.thrust_n, 1, 3),
-            cell(item.torque_n_m, 1, 5),
-        )
-    if top is not None:
-        largest = (cell(top.rpm, 1, 0), cell(top.thrust_n, 1, 3), cell(top.torque_n_m, 1, 5))
-        table.add_row("top of the ramp", "", *largest)
-    Console().print(table)
+    print_repeats(f"{args.out}: {rows} rows, {plan.repeats} repeats; mean ± 95 % interval", steps, top)
     if bad:
         print(f"{bad} lines of the sensor were no reading and were passed over")

@@ -21,6 +21,7 @@ from cli.sim.fly_emulator import (
 from cli.sim.fly_jobs import Crew, Show, usable_cores
 from cli.sim.fly_output import Flown, conditions, document, print_flight, print_several
 from cli.sim.fly_ports import Entry, open_firmware, open_pid, prepare, quiet
+from cli.sim.fly_telemetry import add_telemetry_arguments, asks_telemetry, check_telemetry, save_telemetry
 from toolchain.contract import GYRO_RATE_DEFAULT_HZ, GYRO_RATES_HZ
 from toolchain.errors import NeuroflightError
 
@@ -35,6 +36,9 @@ MOUNTS = ("centre", "rig", "free")
 FIRMWARES = ("reference", "host", "emulator", "betaflight")
 CONTROLLERS = ("policy", "pid")
 COUNT, COUNT_BETAFLIGHT = 100, 10  # commands of `pulses`
+# Options that belong to one flight.
+OUTPUTS = ("trace", "plot", "telemetry", "telemetry_plot", "report", "blackbox")
+SINGLE = (*OUTPUTS, "profile", "gdb", "serial", "fault", "card")
 WIND_MAX = 50.0  # [m/s]; beyond any wind that such an aircraft could fly in
 
 
@@ -113,6 +117,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--ground", action="store_true", help="put ground below; with mount free only")
     parser.add_argument("--trace", type=Path, metavar="FILE.npz", help="keep the firmware's flight")
     parser.add_argument("--plot", type=Path, metavar="FILE.png", help="draw it")
+    add_telemetry_arguments(parser)
     parser.add_argument("--report", type=Path, metavar="FILE.html", help="plot and figures on one page")
     add_blackbox_argument(parser)
     parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
@@ -148,6 +153,7 @@ def run(args: argparse.Namespace) -> int:
             save_trace(args.trace, flights[0].trace)
         if args.plot:
             save_plot(args.plot, flights, title)
+        save_telemetry(args, flown[0].esc, flights[0].trace.control_rate_hz, title)
         if args.report:
             save_report(args.report, flights, title, note + emulator_words(flown[0].report))
     finally:  # the figures of a flight are not lost with a file that its disk does not take
@@ -164,6 +170,7 @@ def _check(args: argparse.Namespace) -> None:
 
     for path, suffix in ((args.trace, ".npz"), (args.plot, ".png"), (args.report, ".html")):
         check_output(path, suffix)
+    check_telemetry(args)
     _check_air(args)
     check_emulator(args)
     check_blackbox(args)
@@ -172,9 +179,10 @@ def _check(args: argparse.Namespace) -> None:
     if args.on == "betaflight" and args.set:
         raise NeuroflightError("--set: Betaflight has settings of its own; leave it out")
     if len(args.scenario) > 1:
-        for name in ("trace", "plot", "report", "profile", "gdb", "serial", "fault", "card", "blackbox"):
+        for name in SINGLE:
             if getattr(args, name) not in (None, []):
-                raise NeuroflightError(f"--{name}: belongs to one flight; give one scenario")
+                option = name.replace("_", "-")
+                raise NeuroflightError(f"--{option}: belongs to one flight; give one scenario")
 
 
 def _scenarios(args: argparse.Namespace) -> list[Scenario]:
@@ -297,6 +305,7 @@ def _fly(
     from sim.analysis.flight_report import Flight
     from sim.analysis.metrics import figures
     from sim.analysis.stick_flight import stick_figures
+    from sim.flight.esc_record import EscRecord
     from sim.flight.loop import fly
     from sim.flight.motion import Motion
     from sim.flight.trace import save_trace
@@ -328,7 +337,13 @@ def _fly(
         )
         with closing(twin):
             try:
-                motion = Motion(twin)
+                motion, esc = Motion(twin), EscRecord(twin)
+                watched = [motion] * scenario.by_eye + [esc] * asks_telemetry(args)
+
+                def watch() -> None:
+                    for one in watched:
+                        one()
+
                 trace = fly(
                     twin,
                     entry.port,
@@ -336,7 +351,7 @@ def _fly(
                     progress=progress,
                     broken_off=broken_off,
                     logged=None if entry.log is None else entry.log.watch,
-                    watch=motion if scenario.by_eye else lambda: None,
+                    watch=watch,
                 )
             except BaseException:  # an interruption by the user as well
                 entry.on_error()
@@ -348,7 +363,7 @@ def _fly(
     progress(1.0)
     flight = Flight(entry.name, trace, figures(trace, scenario.episodes(), entry.idle, entry.mix))
     by_eye = stick_figures(scenario, motion, entry.port.control_rate_hz) if scenario.by_eye else None
-    return Flown(flight, report, log, by_eye)
+    return Flown(flight, report, log, by_eye, esc.topics if asks_telemetry(args) else None)
 
 
 def _check_air(args: argparse.Namespace) -> None:

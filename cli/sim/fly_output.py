@@ -9,14 +9,15 @@ from typing import TYPE_CHECKING, Any
 from cli.output import print_table
 from cli.sim.fly_blackbox import LogReport, log_rows
 from cli.sim.fly_emulator import EMULATOR_HEADINGS, emulator_cells, emulator_document, emulator_rows
+from cli.sim.fly_telemetry import telemetry_document
 
 if TYPE_CHECKING:
+    from cli.sim.fly_telemetry import Topics
     from sim.aircraft.model import Aircraft
     from sim.analysis.flight_report import Flight
     from sim.analysis.stick_flight import StickFigures
     from sim.flight.scenario import Scenario
     from sim.ports.emulator_report import EmulatedReport
-
 
 STICK_ROWS = (  # of a flight by eye: heading, figure, digits
     ("height error, m", "height_error_m", 2),
@@ -36,6 +37,7 @@ class Flown:
     report: EmulatedReport | None
     log: LogReport | None = None
     sticks: StickFigures | None = None
+    esc: Topics | None = None  # what its ESCs told, by topic, if that was asked for
 
 
 def conditions(args: argparse.Namespace, scenario: Scenario) -> list[str]:
@@ -89,7 +91,7 @@ def document(
 
 def _flight_document(one: Flown) -> dict[str, Any]:
     by_eye = {} if one.sticks is None else {"sticks": asdict(one.sticks)}
-    return {**asdict(one.flight.figures), "armed": one.flight.armed, **by_eye}
+    return {**asdict(one.flight.figures), "armed": one.flight.armed, **by_eye, **telemetry_document(one.esc)}
 
 
 def _stick_rows(flown: list[Flown]) -> list[tuple[str, ...]]:

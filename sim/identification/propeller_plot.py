@@ -25,8 +25,12 @@ def draw(fit: PropellerFit, title: str) -> Figure:
         panel.plot(
             ratios[~inside], values[~inside], "--", color=INK, lw=1.0, label="beyond what was measured"
         )
-        first, second = curve.terms
-        dress(panel, f"{name} = {curve.static:.4g} (1 {first:+.4g} J {second:+.4g} J²)")
+        terms = "".join(
+            f" {'-' if term < 0.0 else '+'} {abs(term):.4g} {power}"
+            for term, power in zip(curve.terms, ("J", "J²"), strict=True)
+            if term
+        )
+        dress(panel, f"{name} = {curve.static:.4g} (1{terms})")
         panel.set_xlabel("advance ratio J", color=INK, fontsize=9)
         panel.set_ylim(bottom=0.0)
         panel.legend(frameon=False, fontsize=8, labelcolor=INK, loc="lower left")

@@ -250,6 +250,11 @@ class Twin:
         return self._supply.telemetry(speed, self.live.thrust_factor * self._load_factor[:, 2:3], temperature)
 
     @property
+    def motor_current(self) -> Array:
+        """Current of each motor over the last sample [A], (N, M), unrounded; see Supply.motor_current."""
+        return self._supply.motor_current(self._scratch["before"], self.live.rotor_speed)
+
+    @property
     def draw(self) -> Draw:
         """What each aircraft drew from its supply over the last sample, unrounded; see Supply.draw."""
         return self._supply.draw(self._scratch["before"], self.live.rotor_speed)
@@ -355,7 +360,7 @@ class Twin:
                 raise bad_command(motors)
             raise RuntimeError("pybullet refuses a step of the twin; is it closed?")
         if self._heat is not None:
-            self._heat.step(self._supply.motor_current(self._scratch["before"], self.live.rotor_speed))
+            self._heat.step(self.motor_current)
 
     def measure(self, which: NDArray[np.intp] | None = None) -> None:
         """Draw new sensor readings, also without a step while aircraft are held: of all, or of `which`."""

@@ -53,6 +53,44 @@ def test_run_repeats_itself_when_the_seed_is_the_same(
     assert one == same != other
 
 
+def test_repeats_are_runs_of_one_log_with_intervals_when_asked_for(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out, plot = tmp_path / "a.csv", tmp_path / "a.png"
+    words = ["--repeats", "3", "--hold", "1", "--rate-hz", "100", "--noise", "1"]
+    document = command(capsys, "run", *words, "--out", out, "--plot", plot)
+    figures = document["figures"]
+    assert (document["repeats"], document["hold_s"], document["steps"]) == (3, 1.0, [])
+    assert [step["count"] for step in figures["steps"]] == [3, 3, 3, 3]
+    top = figures["ramp_top"]
+    assert figures["runs"] == 6 and top["count"] == 3
+    assert top["thrust_n"]["mean"] == pytest.approx(6.39, rel=0.01) and 0 < top["thrust_n"]["margin"] < 0.1
+    assert document["rows"] == 3 * (900 + 4300) and document["sensors"] is None
+    assert plot.read_bytes().startswith(b"\x89PNG")
+    fitted = command(capsys, "fit", out)["repeats"]
+    assert fitted["runs"] == 6 and fitted["ramp_top"]["count"] == 3
+    assert fitted["ramp_top"]["thrust_n"]["mean"] == pytest.approx(top["thrust_n"]["mean"], abs=1e-4)
+    assert main(["dyno", "fit", str(out)]) == 0
+    shown = " ".join(capsys.readouterr().out.split())
+    assert "6 runs: mean ± 95 % interval" in shown and "at the ramp's top K_T = 9.3" in shown
+
+
+def test_sensors_are_calibrated_and_told_beside_the_truth_when_asked_for(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["run", "--sensors", "--experiment", "steps", "--rate-hz", "250", "--noise", "1"]
+    found = command(capsys, *words, "--out", tmp_path / "a.csv")["sensors"]
+    assert set(found["cells"]) == {"thrust_raw", "torque_left_raw", "torque_right_raw"}
+    for cell in found["cells"].values():
+        assert 0 < abs(cell["error_percent"]) < 0.3 and 0 < cell["standard_error_percent"] < 0.1
+        assert cell["counts_a_unit"] == pytest.approx(cell["true_counts_a_unit"], rel=3e-3)
+    assert found["speed"]["pulses_a_turn"] == 3 and 0 < found["speed"]["rms_error_percent"] < 0.2
+    assert main(["dyno", *words, "--out", str(tmp_path / "b.csv")]) == 0
+    shown = " ".join(capsys.readouterr().out.split())
+    assert "counts a N by 21 loads, truly 21,000" in shown and "3 pulses a turn" in shown
+    assert (tmp_path / "a.csv").read_bytes() == (tmp_path / "b.csv").read_bytes()
+
+
 def test_fit_recovers_the_aircraft_and_writes_it_when_asked(
     log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -90,6 +128,9 @@ def test_fit_gives_accelerations_only_when_no_inertia_is_known(
         (["run", "--out", "a.csv", "--rate-hz", "1"], "--rate-hz 1, expected 10 to 2000"),
         (["run", "--out", "a.csv", "--noise", "nan"], "--noise nan, expected 0 to 100"),
         (["run", "--out", "a.csv", "--seed", "-1"], "--seed -1, expected 0"),
+        (["run", "--out", "a.csv", "--repeats", "0"], "--repeats 0, expected 1 to 99"),
+        (["run", "--out", "a.csv", "--hold", "0.5"], "--hold 0.5, expected 1 to 10"),
+        (["run", "--out", "a.csv", "--repeats", "99", "--rate-hz", "2000"], "expected at most 1000000"),
         (["run", "--out", "a.csv", "--aircraft", "kite"], "'kite': no such file"),
         (["fit", "none.csv"], "none.csv: no such file"),
         (["fit", "bench.csv", "--write", "none.toml"], "none.toml: no such file, expected an aircraft"),

@@ -48,6 +48,23 @@ def test_it_prints_both_figures_and_writes_the_files_when_all_is_well(
 
 
 @pytest.mark.usefixtures("built")
+def test_telemetry_of_each_esc_is_kept_and_drawn_when_asked_for(
+    short: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    table, plot = tmp_path / "esc.csv", tmp_path / "esc.png"
+    words = ["fly", "--on", "reference", "--scenario", short, "--json"]
+    assert main([*words, "--telemetry", str(table), "--telemetry-plot", str(plot)]) == 0
+    flights = json.loads(capsys.readouterr().out)["flights"]
+    for flight in flights.values():
+        assert flight["esc"]["force_n"]["largest"] > flight["esc"]["force_n"]["least"] >= 0.0
+        assert flight["esc"]["temperature_c"] is None, "the NF1's file has no windings"
+    assert len(table.read_text().splitlines()) == 1 + 100
+    assert plot.read_bytes().startswith(b"\x89PNG")
+    assert main(words) == 0
+    assert "esc" not in json.loads(capsys.readouterr().out)["flights"]["firmware"]
+
+
+@pytest.mark.usefixtures("built")
 def test_json_carries_the_same_flight_when_asked_for(short: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["fly", "--on", "reference", "--scenario", short, "--json", "--seed", "5"]) == 0
     document = json.loads(capsys.readouterr().out)

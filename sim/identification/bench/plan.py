@@ -19,7 +19,6 @@ from toolchain.files import file_size, write_text
 
 Array = NDArray[np.float64]
 
-KINDS = ("steps", "ramp")
 LEVELS = (0.25, 0.5, 0.75, 1.0)  # of the limit; Koch 2019, chapter 5
 REPEATS = 20  # Koch 2019, chapter 5, of the ramp
 HOLD_S, RAMP_S = 1.0, 40.0  # [s], each level and the rest after it; up and down; Koch 2019, chapter 5

@@ -12,6 +12,7 @@ from sim.aircraft.model import RPM
 from sim.analysis.confidence import mean_of
 from sim.identification.dyno.bench import Step, steps
 from sim.identification.dyno.recording import Recording
+from sim.identification.dyno.signal import JUMP, commanded, jumps
 
 Array = NDArray[np.float64]
 
@@ -47,9 +48,20 @@ class Peak:
     rpm: Figure
     thrust_n: Figure
     torque_n_m: Figure
+    thrust_coefficient: Figure  # K_T = thrust / speed^2 of each repeat's top [N s^2/rad^2], as Koch has it
+    torque_ratio_m: Figure  # K_Q = torque / thrust there
 
 
-def figure(values: Sequence[float]) -> Figure:
+@dataclass(frozen=True)
+class Repeats:
+    """All repeats of a recording."""
+
+    runs: int
+    steps: tuple[StepFigures, ...]
+    ramp_top: Peak | None  # None: no run is a ramp
+
+
+def figure(values: Sequence[float] | Array) -> Figure:
     """Mean of one value a repeat, at least one."""
     mean = mean_of(np.array(values, np.float64), np.ones(len(values), bool))
     return Figure(float(mean.value), float(mean.high - mean.value))
@@ -77,15 +89,48 @@ def step_figures(recordings: Sequence[Recording]) -> tuple[StepFigures, ...]:
 def peak(recordings: Sequence[Recording]) -> Peak:
     """Speed, thrust and torque at the top of each recording; at least one."""
 
-    def largest(name: str) -> list[float]:
-        return [
-            float(np.mean(getattr(item, name)[item.throttle >= (1 - TOP) * item.throttle.max()]))
-            for item in recordings
-        ]
+    def largest(name: str) -> Array:
+        return np.array(
+            [getattr(run, name)[run.throttle >= (1 - TOP) * run.throttle.max()].mean() for run in recordings]
+        )
 
+    speed, thrust, torque = largest("speed"), largest("thrust"), largest("torque")
     return Peak(
         count=len(recordings),
-        rpm=figure([value / RPM for value in largest("speed")]),
-        thrust_n=figure(largest("thrust")),
-        torque_n_m=figure(largest("torque")),
+        rpm=figure(speed / RPM),
+        thrust_n=figure(thrust),
+        torque_n_m=figure(torque),
+        thrust_coefficient=figure(_ratio(thrust, speed**2)),
+        torque_ratio_m=figure(_ratio(torque, thrust)),
     )
+
+
+def _ratio(values: Array, by: Array) -> Array:
+    """values / by, (R,); 0 of a sensor that showed nothing."""
+    return values / np.where(by == 0.0, np.inf, by)
+
+
+def repeats(recording: Recording) -> Repeats | None:
+    """Figures over the runs of a recording; None where there is one run only.
+
+    A run without a step is a ramp, unless its throttle stays below JUMP.
+    """
+    runs = runs_of(recording)
+    if len(runs) < 2:
+        return None
+    ramps = [run for run in runs if not len(jumps(run)) and commanded(run).max() > JUMP]
+    return Repeats(len(runs), step_figures(runs), peak(ramps) if ramps else None)
+
+
+def runs_of(recording: Recording) -> list[Recording]:
+    """Each run as a recording of its own."""
+    bounds = zip(recording.starts, [*recording.starts[1:], len(recording.time)], strict=True)
+    return [
+        Recording(
+            *(
+                getattr(recording, name)[first:end]
+                for name in ("time", "throttle", "speed", "thrust", "torque")
+            )
+        )
+        for first, end in bounds
+    ]

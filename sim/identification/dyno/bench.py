@@ -36,16 +36,20 @@ class Phase:
     last: float  # and at its end
 
 
-STEPS = (
-    Phase(REST_S, 0.0, 0.0),
-    *(phase for level in STEP_LEVELS for phase in (Phase(HOLD_S, level, level), Phase(HOLD_S, 0.0, 0.0))),
-)
+def steps_held(hold: float) -> tuple[Phase, ...]:
+    """A step to each of STEP_LEVELS, held for `hold` [s], with as long a rest after it."""
+    held = [(Phase(hold, level, level), Phase(hold, 0.0, 0.0)) for level in STEP_LEVELS]
+    return (Phase(REST_S, 0.0, 0.0), *(phase for pair in held for phase in pair))
+
+
+STEPS = steps_held(HOLD_S)
 RAMP = (
     Phase(REST_S, 0.0, 0.0),
     Phase(RAMP_S / 2, 0.0, 1.0),
     Phase(RAMP_S / 2, 1.0, 0.0),
     Phase(HOLD_S, 0.0, 0.0),
 )
+KINDS = ("steps", "ramp")
 EXPERIMENTS = {"steps": STEPS, "ramp": RAMP, "all": (*STEPS, *RAMP)}
 
 

@@ -10,7 +10,6 @@ import pytest
 
 from sim.aircraft.model import load_aircraft
 from sim.identification.bench.plan import (
-    KINDS,
     Plan,
     begin_folder,
     check_folder,
@@ -18,8 +17,8 @@ from sim.identification.bench.plan import (
     missing_runs,
     recording_file,
 )
-from sim.identification.bench.summary import figure, peak, step_figures
-from sim.identification.dyno.bench import disturbed, duration, run, sample_times, throttle_at
+from sim.identification.bench.summary import figure, peak, repeats, step_figures
+from sim.identification.dyno.bench import KINDS, disturbed, duration, run, sample_times, throttle_at
 from sim.identification.dyno.recording import Recording, read_recordings, write_recording
 from toolchain.errors import DynoError
 
@@ -98,3 +97,23 @@ def test_figures_of_repeats_stand_beside_each_level() -> None:
     assert top.thrust_n.mean == pytest.approx(clean.thrust_n.mean, rel=0.01)
     assert clean.thrust_n.mean == pytest.approx(figures[-1].thrust_n.mean, rel=0.015)
     assert clean.rpm.margin == 0.0
+
+
+def test_repeats_in_one_recording_are_told_by_their_kind_and_one_run_has_none() -> None:
+    runs = [measured(PLAN, kind, seed) for seed in range(3) for kind in KINDS]
+    found = repeats(joined(runs))
+    assert found is not None and found.runs == 6
+    assert [(item.level, item.count) for item in found.steps] == [(0.2, 3), (0.4, 3), (0.6, 3), (0.8, 3)]
+    assert found.ramp_top == peak(runs[1::2]), "no step counts as a ramp"
+    assert found.ramp_top.thrust_coefficient.mean == pytest.approx(9.37e-7, rel=0.01)
+    assert found.ramp_top.torque_ratio_m.mean == pytest.approx(8.64e-3, rel=0.01)
+    assert 0.0 < found.ramp_top.thrust_coefficient.margin < 1e-8
+    assert repeats(joined(runs[:1])) is None
+    stepped = repeats(joined(runs[::2]))
+    assert stepped is not None and stepped.ramp_top is None
+
+
+def test_a_sensor_that_shows_nothing_gives_no_constant_and_no_error() -> None:
+    ramp = measured(PLAN, "ramp", 0)
+    top = peak([replace(ramp, thrust=np.zeros_like(ramp.thrust))])
+    assert top.thrust_coefficient.mean == 0.0 and top.torque_ratio_m.mean == 0.0
