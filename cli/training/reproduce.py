@@ -181,7 +181,7 @@ def _list(args: argparse.Namespace, known: Experiments, results: Sequence[RowRes
     """Each row with what is stored of it and its command; what that runs only of rows that were named."""
     from rich.console import Console
 
-    from training.reproduction.page import quoted, shown
+    from training.reproduction.page import measured, quoted
 
     if args.json:
         print(json.dumps([_document(each, known) for each in results], indent=2))
@@ -197,7 +197,7 @@ def _list(args: argparse.Namespace, known: Experiments, results: Sequence[RowRes
         verdict = f", {each.verdict.value}" if each.results and each.verdict else ", a picture"
         console.print(f"    {budgets}{verdict}", markup=False)
         for result in each.results:
-            ours, theirs = shown(result.value, result.figure), quoted(result.figure)
+            ours, theirs = measured(result), quoted(result.figure)
             judged = f": {result.judged}" if result.judged and str(result.judged) else ""
             console.print(f"    {result.figure.what}: {ours}; dissertation {theirs}{judged}", markup=False)
         console.print(
@@ -212,7 +212,7 @@ def _list(args: argparse.Namespace, known: Experiments, results: Sequence[RowRes
 def _print(console: Console, results: Sequence[RowResult]) -> None:
     from rich.table import Table
 
-    from training.reproduction.page import quoted, shown
+    from training.reproduction.page import measured, quoted
 
     for each in results:
         row = each.row
@@ -223,7 +223,7 @@ def _print(console: Console, results: Sequence[RowResult]) -> None:
                 table.add_column(heading, justify="right")
             table.add_column("")
             for result in each.results:
-                value = shown(result.value, result.figure)
+                value = measured(result)
                 judged = "" if result.judged is None else str(result.judged)
                 table.add_row(result.figure.what, quoted(result.figure), value, judged)
             console.print(table)
@@ -259,6 +259,7 @@ def _document(each: RowResult, known: Experiments) -> dict[str, Any]:
                 "dissertation": result.figure.quote and result.figure.quote.value,
                 "margin": result.figure.quote and result.figure.quote.margin,
                 "ours": result.value,
+                "ours_margin": result.margin,
                 "verdict": result.judged and str(result.judged),
             }
             for result in each.results

@@ -72,12 +72,19 @@ class Figure:
     """A figure of the dissertation and ours."""
 
     what: str
-    quote: Quoted | None  # None: the dissertation only draws it
+    quote: Quoted | None  # None: the dissertation only draws it, or has what `beside` says
+    beside: str  # what it has in place of a figure; empty: a drawing
     ours: Source
+    margin: Source | None  # half the width of its 95 % interval
     against: Source | None  # given: ours is the change from that, in %
     scale: float
     aim: str  # what is better: one of AIMS, or "to NUMBER": the nearer to it
     within: float  # of "near": the largest relative difference that counts as reached
+
+    @property
+    def sources(self) -> tuple[Source, ...]:
+        """Where all that it is made of stands."""
+        return tuple(source for source in (self.ours, self.against, self.margin) if source is not None)
 
 
 @dataclass(frozen=True)
@@ -100,8 +107,8 @@ class Row:
     @property
     def steps(self) -> tuple[str, ...]:
         """Names of the steps that it needs itself."""
-        sources = [source for figure in self.figures for source in (figure.ours, figure.against) if source]
-        names = [source.step for source in sources] + ([self.picture] if self.picture else [])
+        names = [source.step for figure in self.figures for source in figure.sources]
+        names += [self.picture] if self.picture else []
         return tuple(dict.fromkeys(names))
 
 
@@ -235,10 +242,15 @@ def _figures(table: StrictTable, steps: Mapping[str, Step]) -> Iterator[Figure]:
         aim = entry.text("aim", None if quote else "told")
         if aim not in AIMS and not TARGET.fullmatch(aim):
             raise entry.error("aim", f"got {aim!r}, expected one of: {', '.join(AIMS)}, or 'to NUMBER'")
+        beside = entry.text("beside", "")
+        if beside and quote is not None:
+            raise entry.error("beside", "there is a quote as well; keep one")
         yield Figure(
             what=entry.text("what"),
             quote=quote,
+            beside=beside,
             ours=_source(entry, "ours", steps),
+            margin=_source(entry, "margin", steps) if entry.has("margin") else None,
             against=_source(entry, "against", steps) if entry.has("against") else None,
             scale=entry.number("scale", -1e12, 1e12, 1.0),
             aim=aim,

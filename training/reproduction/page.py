@@ -8,7 +8,7 @@ from itertools import groupby
 
 from training.reproduction.experiments import Experiments, Figure, Row
 from training.reproduction.lookup import Value
-from training.reproduction.stored import Kept, RowResult, row_result
+from training.reproduction.stored import Kept, Result, RowResult, row_result
 from training.reproduction.verdict import Verdict
 from training.results_page.markdown import table
 
@@ -50,9 +50,15 @@ def quoted(figure: Figure) -> str:
     """The dissertation's figure as it prints it, with its confidence."""
     quote = figure.quote
     if quote is None:
-        return "drawn"
+        return figure.beside or "drawn"
     text = shown(quote.value, figure)
     return text if quote.margin is None else f"{text} ± {shown(quote.margin, figure)}"
+
+
+def measured(result: Result) -> str:
+    """Our figure, with its confidence where that is told."""
+    text = shown(result.value, result.figure)
+    return text if result.margin is None else f"{text} ± {shown(result.margin, result.figure)}"
 
 
 def _digits(value: float, digits: int | None) -> str:
@@ -93,7 +99,7 @@ def _place(place: str, group: Sequence[RowResult], pictures: str) -> list[str]:
             name = f"{group_name}, {each.figure.what}" if told else each.figure.what
             budget = " (quick)" if each.budget == "quick" else ""
             judged = "" if each.judged is None else str(each.judged)
-            body.append((name, quoted(each.figure), shown(each.value, each.figure) + budget, judged))
+            body.append((name, quoted(each.figure), measured(each) + budget, judged))
     if body:
         parts.append(table(HEADINGS, body))
     for result in group:

@@ -38,6 +38,7 @@ class Result:
 
     figure: Figure
     value: Value | None  # None: not measured yet
+    margin: Value | None  # half the width of its 95 % interval, where that is told
     judged: Judged | None
     budget: Budget | None  # of the steps that it is from: the smaller, if they differ
 
@@ -82,8 +83,7 @@ def keep(done: Done, rows: Iterable[Row]) -> Kept:
 
 def sources(row: Row) -> tuple[Source, ...]:
     """Where the figures of a row stand."""
-    both = [source for figure in row.figures for source in (figure.ours, figure.against)]
-    return tuple(source for source in both if source is not None)
+    return tuple(source for figure in row.figures for source in figure.sources)
 
 
 def row_result(row: Row, kept: Mapping[str, Kept]) -> RowResult:
@@ -101,12 +101,13 @@ def row_result(row: Row, kept: Mapping[str, Kept]) -> RowResult:
 def _result(figure: Figure, kept: Mapping[str, Kept]) -> Result:
     found = _value(figure.ours, kept)
     against = _value(figure.against, kept) if figure.against else None
-    if found is None or (figure.against and against is None):
-        return Result(figure, None, None, None)
+    width = _value(figure.margin, kept) if figure.margin else None
+    if found is None or (figure.against and against is None) or (figure.margin and width is None):
+        return Result(figure, None, None, None, None)
     value = ours(figure, found, against)
-    steps = [source.step for source in (figure.ours, figure.against) if source is not None]
-    quick = any(kept[name].budget == "quick" for name in steps)
-    return Result(figure, value, judge(figure, value), "quick" if quick else "full")
+    margin = None if width is None else ours(figure, width, None)
+    quick = any(kept[source.step].budget == "quick" for source in figure.sources)
+    return Result(figure, value, margin, judge(figure, value), "quick" if quick else "full")
 
 
 def _value(source: Source, kept: Mapping[str, Kept]) -> Value | None:

@@ -60,7 +60,7 @@ def test_a_path_that_leads_nowhere_is_named(path: str, named: str) -> None:
 
 def figure(aim: str, quote: Quoted | None, within: float = 0.1) -> Figure:
     """A figure of ours beside `quote`."""
-    return Figure("it", quote, Source("step", "path"), None, 1.0, aim, within)
+    return Figure("it", quote, "", Source("step", "path"), None, None, 1.0, aim, within)
 
 
 THREE = Quoted("3.9/ppo-1", (66.6, 70.8, 72.9), (3.2, 3.6, 3.7))

@@ -1,0 +1,68 @@
+"""A figure of ours with its interval, and what the dissertation has in place of one."""
+
+from __future__ import annotations
+
+import pytest
+
+from training.reproduction.experiments import Experiments, ReproduceError, parse
+from training.reproduction.page import measured, quoted
+from training.reproduction.steps import Done
+from training.reproduction.stored import Kept, keep, row_result, sources
+
+TEXT = """
+[steps.bench]
+full = "dyno run --out {out}/a.csv"
+[steps.other]
+full = "dyno run --out {out}/b.csv"
+[[rows]]
+name = "5.3-repeats"
+place = "Table 5.3"
+title = "Repeats"
+figures = [
+    {quote = "5.3/thrust_max/value", ours = "bench mean", margin = "bench margin", aim = "near", what="T"},
+    { what = "factor", beside = "not told", ours = "bench mean", scale = 100.0, margin = "other margin" },
+    { what = "rise", ours = "bench mean" },
+]
+"""
+OUTPUT = {"mean": 6.4, "margin": 0.25}
+
+
+@pytest.fixture
+def known() -> Experiments:
+    """One row of two steps."""
+    return parse(TEXT, "test")
+
+
+def kept(known: Experiments, *names: str, budget: str = "full") -> dict[str, Kept]:
+    """What is kept of steps that have run."""
+    found = {}
+    for name in names:
+        done = Done(known.steps[name], "quick" if budget == "quick" else "full", "", 1.0, OUTPUT, None)
+        found[name] = keep(done, known.rows)
+    return found
+
+
+def test_a_figure_is_shown_with_its_interval_when_one_is_told(known: Experiments) -> None:
+    (row,) = known.rows
+    assert {(source.step, source.path) for source in sources(row)} == {
+        *(("bench", "mean"), ("bench", "margin"), ("other", "margin"))
+    }
+    assert row.steps == ("bench", "other")
+    results = row_result(row, kept(known, "bench", "other")).results
+    assert [measured(result) for result in results] == ["6.40 ± 0.25", "640 ± 25", "6.4"]
+    assert [quoted(result.figure) for result in results] == ["6.59 ± 0.09", "not told", "drawn"]
+
+
+def test_a_figure_is_not_measured_when_its_interval_lacks(known: Experiments) -> None:
+    results = row_result(known.rows[0], kept(known, "bench")).results
+    assert [result.value is None for result in results] == [False, True, False]
+
+
+def test_a_figure_is_quick_when_its_interval_is(known: Experiments) -> None:
+    both = {**kept(known, "bench"), **kept(known, "other", budget="quick")}
+    assert [each.budget for each in row_result(known.rows[0], both).results] == ["full", "quick", "full"]
+
+
+def test_words_beside_a_quote_are_refused() -> None:
+    with pytest.raises(ReproduceError, match="beside: there is a quote as well"):
+        parse(TEXT.replace('aim = "near"', 'aim = "near", beside = "none"'), "test")
