@@ -123,15 +123,18 @@ class SparseReward:
 class CalmReward:
     """Squared errors, low outputs and, once the command is reached, small changes of the outputs.
 
-    r = -Σe² + output (1 - ȳ) + change Σ_i max(0, change_max² - Δy_i²), the last term only while each |e|
-    is inside the error band; e in deg/s, Δy in percent, ȳ a fraction.
+    r = -error Σe² + output (1 - ȳ) + change Σ_i max(0, change_max² - Δy_i²), the last term only while each
+    |e| is inside the error band; e in deg/s, Δy in percent, ȳ a fraction.
 
-    Source: Koch 2019, chapter 4: r_e + r_y + r_Δ with alpha = 300, beta = 0.5 and Δy_max = 100². The unit
-    of e, deg/s, and the band are not printed; they are those of chapter 5's published environment.
+    Source: Koch 2019, chapter 4: r_e + r_y + r_Δ with alpha = 300, beta = 0.5 and Δy_max = 100². The units
+    of e and Δy and the band are not printed; deg/s and the band are those of chapter 5's published
+    environment. Errors in rad/s are `error` = 3.046e-4, which is (π / 180)²; changes in thousandths are
+    `change_max` = 10 and `change` = 50.
     `scale` multiplies the whole; 1 is as printed.
     """
 
     name: ClassVar[str] = "dissertation-4"
+    error: float = 1.0
     output: float = 300.0
     change: float = 0.5
     change_max: float = 100.0  # [%]
@@ -142,14 +145,14 @@ class CalmReward:
     def __post_init__(self) -> None:
         """Reject invalid constants."""
         what, percent = f"reward {self.name}", (0.0, 100.0)
-        check_limits(what, self, output=WEIGHT, change=WEIGHT, change_max=percent, **BAND)
+        check_limits(what, self, error=WEIGHT, output=WEIGHT, change=WEIGHT, change_max=percent, **BAND)
 
     def __call__(self, step: Transition) -> Rewards:
         """See Reward."""
         change = 100.0 * (step.action - step.action_before).astype(np.float64)
         calm = np.maximum(0.0, self.change_max**2 - change**2).sum(axis=1)
         reward = (
-            -np.square(np.rad2deg(step.error)).sum(axis=1)
+            -self.error * np.square(np.rad2deg(step.error)).sum(axis=1)
             + self.output * (1.0 - step.action.mean(axis=1))
             + self.change * calm * in_band(step, self.band_share, self.band_floor_deg_s)
         )

@@ -112,6 +112,14 @@ def test_the_reward_of_chapter_4_is_its_formula(options: dict[str, Any], expecte
     assert worth(CalmReward(scale=1e-3), **options) == pytest.approx(1e-3 * expected, rel=1e-5)
 
 
+def test_the_reward_of_chapter_4_takes_radians_and_thousandths() -> None:
+    reward = CalmReward(error=np.deg2rad(1.0) ** 2, change=50.0, change_max=10.0)
+    # (0.3 rad/s)^2 = 0.09; 300 (1 - 0.175) = 247.5; 50, 0, 150 and 0 thousandths of 100
+    options: dict[str, Any] = {"setpoint": [200, 0, 0], "action": [0.25, 0.2, 0.05, 0.2]}
+    expected = -0.09 + 247.5 + 0.5 * (100**2 - 50**2) + 0.5 * 2 * 100**2
+    assert worth(reward, error=[np.rad2deg(0.3), 0.0, 0.0], **options) == pytest.approx(expected, rel=1e-5)
+
+
 @pytest.mark.parametrize(
     ("options", "expected"),
     [
