@@ -23,6 +23,19 @@ CLANG_PACKAGES := clang libclang-rt-dev
 ARM_PACKAGES := gcc-arm-none-eabi libnewlib-arm-none-eabi llvm
 PEER_PACKAGES := dfu-util dosfstools mtools stm32flash
 
+# Installs the packages $(3) where one of the programs $(1) and $(2) is missing and the system lets us. Where it does not,
+# we go on without $(2), and a missing $(1) is an error.
+define bring
+@PATH="$$PATH:/sbin:/usr/sbin"; needed=; useful=; \
+for program in $(1); do command -v $$program >/dev/null || needed="$$program"; done; \
+for program in $(2); do command -v $$program >/dev/null || useful="$$program"; done; \
+if [ -z "$$needed$$useful" ]; then exit 0; fi; \
+if [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null; then \
+  echo "installing $(3)"; \
+  apt-get update -qq && DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends $(3) >/dev/null; \
+elif [ -n "$$needed" ]; then echo "$$needed is missing; run: sudo apt-get install $(3)" >&2; exit 1; fi
+endef
+
 IN_DEV   := setup test prove coverage bench lint
 IN_TRAIN := train
 IN_SIM   := fly emulate
@@ -38,7 +51,7 @@ ifneq ($(call asked,flash),)
   endif
 endif
 
-.PHONY: coverage help setup arm clang cppcheck peers firmware flash host train fly emulate test prove bench lint clean
+.PHONY: coverage help setup arm chromium clang cppcheck peers firmware flash host train fly emulate test prove bench lint clean
 
 help: ## this list
 	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 12
@@ -49,13 +62,7 @@ $(READY): setup.sh pyproject.toml constraints.txt
 	@PYTHON='$(PYTHON)' TORCH='$(TORCH)' ./setup.sh $(EXTRA)
 
 arm: # the ARM compiler and llvm-mca, from the system's packages where that is allowed; it goes without llvm-mca
-	@command -v arm-none-eabi-gcc >/dev/null && command -v llvm-mca >/dev/null || { \
-	  if [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null; then \
-	    echo "installing $(ARM_PACKAGES)"; \
-	    apt-get update -qq && DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends $(ARM_PACKAGES) >/dev/null; \
-	  elif ! command -v arm-none-eabi-gcc >/dev/null; then \
-	    echo "arm-none-eabi-gcc is missing; run: sudo apt-get install $(ARM_PACKAGES)" >&2; exit 1; \
-	  fi; }
+	$(call bring,arm-none-eabi-gcc,llvm-mca,$(ARM_PACKAGES))
 
 firmware: $(READY) arm ## the flash image: TARGET=MATEKF722 [POLICY=path.onnx]
 	@$(RUN) build --target $(TARGET) --policy "$(POLICY)"
@@ -80,23 +87,14 @@ emulate: firmware ## the image to be flashed flies on an emulated board: roll, f
 test: firmware host peers ## the tests, on all cores: [JOBS=4] [ARGS=tests/sim]
 	@$(PYTEST) $(ARGS)
 
-prove: firmware host clang peers ## the long version of what the tests sample: [JOBS=] [ARGS=]
+prove: firmware host chromium clang peers ## the long version of what the tests sample: [JOBS=] [ARGS=]
 	@$(PYTEST) -m "slow or not slow" $(ARGS)
 
 clang: # the compiler that brings libFuzzer, as the ARM compiler is brought
-	@command -v clang >/dev/null || { \
-	  if [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null; then \
-	    echo "installing $(CLANG_PACKAGES)"; \
-	    apt-get update -qq && DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends $(CLANG_PACKAGES) >/dev/null; \
-	  else echo "clang is missing; run: sudo apt-get install $(CLANG_PACKAGES)" >&2; exit 1; fi; }
+	$(call bring,clang,,$(CLANG_PACKAGES))
 
 peers: # programs of others that tests hold ours against, brought as the ARM compiler is
-	@command -v stm32flash >/dev/null && command -v dfu-suffix >/dev/null && command -v mcopy >/dev/null && \
-	PATH="$$PATH:/sbin:/usr/sbin" command -v mkfs.vfat >/dev/null || { \
-	  if [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null; then \
-	    echo "installing $(PEER_PACKAGES)"; \
-	    apt-get update -qq && DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends $(PEER_PACKAGES) >/dev/null; \
-	  else echo "stm32flash, dfu-util, mtools or dosfstools is missing; run: sudo apt-get install $(PEER_PACKAGES)" >&2; exit 1; fi; }
+	$(call bring,stm32flash dfu-suffix mcopy mkfs.vfat,,$(PEER_PACKAGES))
 
 coverage: $(READY) ## what the tests reach of the firmware's core, under sanitizers
 	@$(VENV)/bin/python -m tests.coverage $(ARGS)
@@ -104,12 +102,11 @@ coverage: $(READY) ## what the tests reach of the firmware's core, under sanitiz
 bench: $(READY) arm ## speed, as figures and ratios of one run
 	@$(VENV)/bin/python -m tests.bench $(ARGS)
 
+chromium: # the browser that shows our pages, as the ARM compiler is brought
+	$(call bring,chromium,,chromium)
+
 cppcheck: # the analyser of C, brought as the ARM compiler is
-	@command -v cppcheck >/dev/null || { \
-	  if [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null; then \
-	    echo "installing cppcheck"; \
-	    apt-get update -qq && DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends cppcheck >/dev/null; \
-	  else echo "cppcheck is missing; run: sudo apt-get install cppcheck" >&2; exit 1; fi; }
+	$(call bring,cppcheck,,cppcheck)
 
 lint: $(READY) cppcheck ## style and types; C warnings are errors in every build
 	@$(VENV)/bin/ruff check . && $(VENV)/bin/ruff format --check . && $(VENV)/bin/python -m mypy

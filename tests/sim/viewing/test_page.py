@@ -1,101 +1,200 @@
-"""The page that plays a flight: data, nothing from elsewhere, and its projection where node is there."""
+"""The page of a flight in a browser: it plays, follows its controls and stays inside its window."""
 
 from __future__ import annotations
 
-import html
-import json
-import re
 import shutil
-import subprocess
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
+from io import BytesIO
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
+from PIL import Image
+from playwright.sync_api import Browser, Page, sync_playwright
 
 from cli.main import main
 from sim.aircraft.model import load_aircraft
-from sim.flight.trace import save_trace
-from sim.viewing.page import FRAMES_MAX, page_data, save_page
-from sim.viewing.scene import Scene, recorded
-from tests.sim.viewing.test_view import QUARTER, rolling_trace
+from sim.flight.trace import load_trace, save_trace
+from sim.viewing.poses import attitudes
+from tests.sim.viewing.test_view import rolling_trace
 
-NODE = shutil.which("node")
+pytestmark = pytest.mark.slow
 
-
-def rolling_scene() -> Scene:
-    """A quarter roll in a second, from 0 s, in place."""
-    return recorded("a quarter </script> roll", load_aircraft("nf1"), rolling_trace())
+Pixels = NDArray[np.int16]
 
 
-def data_of(page: Path) -> dict[str, Any]:
-    """What the page's script reads."""
-    found = re.search(r'<script type="application/json" id="data">(.*?)</script>', page.read_text(), re.S)
-    assert found is not None
-    read: dict[str, Any] = json.loads(found[1])
-    return read
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    program = shutil.which("chromium")
+    assert program, "chromium is missing; run: make chromium"
+    with sync_playwright() as driver:
+        # Inside a container the browser cannot make a sandbox of its own.
+        opened = driver.chromium.launch(executable_path=program, args=["--no-sandbox"])
+        yield opened
+        opened.close()
 
 
-def test_the_page_holds_the_flight_fifty_times_a_second(tmp_path: Path) -> None:
-    save_page(tmp_path / "roll.html", rolling_scene(), 0.3)
-    data = data_of(tmp_path / "roll.html")
-    assert data["frames"] == 51 and data["step"] == 0.02 and data["place"] is None
-    turns = np.array(data["attitude"]).reshape(-1, 4) / 1e4
-    half = QUARTER * 0.02 * np.arange(51) / 2
-    assert turns == pytest.approx(np.column_stack([np.cos(half), np.sin(half), 0 * half, 0 * half]), abs=1e-4)
-    assert np.array(data["flown"]).reshape(-1, 3)[7] == pytest.approx([900, 0, 0])
-    assert data["motors"] == [300] * 204
+@pytest.fixture(scope="module")
+def flight(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """1 s of constant rates about all axes; its page is beside it."""
+    path = tmp_path_factory.mktemp("page") / "<b onclick='x'>roll.npz"
+    still = rolling_trace()
+    save_trace(path, replace(still, rate=np.tile([1.6, 0.9, -0.7], (len(still.t), 1))))
+    assert main(["view", str(path), "--out", str(path.with_name("roll.html"))]) == 0
+    return path
 
 
-def test_the_page_loads_nothing_and_its_texts_are_no_markup(tmp_path: Path) -> None:
-    save_page(tmp_path / "roll.html", rolling_scene(), 1.0)
-    text = (tmp_path / "roll.html").read_text()
-    assert not re.search(r"https?:|//[a-z]+\.|\bsrc=|\bhref=|@import|url\(|fetch\(|XMLHttp|WebSocket", text)
-    assert text.count("</script>") == 2  # of the two scripts, none from the title
-    assert f"<h1>{html.escape('a quarter </script> roll')}</h1>" in text
+@contextmanager
+def opened(browser: Browser, flight: Path, motion: str = "reduce", **how: object) -> Iterator[Page]:
+    """The page in a tab of its own; it may load nothing and complain of nothing."""
+    page = browser.new_page(reduced_motion=motion, **how)  # type: ignore[arg-type]
+    failures: list[str] = []
+    page.on("pageerror", lambda error: failures.append(str(error)))
+    page.on("console", lambda said: failures.append(said.text))
+    asked: list[str] = []
+    page.on("request", lambda request: asked.append(request.url))
+    address = flight.with_name("roll.html").as_uri()
+    page.goto(address)
+    yield page
+    assert failures == [] and asked == [address]
+    page.close()
 
 
-def test_a_place_that_is_known_is_in_the_page(tmp_path: Path) -> None:
-    still = rolling_scene()
-    climb = np.linspace([0.0, 0.0, 0.0], [1.0, 0.0, -2.0], len(still.trace.t))
-    data = page_data(replace(still, position=climb))
-    place = np.array(data["place"]).reshape(-1, 3)
-    assert place[-1] == pytest.approx([1000, 0, -2000]) and place[25] == pytest.approx([500, 0, -1000])
-    assert float(str(data["floor"])) < -2.0  # the grid lies under the flight
+@pytest.fixture
+def page(browser: Browser, flight: Path) -> Iterator[Page]:
+    """The page, which stands still at first, as for one who asked for less motion."""
+    with opened(browser, flight) as tab:
+        yield tab
 
 
-def test_a_flight_too_long_for_a_page_names_the_way_out(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+def let_draw(page: Page, frames: int = 2) -> None:
+    """Return when the browser has drawn so many frames."""
+    for _ in range(frames):
+        page.evaluate("() => new Promise(requestAnimationFrame)")
+
+
+def seen(page: Page, canvas: str = "view") -> Pixels:
+    """What a canvas shows once all that was asked of the page is drawn: (height, width, 3)."""
+    let_draw(page)
+    picture = Image.open(BytesIO(page.locator(f"#{canvas}").screenshot()))
+    return np.asarray(picture.convert("RGB"), np.int16)
+
+
+def now(page: Page) -> str:
+    """The time that the page tells."""
+    let_draw(page)
+    return page.locator("#now").inner_text()
+
+
+def test_it_plays_to_the_end_and_again(browser: Browser, flight: Path) -> None:
+    with opened(browser, flight, motion="no-preference") as page:
+        page.wait_for_function("document.getElementById('play').textContent === 'Play'", timeout=30_000)
+        assert now(page) == "1.00 of 1.00 s"
+        page.click("#play")
+        page.wait_for_function("parseFloat(document.getElementById('now').textContent) < 1")
+        assert page.locator("#play").inner_text() == "Pause"
+
+
+def test_who_asked_for_less_motion_gets_a_page_that_stands(page: Page) -> None:
+    assert now(page) == "0.00 of 1.00 s"
+    assert page.locator("#play").inner_text() == "Play"
+    still = seen(page)
+    let_draw(page, 20)
+    assert np.array_equal(seen(page), still)
+    assert now(page) == "0.00 of 1.00 s"
+
+
+def test_the_slider_the_keys_and_the_charts_set_the_time(page: Page) -> None:
+    level = seen(page)
+    page.locator("#seek").fill("25")
+    assert now(page) == "0.50 of 1.00 s"
+    assert not np.array_equal(seen(page), level)
+    page.locator("#seek").blur()
+    page.keyboard.press("ArrowRight")
+    assert now(page) == "0.52 of 1.00 s"
+    page.keyboard.press("ArrowLeft")
+    page.keyboard.press("ArrowLeft")
+    assert now(page) == "0.48 of 1.00 s"
+    box = page.locator("#rates").bounding_box()
+    assert box is not None
+    page.mouse.click(box["x"] + box["width"] - 2, box["y"] + box["height"] / 2)
+    assert now(page) == "1.00 of 1.00 s"
+    page.mouse.click(box["x"] + 2, box["y"] + box["height"] / 2)
+    assert now(page) == "0.00 of 1.00 s"
+    assert np.array_equal(seen(page), level)
+
+
+def test_dragging_turns_the_view_the_wheel_comes_closer_and_reset_goes_back(page: Page) -> None:
+    first = seen(page)
+    box = page.locator("#view").bounding_box()
+    assert box is not None
+    middle = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+    page.mouse.move(*middle)
+    page.mouse.down()
+    page.mouse.move(middle[0] + 80, middle[1] + 30)
+    page.mouse.up()
+    turned = seen(page)
+    assert not np.array_equal(turned, first)
+    page.mouse.move(*middle)  # after the button is up the pointer turns nothing
+    assert np.array_equal(seen(page), turned)
+    page.click("#reset")
+    assert np.array_equal(seen(page), first)
+    page.mouse.move(*middle)
+    page.evaluate("() => { window.wheeled = new Promise((done) => addEventListener('wheel', done)); }")
+    page.mouse.wheel(0, -300)
+    page.evaluate("() => window.wheeled.then(() => true)")
+    assert coloured(seen(page)) > 1.5 * coloured(first)
+    page.click("#reset")
+    assert np.array_equal(seen(page), first)
+
+
+def coloured(pixels: Pixels) -> int:
+    """How many pixels are of no grey: discs and rims."""
+    return int((np.ptp(pixels, axis=2) > 40).sum())
+
+
+def test_the_page_draws_the_attitude_of_the_flight(page: Page, flight: Path) -> None:
+    trace = load_trace(flight)
+    truth = attitudes(trace.t, trace.rate)
+    arm = load_aircraft("nf1").rotor_positions[0].tolist()
+    for frame, row in ((0, 0), (12.5, 50), (25, 100), (50, 200)):
+        drawn = page.evaluate(
+            """([k, arm]) => {
+                 const data = JSON.parse(document.getElementById("data").textContent);
+                 return rotate(pose(data, k).attitude, arm);
+               }""",
+            [frame, arm],
+        )
+        assert drawn == pytest.approx(truth[row] @ arm, abs=5e-5)  # of 0.11 m
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_ink_stands_out_from_the_page_in_both_schemes(browser: Browser, flight: Path, scheme: str) -> None:
+    with opened(browser, flight, color_scheme=scheme) as page:
+        chart = seen(page, "rates").mean(axis=2)
+        ground = float(np.median(chart))
+        assert (ground < 64) if scheme == "dark" else (ground > 192)
+        assert np.abs(chart - ground).max() > 128
+
+
+@pytest.mark.parametrize("size", [(360, 640), (768, 1024), (1600, 900)])
+def test_it_fits_the_window_and_fills_its_canvases(
+    browser: Browser, flight: Path, size: tuple[int, int]
 ) -> None:
-    rolling_file = tmp_path / "roll.npz"
-    trace = rolling_trace()
-    save_trace(rolling_file, replace(trace, t=trace.t * 0.021 * FRAMES_MAX))
-    out = tmp_path / "long.html"
-    assert main(["view", str(rolling_file), "--out", str(out)]) == 1
-    assert "--from and --to" in capsys.readouterr().err and not out.exists()
-    assert main(["view", str(rolling_file), "--out", str(out), "--from", "100", "--to", "110"]) == 0
-    assert data_of(out)["start"] == 100
+    window = {"width": size[0], "height": size[1]}
+    with opened(browser, flight, viewport=window, device_scale_factor=2) as page:
+        assert page.evaluate("document.documentElement.scrollWidth") <= size[0]
+        for canvas in ("view", "rates", "motors"):
+            shown = page.evaluate(
+                "(id) => { const c = document.getElementById(id); return [c.width, c.clientWidth]; }", canvas
+            )
+            assert shown[0] == 2 * shown[1] > 300
+            assert np.ptp(seen(page, canvas)) > 60
 
 
-@pytest.mark.skipif(NODE is None, reason="needs node to run the page's script")
-def test_the_script_draws_the_turned_aircraft(tmp_path: Path) -> None:
-    save_page(tmp_path / "roll.html", rolling_scene(), 1.0)
-    script = (tmp_path / "roll.html").read_text().split("<script>")[1].split("</script>")[0]
-    asked = """
-    const data = JSON.parse(require("fs").readFileSync(0, "utf8"));
-    const eye = camera(0, 0, 10, 1000, 200, 100);  // behind, looking along x: left of the picture is y
-    const at = (k, point) => project(eye, rotate(pose(data, k).attitude, point));
-    console.log(JSON.stringify([at(0, [0, 1, 0]), at(50, [0, 1, 0]), at(0, [5, 0, 1]), at(12.5, [0, 1, 0])]));
-    """
-    program = tmp_path / "page.js"
-    program.write_text(script + asked)
-    data = json.dumps(page_data(rolling_scene()))
-    assert NODE is not None
-    run = subprocess.run([NODE, program], input=data, capture_output=True, text=True, check=True, timeout=60)
-    level, rolled, ahead, between = json.loads(run.stdout)
-    assert level == pytest.approx([0, 50, 10], abs=0.1)  # the left wing, 100 pixels left of the middle
-    assert rolled == pytest.approx([100, -50, 10], abs=0.1)  # after a quarter roll to the right it is up
-    assert ahead == pytest.approx([100, 50 - 1000 / 15, 15], abs=0.1)  # further away, smaller
-    eighth = 100 * np.array([np.cos(QUARTER / 4), np.sin(QUARTER / 4)])  # between two frames
-    assert between[:2] == pytest.approx([100 - eighth[0], 50 - eighth[1]], abs=0.2)
+def test_a_name_of_a_file_is_text(page: Page) -> None:
+    assert "<b onclick='x'>roll.npz" in page.locator("h1").inner_text()
+    assert page.locator("b").count() == 0
