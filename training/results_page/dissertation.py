@@ -49,19 +49,19 @@ class Timing:
 
 
 METRICS = ("mae", "mse", "iae", "ise", "itae", "itse")
-AIRCRAFT = {"pulse": "nf1", "episodic": "iris", "envelope": "nf1"}  # that each task was flown with
-AGENTS = {"ppo": "PPO", "trpo": "TRPO", "ddpg": "DDPG"}
-MEMORIES = (1, 2, 3)
+AIRCRAFT = "nf1"  # that both tasks were flown with
 FIRMWARES = {"neuroflight": "policy 6-32-32-4", "betaflight": "Betaflight"}
 DRIFTS = {("maximal", 2.0): "5/drift_2", ("maximal", 1.0): "5/drift_1", ("maximal", 0.5): "5/drift_05"}
 DRIFTS |= {("reduced", 1.0): "5/drift_reduced_1"}  # the only step that DART ran at
 
 
 def printed_rows(task: str, aircraft: str) -> Sequence[Row]:
-    """The dissertation's rows of a task: none with another aircraft than its own."""
-    if aircraft != AIRCRAFT[task]:
-        return ()
-    return {"pulse": _pulses, "episodic": _episodic, "envelope": _envelope}[task]()
+    """The dissertation's rows of a task of chapter 5: none with another aircraft than its own.
+
+    Those of chapter 3's episodic task stand beside its own experiments (`neuroflight reproduce`).
+    """
+    of_task = {"pulse": _pulses, "envelope": _envelope}.get(task)
+    return of_task() if of_task is not None and aircraft == AIRCRAFT else ()
 
 
 def printed_timing(work: str) -> Sequence[Timing]:
@@ -103,31 +103,6 @@ def _pulses() -> Sequence[Row]:
             printed=True,
         )
         for table, key, label in (("5.6", "policy", "policy"), ("5.7", "pid", "PID"))
-    ]
-
-
-def _episodic() -> Sequence[Row]:
-    """The best agents of each configuration and the PID.
-
-    Failure and stability are left out. Its failure is small where nearly all succeed, as a mean over all
-    commands is (3.2 % of TRPO's fail in roll with m = 3, and it says 1.5 %); ours is of those that fail.
-    The slope has no printed unit.
-    """
-    names = {f"{name}-{m}": f"{label}, m = {m}" for name, label in AGENTS.items() for m in MEMORIES}
-    tables = {
-        "success": "3.8/success",
-        "rise_ms": "3.9",
-        "peak": "3.10",
-        "error": "3.11",
-    }
-    return [
-        Row(
-            f"dissertation, {label}",
-            int(quotes().number("3/commands")),
-            response={figure: quotes().axes(f"{table}/{name}") for figure, table in tables.items()},
-            printed=True,
-        )
-        for name, label in {**names, "pid": "PID"}.items()
     ]
 
 
