@@ -44,6 +44,18 @@ def test_every_command_is_one_that_the_command_line_understands(budget: str) -> 
         top.parse_args([*words, *(() if words[0] in PICTURES else ("--json",))])
 
 
+@pytest.mark.parametrize("budget", BUDGETS)
+def test_every_flight_of_the_firmware_is_of_a_build_that_the_experiments_made(budget: str) -> None:
+    steps = experiments().steps
+    flights = [step for step in steps.values() if step.words("full")[0] == "fly"]
+    assert flights
+    for step in flights:
+        words = step.words("quick" if budget == "quick" else "full")
+        assert words[words.index("--build") + 1] == "{host}/HOST", step.name
+        assert "host" in step.needs
+    assert steps["host"].words("full")[:3] == ["build", "--target", "HOST"]
+
+
 SIZES = ("steps", "episodes", "count", "seeds", "seconds")  # of a command, defaults included
 
 
