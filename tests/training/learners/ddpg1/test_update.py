@@ -71,7 +71,7 @@ class Case:
         figures = []
         for batch in self.order:
             rows = torch.from_numpy(self.rows[batch]).double()
-            observed, actions, rewards, following = rows.split([INPUTS, MOTORS, 1, INPUTS], dim=1)
+            observed, actions, rewards, following = torch.split(rows, [INPUTS, MOTORS, 1, INPUTS], dim=1)
             observed, following = (observed - mean) * factor, (following - mean) * factor
             with torch.no_grad():
                 acted = self.acted(target_actor, following)
@@ -82,7 +82,7 @@ class Case:
             for optimizer in optimizers:
                 optimizer.zero_grad()
             (-value).backward(inputs=actor)  # type: ignore[no-untyped-call]
-            (loss + LOSSES.decay * decay).backward(inputs=critic)
+            (loss + LOSSES.decay * decay).backward(inputs=critic)  # type: ignore[no-untyped-call]
             for optimizer in optimizers:
                 optimizer.step()
             with torch.no_grad():
