@@ -15,8 +15,8 @@ Differences from Baselines:
 - No layer has layer normalization, which a frozen policy would have to compute. So all parameters of the
   actor are perturbed.
 - The critic's weights do not decay unless `critic_decay` says so. Baselines has 1e-2, not in the last layer.
-  Layer normalization follows all weights that decay there, so their length changes no value. Here it does:
-  with 1e-2 or 1e-3 the critic did not tell actions apart, and the actor's outputs stayed at their limits.
+  Layer normalization follows all weights that decay there. Here none does: 1e-2 brought those of the action
+  from 0.11 to 0.004 within 4,000 control steps, and the actor's outputs stayed at their limits.
 - Several aircraft share a rollout, each with a perturbation of its own, which is drawn when its episode
   begins. It is added to the newest actor in every rollout, where Baselines' perturbed actor stays that of the
   episode's begin: an episode is here as many rollouts longer as there are aircraft.
