@@ -216,6 +216,49 @@ class DdpgConfig(OffPolicyConfig):
 
 
 @dataclass(frozen=True)
+class Ddpg1Config:
+    """DDPG as OpenAI Baselines had it in 2018, Koch 2019's learner; see `training.learners.ddpg1.learner`.
+
+    Its rollout steps (Table 3.3) are `aircraft` times `horizon` here. The defaults are Table 3.3's, and
+    Baselines' where the table has none, but for `buffer` and `critic_decay`. The actor ends in tanh.
+    """
+
+    name: ClassVar[str] = "ddpg1"
+    aircraft: int = 20
+    horizon: int = 5  # control steps of each aircraft between updates
+    updates: int = 50  # after each rollout
+    minibatch: int = 64
+    buffer: int = 200_000  # control steps kept, all aircraft together; part of every checkpoint
+    learning_rate: float = 1e-3  # of the critic
+    actor_learning_rate: float = 1e-4
+    critic_decay: float = 0.0  # weight of the critic's squared weights, halved, in its loss
+    discount: float = 0.99
+    tau: float = 0.01  # share of the network in its target after each update
+    noise: float = 0.2  # of the actor's parameters at first, then as much as changes an output by that much
+    leg: int = 400  # rollouts
+
+    @property
+    def leg_steps(self) -> int:
+        """See Algorithm."""
+        return self.leg * self.aircraft * self.horizon
+
+    def errors(self, episode_steps: int) -> Iterator[str]:
+        """See Algorithm."""
+        yield from _aircraft_errors(self.aircraft)
+        yield from _count_errors(self, ("horizon", "updates", "minibatch", "leg"))
+        yield from _number_errors(
+            self, positive=("learning_rate", "actor_learning_rate", "noise"), not_negative=("critic_decay",)
+        )
+        yield from _share_errors(self, ("discount", "tau", "noise"))
+        rollout = self.aircraft * self.horizon
+        if not max(self.minibatch, rollout) <= self.buffer <= BUFFER_MAX:
+            yield (
+                f"buffer {self.buffer}, expected at least the minibatch of {self.minibatch} and a rollout's "
+                f"{rollout} steps, and at most {BUFFER_MAX}"
+            )
+
+
+@dataclass(frozen=True)
 class Td3Config(OffPolicyConfig):
     """Fujimoto et al. 2018: the lower of two critics counts, and the actor is updated less often."""
 
@@ -294,6 +337,7 @@ ALGORITHMS: dict[str, type[Algorithm]] = {
         Ppo1Config,
         TrpoConfig,
         DdpgConfig,
+        Ddpg1Config,
         Td3Config,
         SacConfig,
         PathwiseConfig,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from sim.aircraft.model import Aircraft
 from toolchain.errors import TrainingError
-from training.config.algorithms import OffPolicyConfig, Ppo1Config, PpoConfig, TrpoConfig
+from training.config.algorithms import Ddpg1Config, OffPolicyConfig, Ppo1Config, PpoConfig, TrpoConfig
 from training.config.pathwise_config import PathwiseConfig
 from training.config.training_config import TrainingConfig
 from training.learners.protocol import Learner
@@ -25,6 +25,10 @@ def make_learner(aircraft: Aircraft, config: TrainingConfig) -> Learner:
             from training.learners.trpo import TrpoLearner
 
             return TrpoLearner(aircraft, config, trpo)
+        case Ddpg1Config() as ddpg1:
+            from training.learners.ddpg1.learner import Ddpg1Learner
+
+            return Ddpg1Learner(aircraft, config, ddpg1)
         case OffPolicyConfig() as off_policy:
             from training.learners.off_policy import OffPolicyLearner
 

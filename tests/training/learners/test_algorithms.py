@@ -18,6 +18,7 @@ from toolchain.errors import TrainingError
 from toolchain.policy.freeze import to_onnx
 from training.config.algorithms import (
     Algorithm,
+    Ddpg1Config,
     DdpgConfig,
     OffPolicyConfig,
     Ppo1Config,
@@ -27,6 +28,7 @@ from training.config.algorithms import (
     TrpoConfig,
 )
 from training.config.training_config import OutputMap, TrainingConfig
+from training.learners.ddpg1.learner import Ddpg1Learner
 from training.learners.ppo1.learner import Ppo1Learner
 from training.learners.sb3 import Sb3Learner
 from training.runs.make_learner import make_learner
@@ -52,9 +54,11 @@ OFF_POLICY: dict[str, Algorithm] = {
     "td3": Td3Config(**FEW),
     "sac": SacConfig(**FEW),
 }
-ALL = {**ON_POLICY, **OFF_POLICY}
+DDPG1 = Ddpg1Config(aircraft=20, horizon=5, updates=5, minibatch=50, buffer=1230, leg=15)
+ALL = {**ON_POLICY, **OFF_POLICY, "ddpg1": DDPG1}
 SHORT = PulseTask(idle_s=0.002, command_s=0.004, rest_s=0.002)
 SQUASHED = OutputMap(scale=0.3, offset=0.4, squash=True)
+InC = Ppo1Learner | Ddpg1Learner
 
 
 @dataclass(frozen=True)
@@ -69,10 +73,10 @@ class Constant:
 
 
 @contextmanager
-def learning(config: TrainingConfig) -> Iterator[Sb3Learner | Ppo1Learner]:
+def learning(config: TrainingConfig) -> Iterator[Sb3Learner | InC]:
     torch.set_num_threads(1)
     found = make_learner(NF1, config)
-    assert isinstance(found, Sb3Learner | Ppo1Learner)
+    assert isinstance(found, Sb3Learner | InC)
     try:
         yield found
     finally:
@@ -101,7 +105,7 @@ def test_the_frozen_policy_is_the_actor_without_exploration_when_it_has_learnt(
         session = onnxruntime.InferenceSession(to_onnx(config.document(NF1), trained.policy()))
         scale = np.array(config.observation_scale(4), np.float32)
         raw = np.random.default_rng(3).normal(0.0, 1.0 / scale, (50, 6)).astype(np.float32)
-        if isinstance(trained, Ppo1Learner):
+        if isinstance(trained, InC):
             outputs = trained.outputs(raw * scale)
         else:
             outputs, _ = trained._model.predict(raw * scale, deterministic=True)
@@ -117,7 +121,7 @@ def test_the_frozen_policy_is_the_actor_without_exploration_when_it_has_learnt(
 def test_a_run_continues_as_if_it_had_never_stopped_when_resumed(name: str) -> None:
     config = config_of(ALL[name], output=SQUASHED)
 
-    def bytes_of(trained: Sb3Learner | Ppo1Learner) -> bytes:
+    def bytes_of(trained: Sb3Learner | InC) -> bytes:
         buffer = io.BytesIO()
         torch.save({"policy": trained.policy(), "state": trained.state()}, buffer)
         return buffer.getvalue()
@@ -141,6 +145,7 @@ def test_a_run_continues_as_if_it_had_never_stopped_when_resumed(name: str) -> N
         Ppo1Config(32, 8, 128, epochs=8, learning_rate=1e-2, discount=0.8, leg=30),
         TrpoConfig(32, 8, minibatch=128, learning_rate=1e-2, discount=0.8, leg=12),
         DdpgConfig(**{**FEW, "leg": 400}, discount=0.8, tau=0.5, learning_rate=1e-2),
+        Ddpg1Config(minibatch=32, discount=0.8, tau=0.5, learning_rate=1e-2, leg=25),
     ],
     ids=lambda algorithm: algorithm.name,
 )
@@ -152,10 +157,14 @@ def test_the_value_is_bootstrapped_when_an_episodes_time_is_over(algorithm: Algo
     with learning(config) as trained:
         trained.learn(0, lambda report: None)
         observation = torch.from_numpy(trained._env.reset())
-        model: Any = trained if isinstance(trained, Ppo1Learner) else trained._model
+        model: Any = trained if isinstance(trained, InC) else trained._model
+        value: Any
         with torch.no_grad():
             if isinstance(trained, Ppo1Learner) and isinstance(algorithm, Ppo1Config):
                 value = (1.0 - algorithm.discount) * trained.values(observation.numpy())
+            elif isinstance(trained, Ddpg1Learner) and isinstance(algorithm, Ddpg1Config):
+                rows = observation.numpy()
+                value = (1.0 - algorithm.discount) * trained.values(rows, trained.outputs(rows))
             elif isinstance(algorithm, OffPolicyConfig):
                 value = model.critic(observation, model.actor(observation))[0]
             elif isinstance(algorithm, PpoConfig):
@@ -219,6 +228,15 @@ def test_replay_buffer_holds_an_episodes_last_observation_when_its_time_is_over(
         (DdpgConfig(aircraft=5000), "5000 aircraft, expected 1 to 4096"),
         (DdpgConfig(buffer=100), "buffer 100, expected at least the minibatch and the number of aircraft"),
         (DdpgConfig(noise=(0.1, 2.0)), r"noise \[0.1, 2.0\], expected 0 to 1 each"),
+        (Ddpg1Config(noise=0.0), "noise 0.0, expected more than 0"),
+        (Ddpg1Config(noise=1.5), "noise 1.5, expected 0 to 1"),
+        (Ddpg1Config(updates=0), "updates 0, expected at least 1"),
+        (Ddpg1Config(critic_decay=-1.0), "critic_decay -1.0, expected at least 0"),
+        (Ddpg1Config(actor_learning_rate=0.0), "actor_learning_rate 0.0, expected more than 0"),
+        (
+            Ddpg1Config(buffer=99),
+            "buffer 99, expected at least the minibatch of 64 and a rollout's 100",
+        ),
         (Td3Config(policy_delay=0), "policy_delay 0, expected at least 1"),
         (SacConfig(tau=1.5), "tau 1.5, expected 0 to 1"),
         (SacConfig(gradient_steps=0), "gradient_steps 0, expected at least 1"),
@@ -231,8 +249,7 @@ def test_an_invalid_configuration_is_rejected_before_training_starts(
         TrainingConfig(algorithm=algorithm, output=SQUASHED)
 
 
-@pytest.mark.parametrize("name", OFF_POLICY)
+@pytest.mark.parametrize("name", [*OFF_POLICY, "ddpg1"])
 def test_rejects_outputs_without_a_bound_when_the_actor_ends_in_tanh(name: str) -> None:
-    assert isinstance(OFF_POLICY[name], OffPolicyConfig)
     with pytest.raises(TrainingError, match=f"output.squash false, expected true: {name}'s policies"):
-        TrainingConfig(algorithm=OFF_POLICY[name])
+        TrainingConfig(algorithm=ALL[name])

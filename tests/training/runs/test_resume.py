@@ -26,7 +26,12 @@ RUNS = {  # eight segments each, a checkpoint every second
     ],
     "ppo1": [
         *("steps=1024", "checkpoint_steps=256", "algorithm=ppo1", "algorithm.aircraft=8"),
-        *("algorithm.horizon=16", "algorithm.minibatch=50", "algorithm.leg=1"),
+        *("algorithm.horizon=16", "algorithm.minibatch=50", "algorithm.leg=1", "world.throttle_steps=0"),
+    ],
+    "ddpg1": [
+        *("steps=1280", "checkpoint_steps=320", "algorithm=ddpg1", "algorithm.aircraft=8"),
+        *("algorithm.horizon=5", "algorithm.updates=5", "algorithm.buffer=700", "algorithm.leg=4"),
+        *("output.squash=true", "world.throttle_steps=0"),
     ],
     "pathwise": [
         *("steps=1600", "checkpoint_steps=400", "algorithm=pathwise", "algorithm.aircraft=4"),
@@ -79,6 +84,7 @@ def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Pat
         ("pathwise", signal.SIGKILL),
         pytest.param("ppo", signal.SIGKILL, marks=pytest.mark.slow),
         pytest.param("ppo1", signal.SIGINT, marks=pytest.mark.slow),
+        pytest.param("ddpg1", signal.SIGINT, marks=pytest.mark.slow),
         pytest.param("pathwise", signal.SIGINT, marks=pytest.mark.slow),
     ],
 )

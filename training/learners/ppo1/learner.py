@@ -30,10 +30,11 @@ from sim.aircraft.model import Aircraft
 from training.config.algorithms import Ppo1Config
 from training.config.training_config import OutputMap, TrainingConfig
 from training.envs.vector import AttitudeVecEnv
+from training.learners.network.normalization import ObservedMoments
 from training.learners.network.shape import Shape
-from training.learners.ppo1.normalization import ObservedMoments, ReturnMoments
+from training.learners.ppo1.normalization import ReturnMoments
 from training.learners.ppo1.rollout import Rollout, advantages
-from training.learners.ppo1.update import ActorCritic, Engine, Losses, Normalization, Samples
+from training.learners.ppo1.update import ActorCritic, Engine, Losses, Samples
 from training.learners.protocol import Report, named_layers
 
 REPORT_STEPS = 4096  # control steps, all aircraft together, between reports at least
@@ -90,21 +91,19 @@ class Ppo1Learner:
 
     def outputs(self, observations: Floats) -> Floats:
         """The deterministic policy's network outputs (N, M) for scaled observations (N, n)."""
-        return self._engine.outputs(self._parameters, self._normalization(), observations).astype(np.float32)
+        return self._engine.outputs(self._parameters, self._observed.normalization, observations).astype(
+            np.float32
+        )
 
     def values(self, observations: Floats) -> NDArray[np.float64]:
         """The critic's estimates (...) of returns from scaled observations (..., n) on."""
         rows = observations.reshape(-1, observations.shape[-1])
-        values = self._engine.values(self._parameters, self._normalization(), rows).astype(np.float64)
+        values = self._engine.values(self._parameters, self._observed.normalization, rows).astype(np.float64)
         return (values * self._returned.spread + self._returned.mean).reshape(observations.shape[:-1])
-
-    def _normalization(self) -> Normalization:
-        observed = self._observed
-        return Normalization(observed.mean.astype(np.float32), observed.factor.astype(np.float32))
 
     def _fly(self, observation: Floats, rng: np.random.Generator) -> Rollout:
         """A rollout from `observation` (N, n) on."""
-        networks, normalization = self._networks, self._normalization()
+        networks, normalization = self._networks, self._observed.normalization
         rollout = Rollout.empty(self._ppo1.horizon, len(observation), observation.shape[1], networks.motors)
         drawn = rng.standard_normal(rollout.actions.shape, np.float32)
         drawn *= np.exp(networks.split(self._parameters)[1])
@@ -132,7 +131,7 @@ class Ppo1Learner:
         rows = rollout.observations[:-1].reshape(returns.size, -1)
         self._observed = self._observed.with_more(rows)
         self._rescale_critic(self._returned.with_more(returns))
-        normalization = self._normalization()
+        normalization = self._observed.normalization
         actions = rollout.actions.reshape(returns.size, -1)
         samples = Samples(
             observations=rows,
@@ -165,32 +164,21 @@ class Ppo1Learner:
 
     def policy(self) -> dict[str, torch.Tensor]:
         """See Learner."""
-        observed = self._observed
-        parts = [part.astype(np.float64) for part in self._actor_parts()]
-        parts[1] = parts[1] - parts[0] @ (observed.mean * observed.factor)
-        parts[0] = parts[0] * observed.factor
-        tensors = [torch.from_numpy(part.astype(np.float32)) for part in parts]
+        actor = self._networks.actor.split(self._networks.split(self._parameters)[0])
+        tensors = [torch.from_numpy(part) for part in self._observed.folded(actor)]
         pairs = zip(tensors[::2], tensors[1::2], strict=True)
         return named_layers([{"weight": weight, "bias": bias} for weight, bias in pairs])
-
-    def _actor_parts(self) -> list[Floats]:
-        return self._networks.actor.split(self._networks.split(self._parameters)[0])
 
     def state(self) -> dict[str, Any]:
         """See Learner."""
         first, second = self._adam
-        observed, returned = self._observed, self._returned
         return {
             "steps": self._steps,
             "updates": self._updates,
             "parameters": torch.from_numpy(self._parameters.copy()),
             "adam": [torch.from_numpy(first.copy()), torch.from_numpy(second.copy())],
-            "observed": {
-                "count": observed.count,
-                "mean": torch.from_numpy(observed.mean.copy()),
-                "squares": torch.from_numpy(observed.squares.copy()),
-            },
-            "returned": dict(vars(returned)),
+            "observed": self._observed.state(),
+            "returned": dict(vars(self._returned)),
         }
 
     def restore(self, state: dict[str, Any]) -> None:
@@ -199,10 +187,7 @@ class Ppo1Learner:
         self._parameters = state["parameters"].numpy().copy()
         first, second = (mean.numpy().copy() for mean in state["adam"])
         self._adam = first, second
-        observed = state["observed"]
-        self._observed = ObservedMoments(
-            observed["count"], observed["mean"].numpy().copy(), observed["squares"].numpy().copy()
-        )
+        self._observed = ObservedMoments.restored(state["observed"])
         self._returned = ReturnMoments(**state["returned"])
 
     def close(self) -> None:

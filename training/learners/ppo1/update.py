@@ -10,12 +10,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from training.learners.network.computed import Computed, observed, set_adam
 from training.learners.network.library import aligned, load, pointer
+from training.learners.network.normalization import Normalization
 from training.learners.network.shape import Shape
 
 Numbers = NDArray[np.floating]
 
-DECAYS = 0.9, 0.999  # Adam's
 EPS = 1e-5  # Adam's, as in Baselines
 LAST_GAIN = 0.01  # length of the actor's last rows at first: outputs are then near 0
 
@@ -63,14 +64,6 @@ class ActorCritic:
 
 
 @dataclass(frozen=True, eq=False)
-class Normalization:
-    """Of observations: (x - mean) times factor, (n,) each."""
-
-    mean: Numbers
-    factor: Numbers
-
-
-@dataclass(frozen=True, eq=False)
 class Samples:
     """A rollout: what the losses are made of."""
 
@@ -97,48 +90,27 @@ class Engine:
     def __init__(self, networks: ActorCritic, number: str = "float32") -> None:
         """Raises BuildError, one line, without a C compiler."""
         self._networks, self._number = networks, number
-        self._library = load("ppo1", number)
-        self._actor, self._critic = self._described(networks.actor), self._described(networks.critic)
-        self._size = self._library.lib.ppo1_memory(self._actor, self._critic)
-        self._memory = aligned(self._size, number)
+        self._library = library = load("ppo1", number)
+        self._actor, self._critic = (
+            Computed(library, shape, number) for shape in (networks.actor, networks.critic)
+        )
+        size = library.lib.ppo1_memory(self._actor.described, self._critic.described)
+        self._memory = aligned(size, number)
 
     def acting(
         self, parameters: Numbers, normalization: Normalization, count: int
     ) -> Callable[[Numbers], Numbers]:
-        """The actor with these parameters: a function of observations (count, n) to outputs (count, M).
-
-        Each call overwrites what the last one returned.
-        """
-        networks, number = self._networks, self._number
-        actor, memory = networks.split(parameters)[0], aligned(self._size, number)
-        observations = np.empty((count, networks.actor.widths[0]), number)
-        found = np.empty((count, networks.motors), number)
-        observed = self._observed(normalization, observations)
-        weights, result, space = (self._pointer(array) for array in (actor, found, memory))
-        compute, loaded = self._library.lib.ppo1_outputs, False
-
-        def outputs(given: Numbers) -> Numbers:
-            nonlocal loaded
-            observations[:] = given
-            compute(self._actor, weights, loaded, count, observed, result, space)
-            loaded = True
-            return found
-
-        return outputs
+        """The actor with these parameters, see `Computed.acting`."""
+        return self._actor.acting(self._networks.split(parameters)[0], normalization, count)
 
     def outputs(self, parameters: Numbers, normalization: Normalization, observations: Numbers) -> Numbers:
         """The actor's outputs (N, M) for observations (N, n)."""
-        return self.acting(parameters, normalization, len(observations))(observations)
+        return self._actor.outputs(self._networks.split(parameters)[0], normalization, observations)
 
     def values(self, parameters: Numbers, normalization: Normalization, observations: Numbers) -> Numbers:
         """The critic's values (N,), in its units."""
-        critic, point = self._networks.split(parameters)[2], self._pointer
-        found = np.empty(len(observations), self._number)
-        observed = self._observed(normalization, observations)
-        self._library.lib.ppo1_outputs(
-            self._critic, point(critic), False, len(found), observed, point(found), point(self._memory)
-        )
-        return found
+        critic = self._networks.split(parameters)[2]
+        return self._critic.outputs(critic, normalization, observations)[:, 0]
 
     def log_prob(
         self, parameters: Numbers, normalization: Normalization, observations: Numbers, actions: Numbers
@@ -171,33 +143,17 @@ class Engine:
         point, count = self._pointer, len(order) - len(order) % losses.minibatch
         gradient, figures = np.zeros_like(parameters), np.zeros(self._library.lib.PPO1_FIGURES)
         epoch = self._library.ffi.new("struct epoch *")
-        epoch.actor, epoch.critic = self._actor[0], self._critic[0]
+        epoch.actor, epoch.critic = self._actor.described[0], self._critic.described[0]
         epoch.count, epoch.minibatch, epoch.order = count, losses.minibatch, point(order)
-        epoch.observed = self._observed(normalization, samples.observations)[0]
+        epoch.observed = observed(self._library, normalization, samples.observations)[0]
         for name in ("actions", "log_prob", "advantages", "returns"):
             setattr(epoch, name, point(getattr(samples, name)))
-        epoch.clip, epoch.entropy, epoch.rate = losses.clip, losses.entropy, losses.rate
-        epoch.decay, epoch.eps, epoch.updates = DECAYS, EPS, updates
+        epoch.clip, epoch.entropy = losses.clip, losses.entropy
+        set_adam(self._library, epoch.adam, adam, EPS)
+        epoch.adam.rate, epoch.adam.updates = losses.rate, updates
         epoch.parameters, epoch.gradient, epoch.figures = point(parameters), point(gradient), point(figures)
-        epoch.first, epoch.second = (point(mean) for mean in adam)
         self._library.lib.ppo1_epoch(epoch, point(self._memory))
         return figures, gradient
-
-    def _observed(self, normalization: Normalization, observations: Numbers) -> Any:  # noqa: ANN401
-        observed = self._library.ffi.new("struct observed *")
-        observed.values = self._pointer(observations)
-        observed.mean = self._pointer(normalization.mean)
-        observed.factor = self._pointer(normalization.factor)
-        return observed
-
-    def _described(self, shape: Shape) -> Any:  # noqa: ANN401 - a struct of cffi
-        made = self._library.ffi.new("struct network *")
-        made.layers = len(shape.widths) - 1
-        for index, width in enumerate(shape.widths):
-            made.width[index] = width
-        made.activation = getattr(self._library.lib, f"ACTIVATION_{shape.activation.upper()}")
-        made.scale = 1.0
-        return made
 
     def _pointer(self, array: NDArray[Any]) -> Any:  # noqa: ANN401 - a pointer of cffi
         return pointer(self._library, array)

@@ -1,4 +1,4 @@
-"""PPO1 learns, and its running moments are those of the samples."""
+"""PPO1 learns, and the running moments of its returns are those of the samples."""
 
 import itertools
 
@@ -9,7 +9,7 @@ from sim.aircraft.model import load_aircraft
 from training.config.algorithms import Ppo1Config
 from training.config.training_config import TrainingConfig
 from training.learners.ppo1.learner import Ppo1Learner
-from training.learners.ppo1.normalization import ObservedMoments, ReturnMoments
+from training.learners.ppo1.normalization import ReturnMoments
 from training.learners.ppo1.rollout import advantages
 from training.learners.protocol import Report
 from training.tasks.reward import TrackingReward
@@ -42,18 +42,6 @@ def test_outputs_fall_within_ten_thousand_steps_when_they_cost() -> None:
     rates = [report.figures["train/learning_rate"] for report in reports]
     assert all(later < rate for rate, later in itertools.pairwise(rates))
     assert rates[-1] == pytest.approx(0.1 * ppo1.learning_rate)  # of the last of ten updates
-
-
-def test_moments_are_those_of_all_observations_when_they_come_in_parts() -> None:
-    rng = np.random.default_rng(2)
-    rows = (rng.standard_normal((300, 3)) * [1.0, 5.0, 1e-3] + [100.0, -2.0, 0.0]).astype(np.float32)
-    moments = ObservedMoments.none(3)
-    assert moments.factor.tolist() == [1.0, 1.0, 1.0]
-    for part in np.split(rows, [10, 11, 120]):
-        moments = moments.with_more(part)
-    np.testing.assert_allclose(moments.mean, rows.mean(axis=0, dtype=np.float64), rtol=1e-12, atol=1e-12)
-    spread = rows.astype(np.float64).std(axis=0)
-    np.testing.assert_allclose(moments.factor, [1.0 / spread[0], 1.0 / spread[1], 10.0], rtol=1e-9)
 
 
 def test_returns_moments_are_the_first_rollouts_then_follow_later_ones() -> None:

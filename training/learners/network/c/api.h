@@ -34,4 +34,26 @@ struct network {
 	bool squash;
 };
 
+/* Samples' observations of n values each, and what normalizes them: (x - mean) times factor. */
+struct observed {
+	const real *values;
+	size_t stride;             /* numbers from a sample's observation to the next one's */
+	const real *mean, *factor; /* (n) */
+};
+
+/* Adam, with the two means that it keeps for each parameter. */
+struct adam {
+	real rate, eps;
+	double decay[2];
+	uint64_t updates;     /* so far */
+	real *first, *second; /* means of the gradient and of its square */
+};
+
+/* Memory [numbers] for `network_outputs`. */
+size_t network_memory(const struct network *network);
+
+/* Outputs (count, outputs) for normalized observations. `loaded`: the memory has these parameters from the last call. */
+void network_outputs(const struct network *network, const real *parameters, bool loaded, uint32_t count,
+		     const struct observed *observed, real *outputs, real *memory);
+
 #endif

@@ -41,7 +41,7 @@ static real *layers_hidden(const struct layers *n, size_t i, size_t k)
 	return n->hidden[i] + k * n->stored[i] * LANES;
 }
 
-static void layers_squash(int activation, real *values, size_t count)
+void layers_squash(int activation, real *values, size_t count)
 {
 	if (activation == ACTIVATION_TANH)
 		for (size_t i = 0; i < count * LANES; ++i)
@@ -52,7 +52,7 @@ static void layers_squash(int activation, real *values, size_t count)
 }
 
 /* Derivatives by an activation's sums, of those by its values. */
-static void layers_unsquash(int activation, const real *values, const real *by_value, real *by_sum, size_t count)
+void layers_unsquash(int activation, const real *values, const real *by_value, real *by_sum, size_t count)
 {
 	if (activation == ACTIVATION_TANH)
 		for (size_t i = 0; i < count * LANES; ++i)

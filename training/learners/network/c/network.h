@@ -18,6 +18,8 @@ void layers_layout(struct layers *n, struct arena *a, const struct network *netw
 void layers_load(struct layers *n, const real *parameters);
 void layers_forward(const struct layers *n, size_t k, const real *x, real *unclipped);
 void layers_backward(struct layers *n, size_t k, const real *x, const real *by_unclipped, real *by_x);
+void layers_squash(int activation, real *values, size_t count);
+void layers_unsquash(int activation, const real *values, const real *by_value, real *by_sum, size_t count);
 void layers_store(const struct layers *n, real *gradient);
 
 #endif

@@ -10,12 +10,6 @@
 
 enum { PPO1_FIGURES = 3 };
 
-/* Observations (N, n), and what normalizes them: (x - mean) times factor. */
-struct observed {
-	const real *values;
-	const real *mean, *factor; /* (n) */
-};
-
 /* An epoch: each minibatch is followed by a step of Adam. */
 struct epoch {
 	struct network actor, critic;
@@ -28,22 +22,15 @@ struct epoch {
 	const real *advantages;  /* (N) */
 	const real *returns;     /* (N), in units of the critic */
 	real clip, entropy;
-	real rate, eps;          /* Adam's */
-	double decay[2];         /* likewise */
-	uint64_t updates;        /* Adam's so far */
+	struct adam adam;
 	/* Actor, log_std (M), critic: */
 	real *parameters;
-	real *first, *second;    /* Adam's means of the gradient and of its square */
 	real *gradient;          /* the last one */
 	double *figures;         /* (PPO1_FIGURES): means of surrogate, value loss, share of clipped ratios */
 };
 
-/* Memory [numbers] for all functions below with networks not larger than these. */
+/* Memory [numbers] for `ppo1_epoch` with these networks. */
 size_t ppo1_memory(const struct network *actor, const struct network *critic);
-
-/* Outputs (count, outputs) for normalized observations. `loaded`: the memory has these parameters from the last call. */
-void ppo1_outputs(const struct network *network, const real *parameters, bool loaded, uint32_t count,
-		  const struct observed *observed, real *outputs, real *memory);
 
 /* Log-likelihood of actions (count, M) under means (count, M), without its constant. */
 void ppo1_log_prob(uint32_t count, uint32_t motors, const real *actions, const real *means, const real *log_std,

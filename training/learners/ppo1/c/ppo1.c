@@ -1,52 +1,13 @@
-/* PPO's losses and their gradients by actor and critic, LANES samples at once, and Adam. */
+/* PPO's losses and their gradients by actor and critic, LANES samples at once. */
 #include "api.h"
-#include "network/c/network.h"
+#include "network/c/adam.h"
+#include "network/c/computed.h"
 
 #ifdef FLOAT64
 #define real_exp exp
 #else
 #define real_exp expf
 #endif
-
-/* Memory of a network and of the rows that go into it and come out of it. */
-struct computed {
-	struct layers layers;
-	real *inputs, *outputs, *by_outputs, *by_inputs; /* rows */
-};
-
-static size_t parameter_count(const struct network *network)
-{
-	size_t count = 0;
-
-	for (size_t i = 0; i < network->layers; ++i)
-		count += (network->width[i] + 1u) * (size_t)network->width[i + 1u];
-	return count;
-}
-
-static void computed_layout(struct computed *c, struct arena *a, const struct network *network)
-{
-	const size_t inputs = padded(network->width[0], LANES), outputs = padded(network->width[network->layers], TILE);
-
-	layers_layout(&c->layers, a, network, 1);
-	c->inputs = arena_rows(a, inputs);
-	c->outputs = arena_rows(a, outputs);
-	c->by_outputs = arena_rows(a, outputs);
-	c->by_inputs = arena_rows(a, inputs);
-}
-
-/* Rows of up to LANES samples, normalized: those of `order`, or without it those from `start`. Other lanes are 0. */
-static void computed_take(struct computed *c, const struct observed *o, const int32_t *order, size_t start, size_t samples)
-{
-	const size_t n = c->layers.network->width[0];
-
-	for (size_t l = 0; l < LANES; ++l) {
-		const size_t sample = l >= samples ? 0 : order != NULL ? (size_t)order[l] : start + l;
-		const real *const values = o->values + sample * n;
-
-		for (size_t i = 0; i < n; ++i)
-			c->inputs[i * LANES + l] = l < samples ? (values[i] - o->mean[i]) * o->factor[i] : R(0);
-	}
-}
 
 size_t ppo1_memory(const struct network *actor, const struct network *critic)
 {
@@ -56,29 +17,6 @@ size_t ppo1_memory(const struct network *actor, const struct network *critic)
 	computed_layout(&computed, &a, actor);
 	computed_layout(&computed, &a, critic);
 	return a.used;
-}
-
-void ppo1_outputs(const struct network *network, const real *parameters, bool loaded, uint32_t count,
-		  const struct observed *observed, real *outputs, real *memory)
-{
-	struct arena a = {memory, 0};
-	struct computed c;
-	const size_t width = network->width[network->layers];
-
-	computed_layout(&c, &a, network);
-	if (!loaded) {
-		rows_clear(c.inputs, padded(network->width[0], LANES));
-		layers_load(&c.layers, parameters);
-	}
-	for (size_t start = 0; start < count; start += LANES) {
-		const size_t samples = count - start < LANES ? count - start : LANES;
-
-		computed_take(&c, observed, NULL, start, samples);
-		layers_forward(&c.layers, 0, c.inputs, c.outputs);
-		for (size_t l = 0; l < samples; ++l)
-			for (size_t i = 0; i < width; ++i)
-				outputs[(start + l) * width + i] = c.outputs[i * LANES + l];
-	}
 }
 
 void ppo1_log_prob(uint32_t count, uint32_t motors, const real *actions, const real *means, const real *log_std,
@@ -144,24 +82,6 @@ static void value_loss(const struct epoch *e, struct computed *critic, const int
 	}
 }
 
-/* Kingma and Ba 2015, algorithm 1. */
-static void adam_step(const struct epoch *e, size_t count, uint64_t updates)
-{
-	const real a = R(e->decay[0]), b = R(e->decay[1]), eps = e->eps;
-	const real step = R(e->rate / (1.0 - pow(e->decay[0], (double)updates)));
-	const real over = R(1.0 / (1.0 - pow(e->decay[1], (double)updates)));
-	real *const first = e->first, *const second = e->second, *const parameters = e->parameters;
-	const real *const gradient = e->gradient;
-
-	_Pragma("GCC ivdep") for (size_t i = 0; i < count; ++i) {
-		const real slope = gradient[i];
-
-		first[i] = a * first[i] + (R(1) - a) * slope;
-		second[i] = b * second[i] + (R(1) - b) * slope * slope;
-		parameters[i] -= step * first[i] / (real_sqrt(second[i] * over) + eps);
-	}
-}
-
 void ppo1_epoch(const struct epoch *e, real *memory)
 {
 	struct arena a = {memory, 0};
@@ -195,7 +115,7 @@ void ppo1_epoch(const struct epoch *e, real *memory)
 		}
 		layers_store(&actor.layers, e->gradient);
 		layers_store(&critic.layers, by_log_std + motors);
-		adam_step(e, count, e->updates + batch / e->minibatch + 1u);
+		adam_step(&e->adam, e->adam.updates + batch / e->minibatch + 1u, e->parameters, e->gradient, count);
 	}
 	for (size_t i = 0; i < PPO1_FIGURES; ++i)
 		e->figures[i] /= e->count;
