@@ -49,4 +49,4 @@ def _decimals(value: float) -> int:
     if value == int(value):
         return 0
     text = f"{value:.{DIGITS_MAX}f}".rstrip("0")
-    return len(text.partition(".")[2]) if abs(value) > 1e-4 else DIGITS_MAX
+    return len(text.partition(".")[2]) or DIGITS_MAX

@@ -120,3 +120,10 @@ def test_rows_of_a_table_are_three_numbers_with_their_confidence() -> None:
     assert quoted("3.9/ppo-1") == THREE
     assert quoted("5.6/mae").margin is None
     assert quoted("3/continuous_less_error").value == (22.0,)
+
+
+@pytest.mark.parametrize(
+    ("value", "digits"), [(22.0, 0), (0.02, 2), (0.0001, 4), (1e-5, 5), (9.37e-7, 6), (1e-9, 6)]
+)
+def test_a_figure_has_the_decimals_that_it_is_printed_with(value: float, digits: int) -> None:
+    assert Quoted("x", (value,), None).digits == digits
