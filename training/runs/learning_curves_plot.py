@@ -8,6 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
+from numpy.typing import NDArray
 
 from sim.plotting import FLIGHT_COLOURS, INK, MOTOR_COLOURS, dress, titled_figure
 from training.runs.learning_curves import Curve
@@ -18,6 +19,8 @@ SEED_COLOURS = (*FLIGHT_COLOURS, *MOTOR_COLOURS[4:])
 STEPS = ((1_000_000, "million control steps"), (1_000, "thousand control steps"), (1, "control steps"))
 ALIKE = 3.0  # runs whose lengths differ by no more than this factor share the axis of steps
 ROOM = 0.06  # above and below the curves, of their span
+BEGIN = 20  # the first of so many parts of a run
+FAR = 3.0  # spans of the rest: a beginning that far below it leaves the picture
 
 
 def draw(found: Sequence[Curve], title: str, *, episodes: bool = False, seeds: bool = False) -> Figure:
@@ -45,7 +48,7 @@ def draw(found: Sequence[Curve], title: str, *, episodes: bool = False, seeds: b
             colour = SEED_COLOURS[index % len(SEED_COLOURS)] if seeds else INK
             style = {"lw": 1.3, "label": f"seed {run.seed}"} if seeds else {"lw": 0.5, "alpha": 0.35}
             panel.plot(run.steps / unit, factor * run.reward, color=colour, zorder=2, **style)
-            low, high = min(low, factor * run.reward.min()), max(high, factor * run.reward.max())
+            low, high = min(low, factor * _lowest(run.reward)), max(high, factor * run.reward.max())
         if not seeds:
             mean, t = curve.reward, curve.steps / unit
             panel.fill_between(
@@ -74,3 +77,11 @@ def draw(found: Sequence[Curve], title: str, *, episodes: bool = False, seeds: b
     ]
     figure.legend(handles=handles, loc="outside lower left", ncols=4, frameon=False, fontsize=9)
     return figure
+
+
+def _lowest(rewards: NDArray[np.float64]) -> float:
+    """The lowest reward that the picture shows: where a run begins far below the rest, that of the rest."""
+    rest = rewards[-(-len(rewards) // BEGIN) :]
+    if len(rest) and rewards.min() < rest.min() - FAR * (rest.max() - rest.min()):
+        return float(rest.min())
+    return float(rewards.min())

@@ -15,6 +15,7 @@ from sim.aircraft.model import load_aircraft
 from toolchain.errors import TrainingError
 from training.config.training_config import TrainingConfig
 from training.runs.learning_curves import curves
+from training.runs.learning_curves_plot import draw
 from training.runs.rewards import Rewards
 from training.tasks.task import EpisodicTask
 
@@ -73,6 +74,15 @@ def test_the_way_begins_at_the_lowest_reward_when_the_first_is_higher(tmp_path: 
     (curve,) = curves([tmp_path / "a"], ["a"])
     assert curve.reached_steps is not None
     assert float(curve.reached_steps.value) == pytest.approx(0.65 * STEPS, abs=0.02 * STEPS)
+
+
+@pytest.mark.parametrize(("first", "lowest"), [(-1e6, -5.0), (-8.0, -8.0)])
+def test_a_beginning_far_below_the_rest_leaves_the_picture(
+    first: float, lowest: float, tmp_path: Path
+) -> None:
+    run(tmp_path / "a", 1, lambda part: first if part <= 0.02 else -5.0 + 4.0 * part)
+    low, high = draw(curves([tmp_path / "a"], ["a"]), "").axes[0].get_ylim()
+    assert lowest - 1.0 < low < lowest + 0.5 and -1.0 < high < 0.0
 
 
 def test_a_reward_that_falls_reaches_nothing(tmp_path: Path) -> None:
