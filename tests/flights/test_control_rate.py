@@ -18,10 +18,9 @@ from sim.flight.scenario import load_scenario
 from sim.flight.trace import Trace
 from sim.ports.emulator import EmulatedPort
 from sim.ports.library import ReferencePort
-from tests.conftest import ROOT
+from tests.conftest import build_beside
 from tests.modelled_policy import FLYING_GAIN, GAIN, SPREAD, modelled_policy
 from toolchain.contract import FallbackCause, Msp, Task
-from toolchain.image.build import build
 
 CONTROL_RATE_HZ = 2000
 MAE_DEG_S = 8.0  # of a P controller on a pulse; the aircraft left alone is off by some 20
@@ -74,7 +73,7 @@ def builds(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, str], Pat
             gain, spread = (FLYING_GAIN, 0.0) if which == "flies" else (GAIN, SPREAD)
             policy = modelled_policy(control_rate_hz=CONTROL_RATE_HZ, gain=gain, spread=spread)
             (out / "policy.onnx").write_bytes(policy)
-            build(target, out / "policy.onnx", ROOT, out, table)
+            build_beside(target, out / "policy.onnx", out, table)
             made[target, which] = out / target
         return made[target, which]
 

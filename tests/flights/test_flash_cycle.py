@@ -26,12 +26,11 @@ from sim.flight.scenario import Scenario, Segment
 from sim.flight.trace import Trace
 from sim.ports.emulator import EmulatedPort
 from sim.ports.library import ReferencePort
-from tests.conftest import BUILD, ROOT
+from tests.conftest import BUILD, build_beside
 from tests.flash.image.emulated import BAUD, Wired
 from tests.flash.policies import another_policy
 from tests.flash.rom.conftest import Rig
 from toolchain.contract import IMAGE_PROBATION_MS, MSP_BAUD_DEFAULT
-from toolchain.image.build import build
 
 IMAGE_S, SWAP_S = 30.0, 5.0  # what an image and a policy may take of the board's time, restarts included
 A, B = range(2)
@@ -44,8 +43,8 @@ FLIGHT = Scenario(
 def second_image(shipped_policy: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The ELF of another build, for bank A: its policy is another."""
     policy = another_policy(shipped_policy, tmp_path_factory.mktemp("second") / "second.onnx", seed=11)
-    build("MATEKF722", policy, ROOT, BUILD / "second", pid_table(load_aircraft("nf1")))
-    return BUILD / "second" / "MATEKF722" / "neuroflight.elf"
+    table = pid_table(load_aircraft("nf1"))
+    return build_beside("MATEKF722", policy, BUILD / "second", table) / "neuroflight.elf"
 
 
 @pytest.fixture
