@@ -15,6 +15,9 @@ JOBS     ?= auto
 PORT     ?=
 ARGS     ?=
 
+# Whatever the caller says: a run has many processes, each of which would compile all that it imports.
+export PYTHONDONTWRITEBYTECODE :=
+
 VENV := .venv
 # By module: where the path of the checkout holds a space, an installed script may not find its interpreter.
 RUN  := $(VENV)/bin/python -m cli.main
