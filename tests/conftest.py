@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import shutil
+import signal
+import threading
 from collections.abc import Callable, Generator
 from pathlib import Path
 
@@ -35,6 +37,13 @@ BUILD = ROOT / "build" / ("coverage" if os.environ.get("INSTRUMENT") else "tests
 SHIPPED = ROOT / "training" / "policies" / "nf1" / "policy.onnx"
 WORKER = os.environ.get("PYTEST_XDIST_WORKER", "gw0")
 Once = Callable[[str, Callable[[Path], object]], Path]
+
+
+def pytest_configure() -> None:
+    """Ctrl-C reaches tests and what they start, also where a shell began the run in the background."""
+    ignored = signal.getsignal(signal.SIGINT) is signal.SIG_IGN
+    if ignored and threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.hookimpl(wrapper=True)
