@@ -15,6 +15,9 @@ JOBS     ?= auto
 PORT     ?=
 ARGS     ?=
 
+# Whatever the caller says: a run has many processes, each of which would compile all that it imports.
+export PYTHONDONTWRITEBYTECODE :=
+
 VENV := .venv
 # By module: where the path of the checkout holds a space, an installed script may not find its interpreter.
 RUN  := $(VENV)/bin/python -m cli.main
@@ -109,9 +112,10 @@ cppcheck: # the analyser of C, brought as the ARM compiler is
 	$(call bring,cppcheck,,cppcheck)
 
 lint: $(READY) cppcheck ## style and types; C warnings are errors in every build
-	@$(VENV)/bin/ruff check . && $(VENV)/bin/ruff format --check . && $(VENV)/bin/python -m mypy
+	@$(VENV)/bin/ruff check . && $(VENV)/bin/ruff format --check .
 	@find firmware -path firmware/generated -prune -o -name '*.[ch]' -print | xargs $(VENV)/bin/clang-format --dry-run -Werror
-	@$(VENV)/bin/python -m toolchain.image.cppcheck "$(POLICY)"
+	@$(VENV)/bin/python -m mypy & types=$$!; \
+	$(VENV)/bin/python -m toolchain.image.cppcheck "$(POLICY)"; analysed=$$?; wait $$types && exit $$analysed
 
 clean: ## what builds leave behind; the environment and training runs stay
 	rm -rf build firmware/generated

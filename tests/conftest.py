@@ -2,16 +2,28 @@
 
 from __future__ import annotations
 
+import gc
 import os
+import shutil
+import signal
+import threading
+from collections.abc import Callable, Generator
 from pathlib import Path
+
+from cli.main import THREADS
+
+# Before numpy and torch are imported: a command of ours in a test takes one thread, as it does for a user.
+os.environ.update({name: "1" for name in THREADS if name not in os.environ})
 
 import numpy as np
 import pytest
 
 from sim.aircraft.model import load_aircraft
 from sim.control.pid_table import pid_table
+from toolchain.files import locked
 from toolchain.image.build import build
 from toolchain.policy.freeze import to_onnx
+from toolchain.rendering.pid_table import PidTable
 from training.config.training_config import OutputMap, TrainingConfig
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -23,15 +35,95 @@ ESTIMATED = (
 BUILD = ROOT / "build" / ("coverage" if os.environ.get("INSTRUMENT") else "tests")
 
 
+SHIPPED = ROOT / "training" / "policies" / "nf1" / "policy.onnx"
+WORKER = os.environ.get("PYTEST_XDIST_WORKER", "gw0")
+Once = Callable[[str, Callable[[Path], object]], Path]
+
+
+def pytest_configure() -> None:
+    """Ctrl-C reaches tests and what they start, also where a shell began the run in the background.
+
+    And nothing is garbage while tests are collected.
+    """
+    gc.disable()
+    ignored = signal.getsignal(signal.SIGINT) is signal.SIG_IGN
+    if ignored and threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def pytest_collection_finish() -> None:
+    """The collector need not look through the tests again, of which there are thousands."""
+    gc.enable()
+    gc.collect()
+    gc.freeze()
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_make_collect_report(
+    collector: pytest.Collector,
+) -> Generator[None, pytest.CollectReport, pytest.CollectReport]:
+    """Every other worker reads the tests from their end: each compiles one half and finds the other."""
+    report = yield
+    if isinstance(collector, pytest.Directory) and int(WORKER.removeprefix("gw")) % 2:
+        report.result.reverse()
+    return report
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """The tests in the order of all workers."""
+    items.sort(key=lambda item: item.path)
+
+
+@pytest.fixture(scope="session")
+def once(tmp_path_factory: pytest.TempPathFactory) -> Once:
+    """Makes a folder of this run: by its name, and by what fills it. All workers of pytest-xdist share it."""
+    base = tmp_path_factory.getbasetemp()
+    base = base.parent if "PYTEST_XDIST_WORKER" in os.environ else base
+
+    def make(name: str, fill: Callable[[Path], object]) -> Path:
+        folder, filled = base / name, base / name / ".filled"
+        with locked(folder):
+            if not filled.exists():
+                fill(folder)
+                filled.touch()
+        return folder
+
+    return make
+
+
 @pytest.fixture(scope="session")
 def shipped_policy() -> Path:
     """The policy inside the programs below: the one shipped for the NF1."""
-    return ROOT / "training" / "policies" / "nf1" / "policy.onnx"
+    return SHIPPED
 
 
 def build_shipped(target: str, policy: Path) -> None:
     """Build it with the PID of the aircraft that it was trained for."""
     build(target, policy, ROOT, BUILD, pid_table(load_aircraft("nf1")))
+
+
+def build_beside(target: str, policy: Path, folder: Path, pid: PidTable | None = None) -> Path:
+    """Build into `folder`/<target>, which is returned; what does not see the policy is compiled already.
+
+    Objects are those around the shipped policy, and make knows which of them `policy` changes.
+    """
+    build_shipped(target, SHIPPED)
+    made, out = (BUILD / target).resolve(), (folder / target).resolve()
+    with locked(folder):
+        if not out.exists():
+            aside = out.with_name(f"{target}.copied")
+            shutil.rmtree(aside, ignore_errors=True)
+            with locked(made):
+                shutil.copytree(made, aside)
+            for dependencies in aside.rglob("*.d"):  # they name an object by where it was made
+                text = dependencies.read_text()
+                if str(made) not in text:  # by another name of it: then nobody knows what it depends on
+                    dependencies.with_suffix(".o").unlink()
+                dependencies.write_text(text.replace(str(made), str(out)))
+            aside.rename(out)
+    build(target, policy, ROOT, folder, pid)
+    return out
 
 
 @pytest.fixture(scope="session")

@@ -23,6 +23,7 @@ from tests.sim.identification.test_moments import NF1, flight
 from toolchain.codegen.compiler import CompiledPolicy
 from toolchain.policy.model import read_policy
 from toolchain.verification.verify import Candidate, all_candidates
+from training.tasks.task import PulseTask
 
 Capture = pytest.CaptureFixture[str]
 POLICY = Path("training/policies/nf1")
@@ -75,9 +76,11 @@ def pulling(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(autouse=True)
 def small_budget(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Few observations to verify with, few commands to find the motors' change with."""
+    """Few observations to verify with, few commands to find the motors' change with, of a second each."""
     monkeypatch.setattr(cli.training.adapt, "VERIFIED", 8)
     monkeypatch.setattr(training.adaptation.adapt, "CALIBRATION", 4)
+    short = PulseTask(idle_s=0.2, command_s=0.5, rest_s=0.3)
+    monkeypatch.setattr(training.adaptation.adapt, "PulseTask", lambda: short)
 
 
 def test_a_dry_run_tells_the_factors_and_writes_nothing(log: Path, tmp_path: Path, capsys: Capture) -> None:

@@ -43,9 +43,9 @@ def test_a_named_command_is_flown_by_all_and_compared_by_axis(tmp_path: Path, ca
 
 def test_continuous_commands_are_as_long_and_as_large_as_asked_for(tmp_path: Path, capsys: Capture) -> None:
     plot = tmp_path / "long.png"
-    words = ["--task", "continuous", "--length", "2", "--limit", "50", "--episodes", "3", "--no-noise"]
+    words = ["--task", "continuous", "--length", "1", "--limit", "50", "--episodes", "3", "--no-noise"]
     document = told(capsys, "compare", TUNED, PUBLISHED, *words, "--plot", str(plot))
-    assert (document["task"], document["length_s"], document["limit_deg_s"]) == ("continuous", 2.0, 50.0)
+    assert (document["task"], document["length_s"], document["limit_deg_s"]) == ("continuous", 1.0, 50.0)
     first, other = document["comparison"]
     assert first["response"] is None
     assert other["percent"]["mae"]["value"] == pytest.approx(

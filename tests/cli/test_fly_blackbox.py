@@ -54,7 +54,7 @@ def test_the_log_is_the_trace_when_a_flight_is_logged(
     short: str, port: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path, trace, unlogged = (tmp_path / name for name in ("new.bbl", "one.npz", "two.npz"))
-    arguments = ("--on", port, "--scenario", short)
+    arguments = ("--on", port, "--scenario", short, "--gyro-hz", "2000")
     told = run_json(capsys, *arguments, "--blackbox", path, "--trace", trace)["blackbox"]
     log = read_log(path)
     assert_log_is_trace(log, trace)
@@ -89,7 +89,7 @@ def test_what_came_is_kept_when_the_user_interrupts(
     path = tmp_path / "log.bbl"
     scenario = tmp_path / "long.toml"
     scenario.write_text("[[segment]]\nduration_s = 9\nsetpoint_deg_s = [0, 0, 0]\n")
-    options = ("--on", port, "--scenario", str(scenario), "--jobs", "1")
+    options = ("--on", port, "--scenario", str(scenario), "--gyro-hz", "2000", "--jobs", "1")
     assert main(["fly", *options, "--blackbox", str(path)]) != 0
     assert f"{path}: {path.stat().st_size:,} bytes of the log, up to the error" in capsys.readouterr().err
     log = read_log(path)

@@ -23,6 +23,7 @@ import numpy as np
 import pytest
 from cffi import FFI
 
+from tests.conftest import Once
 from toolchain import contract
 from toolchain.contract import CHANNEL_ARM, CHANNEL_COUNT, CHANNEL_THROTTLE
 from toolchain.errors import BuildError
@@ -183,7 +184,7 @@ def make_scripted(scratch: Path, motors: int, firmware: Path = FIRMWARE) -> Path
     # Relative: tests/coverage.py works inside the checkout, whose path may hold a space.
     folders = (("GENERATED", generated), ("BUILD", build))
     named = [f"{name}={os.path.relpath(path, firmware)}" for name, path in folders]
-    make = ["make", "-s", "-C", str(firmware), "TARGET=HOST", *named]
+    make = ["make", "-s", f"-j{os.cpu_count() or 1}", "-C", str(firmware), "TARGET=HOST", *named]
     done = subprocess.run(make, capture_output=True, text=True)
     if done.returncode != 0:
         raise BuildError(done.stderr)
@@ -191,23 +192,24 @@ def make_scripted(scratch: Path, motors: int, firmware: Path = FIRMWARE) -> Path
 
 
 @pytest.fixture(scope="session")
-def scripted_build(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def scripted_build(once: Once) -> Path:
     """Build directory of the host target around the scripted policy with four motors."""
-    kept = os.environ.get(SCRIPTED_BUILD)
-    return make_scripted(Path(kept) if kept else tmp_path_factory.mktemp("scripted"), motors=4)
+    if kept := os.environ.get(SCRIPTED_BUILD):
+        return make_scripted(Path(kept), motors=4)
+    return once("scripted", lambda folder: make_scripted(folder, motors=4)) / "build"
 
 
 @pytest.fixture(scope="session")
-def hexacopter_build(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def hexacopter_build(once: Once) -> Path:
     """The same with six motors."""
-    return make_scripted(tmp_path_factory.mktemp("hexacopter"), motors=6)
+    return once("hexacopter", lambda folder: make_scripted(folder, motors=6)) / "build"
 
 
 @pytest.fixture(scope="session")
-def scripted(scripted_build: Path) -> Core:
+def scripted(scripted_build: Path, tmp_path_factory: pytest.TempPathFactory) -> Core:
     """The core around the scripted policy with four motors."""
-    scratch = scripted_build.parent
-    return load(scripted_build / "libneuroflight.so", scratch / "generated", scratch)
+    scratch = tmp_path_factory.mktemp("scripted_core")
+    return load(scripted_build / "libneuroflight.so", scripted_build.parent / "generated", scratch)
 
 
 @pytest.fixture(scope="session")

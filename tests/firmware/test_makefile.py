@@ -6,7 +6,10 @@ import os
 import subprocess
 from pathlib import Path
 
-FIRMWARE = Path(__file__).resolve().parents[2] / "firmware"
+from tests.conftest import ROOT
+from toolchain.files import locked
+
+FIRMWARE = ROOT / "firmware"
 
 
 def make(*arguments: str) -> subprocess.CompletedProcess[str]:
@@ -33,3 +36,13 @@ def test_what_depends_on_a_header_is_rebuilt_when_it_changes(hexacopter_build: P
     plan = make("-n", *arguments).stdout
     assert "src/firmware.c" in plan and "src/control/mixer.c" in plan
     assert "src/receiver/sbus.c" not in plan
+
+
+def test_no_image_is_compiled_again_when_only_its_dependencies_are_new(board_image: Path) -> None:
+    out = board_image.parent
+    folders = (("GENERATED", out / "generated"), ("BUILD", out / "make"))
+    named = [f"{name}={os.path.relpath(path, FIRMWARE)}" for name, path in folders]
+    (written,) = (out / "make").rglob("boot.d")  # the compiler's, behind what was compiled before it
+    with locked(out):
+        plan = make("-n", "-W", os.path.relpath(written, FIRMWARE), "TARGET=MATEKF722", *named)
+    assert plan.returncode == 0 and " -c " not in plan.stdout

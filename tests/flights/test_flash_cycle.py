@@ -26,12 +26,12 @@ from sim.flight.scenario import Scenario, Segment
 from sim.flight.trace import Trace
 from sim.ports.emulator import EmulatedPort
 from sim.ports.library import ReferencePort
-from tests.conftest import BUILD, ROOT
+from tests.conftest import BUILD, build_beside
 from tests.flash.image.emulated import BAUD, Wired
 from tests.flash.policies import another_policy
 from tests.flash.rom.conftest import Rig
-from toolchain.contract import IMAGE_PROBATION_MS, MSP_BAUD_DEFAULT
-from toolchain.image.build import build
+from toolchain.contract import FLASH_BASE, IMAGE_PROBATION_MS, MSP_BAUD_DEFAULT
+from toolchain.image.elf import read_flashable
 
 IMAGE_S, SWAP_S = 30.0, 5.0  # what an image and a policy may take of the board's time, restarts included
 A, B = range(2)
@@ -44,8 +44,8 @@ FLIGHT = Scenario(
 def second_image(shipped_policy: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The ELF of another build, for bank A: its policy is another."""
     policy = another_policy(shipped_policy, tmp_path_factory.mktemp("second") / "second.onnx", seed=11)
-    build("MATEKF722", policy, ROOT, BUILD / "second", pid_table(load_aircraft("nf1")))
-    return BUILD / "second" / "MATEKF722" / "neuroflight.elf"
+    table = pid_table(load_aircraft("nf1"))
+    return build_beside("MATEKF722", policy, BUILD / "second", table) / "neuroflight.elf"
 
 
 @pytest.fixture
@@ -63,6 +63,14 @@ def install_by_rom(chip: IdleBoard, image: Path) -> None:
     with Rig(chip).client() as client:
         client.connect()
         rescue.install(client, rescue.make_plan(read_segments(image.with_suffix(".hex"))))
+    chip.board.hold_boot_button(False)
+    chip.board.reset()
+    chip.boot()
+
+
+def start_with(chip: IdleBoard, image: Path) -> None:
+    """The same but for the ROM: the image lies in erased flash."""
+    chip.board.engine.set_memory(FLASH_BASE, read_flashable(image.with_suffix(".bin")))
     chip.board.hold_boot_button(False)
     chip.board.reset()
     chip.boot()
@@ -101,7 +109,9 @@ def swap(wired: Wired, policy: Path) -> float:
     return wired.seconds - began
 
 
+@pytest.mark.parametrize("by_rom", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_an_erased_chip_becomes_a_board_that_flies_a_second_image_with_a_swapped_policy(
+    by_rom: bool,
     chip: IdleBoard,
     board_image: Path,
     second_image: Path,
@@ -110,7 +120,10 @@ def test_an_erased_chip_becomes_a_board_that_flies_a_second_image_with_a_swapped
     flown: Callable[..., Trace],
     tmp_path: Path,
 ) -> None:
-    install_by_rom(chip, board_image)
+    if by_rom:
+        install_by_rom(chip, board_image)
+    else:  # which test_rescue.py sees the ROM make of it
+        start_with(chip, board_image)
     factory = Wired(chip, MSP_BAUD_DEFAULT)
     check_proves_itself(factory)
     store(factory, "msp_baud", BAUD)

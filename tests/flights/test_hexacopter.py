@@ -20,10 +20,10 @@ from sim.physics.twin import Twin
 from sim.ports.emulator import EmulatedPort
 from sim.ports.host import HostPort
 from sim.ports.library import ReferencePort
-from tests.conftest import BUILD, ROOT
+from tests.conftest import BUILD, ROOT, build_beside
 from tests.flights.wiring import reversed_aircraft
 from toolchain.contract import DSHOT_MIN
-from toolchain.image.build import TARGETS, build
+from toolchain.image.build import TARGETS
 
 MOTORS = 6
 POLICY = ROOT / "training" / "policies" / "hexa" / "policy.onnx"
@@ -42,7 +42,7 @@ def built() -> Path:
     """Folder with a build of the policy for each target, beside the aircraft's PID."""
     folder = BUILD / "hexa"
     for target in TARGETS:
-        build(target, POLICY, ROOT, folder, pid_table(load_aircraft("hexa")))
+        build_beside(target, POLICY, folder, pid_table(load_aircraft("hexa")))
     return folder
 
 

@@ -19,9 +19,8 @@ from sim.flight.scenario import Scenario, Segment
 from sim.flight.trace import Trace
 from sim.ports.emulator import EmulatedPort
 from sim.ports.library import ReferencePort
-from tests.conftest import BUILD, ROOT
+from tests.conftest import BUILD, build_beside
 from tests.flash.policies import another_policy
-from toolchain.image.build import build
 
 Flown = Callable[..., Trace]
 FLIGHT = Scenario(
@@ -59,7 +58,7 @@ def test_dshot_is_the_compiled_in_ones_when_the_policy_came_over_the_line(
     image = tmp_path / "neuroflight.bin"
     image.write_bytes(swapped_flash(board_image, other))
     shutil.copy(board_image, image.with_suffix(".elf"))
-    build("HOST", other, ROOT, BUILD / "swapped", pid_table(load_aircraft("nf1")))
+    build_beside("HOST", other, BUILD / "swapped", pid_table(load_aircraft("nf1")))
     on_board = flown(EmulatedPort(image), FLIGHT)
     compiled_in = flown(ReferencePort(BUILD / "swapped" / "HOST" / "libneuroflight.so"), FLIGHT)
     before = flown(ReferencePort(reference_library), FLIGHT)

@@ -18,8 +18,8 @@ from sim.flight.trace import Trace
 from sim.ports.host import HostPort
 from sim.ports.library import ReferencePort
 from sim.ports.python_controller import ControllerPort
+from tests.conftest import build_beside
 from toolchain.contract import observation_blocks, observation_count
-from toolchain.image.build import build
 from toolchain.policy.freeze import to_onnx
 from toolchain.policy.model import read_policy
 
@@ -93,8 +93,7 @@ def policy(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def folder(policy: Path) -> Path:
     """The host's build around `policy`."""
-    build("HOST", policy, ROOT, policy.parent)
-    return policy.parent / "HOST"
+    return build_beside("HOST", policy, policy.parent)
 
 
 def test_python_library_and_program_fly_the_same_bits_when_terms_have_memory(

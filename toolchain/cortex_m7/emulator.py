@@ -11,7 +11,8 @@ import struct
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
+from io import BytesIO
 from pathlib import Path
 
 from elftools.common.exceptions import ELFError
@@ -133,21 +134,26 @@ class Program:
 
 
 def load_program(path: Path) -> Program:
-    """The program in the ELF file `path`. Raises BuildError when it is none for this core."""
+    """The program in the ELF file `path`. Raises BuildError when it is none for this core.
+
+    A file that was read is parsed again only where its bytes are others.
+    """
     try:
         if file_size(path) > ELF_BYTES_MAX:
             raise BuildError(f"{path}: {file_size(path)} bytes, expected an ELF of at most {ELF_BYTES_MAX}")
-        with path.open("rb") as file:
-            elf = ELFFile(file)
-            if elf.get_machine_arch() != "ARM":
-                raise BuildError(
-                    f"{path} is for {elf.get_machine_arch()}, expected ARM; link it for the Cortex-M7"
-                )
-            return Program(path, tuple(_segments(elf)), _symbols(elf), _sections(elf))
+        return _parsed(path, path.read_bytes())
     except OSError as error:
         raise BuildError(f"cannot read the program {path}: {error.strerror}") from error
     except ELFError as error:
         raise BuildError(f"cannot read the program {path}: not an ELF file, {error}") from error
+
+
+@lru_cache(maxsize=8)
+def _parsed(path: Path, content: bytes) -> Program:
+    elf = ELFFile(BytesIO(content))
+    if elf.get_machine_arch() != "ARM":
+        raise BuildError(f"{path} is for {elf.get_machine_arch()}, expected ARM; link it for the Cortex-M7")
+    return Program(path, tuple(_segments(elf)), _symbols(elf), _sections(elf))
 
 
 class CortexM7:

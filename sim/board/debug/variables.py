@@ -6,9 +6,11 @@ found where it is now, or not at all: nothing here knows a layout.
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -37,7 +39,20 @@ class Variable:
 
 
 def read_variables(elf: Path, *paths: str) -> tuple[Variable, ...]:
-    """The variables at `paths`. Raises BuildError when the ELF says nothing of one, or of two alike."""
+    """The variables at `paths`. Raises BuildError when the ELF says nothing of one, or of two alike.
+
+    What was found in a file is found at once the next time, unless its bytes are others.
+    """
+    try:
+        content = hashlib.sha256(elf.read_bytes()).digest()
+    except OSError as error:
+        raise _no_elf(elf, error) from error
+    return _variables(elf, content, paths)
+
+
+@lru_cache(maxsize=64)
+def _variables(elf: Path, content: bytes, paths: tuple[str, ...]) -> tuple[Variable, ...]:
+    """content: the digest of what `elf` holds."""
     with _units(elf) as units:
         places = [_place(units, path, elf) for path in paths]
         return tuple(Variable(at, _dtype(kind, path)) for path, (at, kind) in zip(paths, places, strict=True))
@@ -70,7 +85,11 @@ def _units(elf: Path) -> Iterator[list[Any]]:
             image = ELFFile(file)
             yield list(image.get_dwarf_info().iter_CUs()) if image.has_dwarf_info() else []
     except (OSError, ELFError) as error:
-        raise BuildError(f"{elf}: not an ELF file with debug information ({error})") from error
+        raise _no_elf(elf, error) from error
+
+
+def _no_elf(elf: Path, error: Exception) -> BuildError:
+    return BuildError(f"{elf}: not an ELF file with debug information ({error})")
 
 
 def _pointers(kind: Any, at: int) -> Iterator[slice]:  # noqa: ANN401 - pyelftools has no types

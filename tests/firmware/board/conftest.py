@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import itertools
+import os
 import struct
 import subprocess
 from collections.abc import Callable, Sequence
@@ -30,6 +31,7 @@ from unicorn.arm_const import (
 from sim.aircraft.model import load_aircraft
 from sim.board.registers.core_registers import Register
 from sim.control.pid_table import pid_table
+from tests.conftest import Once
 from tests.firmware.board.registers import registers_in_use
 from toolchain.codegen.compiler import compile_policy
 from toolchain.contract import DTCM, FLASH_BASE, FLASH_BYTES, ITCM, SRAM1, SRAM2, observation_blocks
@@ -91,21 +93,24 @@ def random_policy() -> PolicyModel:
 
 
 @pytest.fixture(scope="session")
-def image_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def image_folder(once: Once) -> Path:
     """Where make has left neuroflight.elf, .bin and .hex."""
-    scratch = tmp_path_factory.mktemp("matekf722")
+    return once("matekf722", make_image) / "build"
+
+
+def make_image(scratch: Path) -> None:
+    """Build it into a folder of `scratch`."""
     emission = compile_policy(random_policy()).emission
     (scratch / "policy.c").write_text(emission.source)
     (scratch / "policy.h").write_text(emission.header)
     (scratch / "nf_contract.h").write_text(render_contract())
     pid = pid_table(load_aircraft("nf1"))
     (scratch / "pid_table.c").write_text(render_pid_table(pid, WIDTHS[-1], CONTROL_HZ))
-    make = ["make", "-s", "-C", str(ROOT / "firmware"), "TARGET=MATEKF722"]
+    make = ["make", "-s", f"-j{os.cpu_count() or 1}", "-C", str(ROOT / "firmware"), "TARGET=MATEKF722"]
     done = subprocess.run(
         [*make, f"GENERATED={scratch}", f"BUILD={scratch / 'build'}"], capture_output=True, text=True
     )
     assert done.returncode == 0, done.stderr
-    return scratch / "build"
 
 
 @pytest.fixture(scope="session")

@@ -20,7 +20,6 @@ from flash.client import Client
 from flash.transport import TcpPort, TcpTransport
 from sim.aircraft.model import load_aircraft
 from sim.analysis.metrics import figures
-from sim.control.pid_table import pid_table
 from sim.flight.loop import fly
 from sim.flight.scenario import Scenario, Segment
 from sim.physics.twin import Twin
@@ -47,7 +46,7 @@ from toolchain.contract import (
     StopCause,
 )
 from toolchain.errors import LinkError
-from toolchain.image.build import build
+from toolchain.files import locked
 from toolchain.policy.model import read_policy
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -385,11 +384,12 @@ def test_the_policy_cannot_arm_but_the_pid_can_when_a_weight_is_corrupted(
 
 
 @pytest.fixture(scope="module")
-def nan_policy(shipped_policy: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def nan_policy(host_program: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The program around a policy that answers no number at its step NAN_STEP, self-test included."""
-    folder = tmp_path_factory.mktemp("nan")
-    build("HOST", shipped_policy, ROOT, folder, pid_table(load_aircraft("nf1")))
-    generated = folder / "HOST" / "generated"
+    folder = tmp_path_factory.mktemp("nan") / "HOST"
+    with locked(host_program.parent):
+        shutil.copytree(host_program.parent, folder)  # but for the policy everything is compiled there
+    generated = folder / "generated"
     source = (generated / "policy.c").read_text()
     call = "void policy_step("
     assert source.count(call) == 1
@@ -408,9 +408,9 @@ void policy_step(struct policy *p, const float observation[POLICY_OBSERVATION_CO
     firmware = ROOT / "firmware"
     make = ["make", "-s", "-C", str(firmware), "TARGET=HOST"]
     make += [f"GENERATED={os.path.relpath(generated, firmware)}"]
-    make += [f"BUILD={os.path.relpath(folder / 'HOST', firmware)}"]
+    make += [f"BUILD={os.path.relpath(folder / 'make', firmware)}"]
     subprocess.run(make, check=True, capture_output=True)
-    return folder / "HOST"
+    return folder / "make"
 
 
 def test_the_pid_answers_in_the_same_step_when_the_policy_answers_no_number(

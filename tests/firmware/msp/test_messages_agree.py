@@ -13,7 +13,7 @@ from toolchain.contract.msp_layouts import NUMBERS, MspField, MspGroup, MspLayou
 from toolchain.contract.msp_messages import LAYOUTS
 from toolchain.errors import LinkError
 
-MANY = settings(max_examples=100, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
+MANY = settings(max_examples=40, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
 THOUSAND = settings(MANY, max_examples=1000)
 WIDTHS = {"B": 8, "b": 8, "H": 16, "h": 16, "I": 32, "i": 32}
 CHARACTERS = st.characters(min_codepoint=32, max_codepoint=126)
@@ -72,9 +72,8 @@ def test_a_thousand_of_each_come_out_as_they_went_in(layout: MspLayout) -> None:
     check_round_trip(layout, THOUSAND)
 
 
-@pytest.mark.parametrize("layout", LAYOUTS, ids=NAMES)
-def test_any_bytes_are_read_or_refused_in_one_line(layout: MspLayout) -> None:
-    @MANY
+def check_any_bytes(layout: MspLayout, many: settings) -> None:
+    @many
     @given(st.binary(max_size=300))
     def check(payload: bytes) -> None:
         try:
@@ -85,3 +84,14 @@ def test_any_bytes_are_read_or_refused_in_one_line(layout: MspLayout) -> None:
         assert repr(decode(layout, encode(layout, values), whole=True)) == repr(values)  # NaN is itself here
 
     check()
+
+
+@pytest.mark.parametrize("layout", LAYOUTS, ids=NAMES)
+def test_any_bytes_are_read_or_refused_in_one_line(layout: MspLayout) -> None:
+    check_any_bytes(layout, MANY)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("layout", LAYOUTS, ids=NAMES)
+def test_a_thousand_of_any_bytes_are_read_or_refused_in_one_line(layout: MspLayout) -> None:
+    check_any_bytes(layout, THOUSAND)

@@ -83,10 +83,10 @@ def test_an_interruption_saves_the_last_segment(tmp_path: Path) -> None:
     assert read_policy(tmp_path / "policy.onnx").observation_count == 6
 
 
-def test_learns_to_follow_within_forty_rollouts(tmp_path: Path) -> None:
-    """The default run cut short, exploration kept up: seeds 1, 2 and 3 all pass with room."""
+def test_learns_to_follow_within_22_rollouts(tmp_path: Path) -> None:
+    """The default run cut short, exploration kept up: seeds 1, 2 and 3 all pass with room (6 to 11 deg/s)."""
     seen: list[Progress] = []
-    config = TrainingConfig(steps=40 * 32_768, seed=2, algorithm=PpoConfig(log_std=(-1.0, -1.2)))
+    config = TrainingConfig(steps=22 * 32_768, seed=2, algorithm=PpoConfig(log_std=(-1.0, -1.2)))
     train(NF1, config, tmp_path, Log(seen))
     rewards = [progress.reward for progress in seen]
     assert sum(rewards[-5:]) / 5 > sum(rewards[:3]) / 3 + 1.0
