@@ -210,6 +210,7 @@ def _list(args: argparse.Namespace, known: Experiments, results: Sequence[RowRes
 
 
 def _print(console: Console, results: Sequence[RowResult]) -> None:
+    from rich.markup import escape
     from rich.table import Table
 
     from training.reproduction.page import measured, quoted
@@ -217,7 +218,8 @@ def _print(console: Console, results: Sequence[RowResult]) -> None:
     for each in results:
         row = each.row
         if each.results:
-            table = Table(title=f"{row.place}: {row.title}", title_justify="left", box=None, pad_edge=False)
+            title = escape(f"{row.place}: {row.title}")
+            table = Table(title=title, title_justify="left", box=None, pad_edge=False)
             table.add_column("")
             for heading in ("dissertation", "ours"):
                 table.add_column(heading, justify="right")
@@ -225,7 +227,7 @@ def _print(console: Console, results: Sequence[RowResult]) -> None:
             for result in each.results:
                 value = measured(result)
                 judged = "" if result.judged is None else str(result.judged)
-                table.add_row(result.figure.what, quoted(result.figure), value, judged)
+                table.add_row(escape(result.figure.what), quoted(result.figure), value, judged)
             console.print(table)
         else:
             console.print(f"{row.place}: {row.title}: a picture", markup=False)

@@ -7,8 +7,10 @@ import tomllib
 from pathlib import Path
 
 import pytest
+from rich.console import Console
 
 from cli.main import main, parser
+from cli.training import reproduce
 from sim.aircraft.model import FOLDER
 from sim.identification.propeller import fit_propeller, read_measurements
 from training.dissertation.quotes import quotes
@@ -180,3 +182,9 @@ def test_the_aircraft_without_rotor_drag_lacks_nothing_else() -> None:
         assert other["propulsion"].pop(name) == 0.0
     nf1["pid"] = {"published": nf1["pid"]["published"]}
     assert other == nf1 | {name: other[name] for name in ("name", "description")}
+
+
+def test_units_in_brackets_are_printed(capsys: pytest.CaptureFixture[str]) -> None:
+    (row,) = experiments().chosen(["3.4-ppo"])
+    reproduce._print(Console(width=200), [row_result(row, read_stored(STORED))])
+    assert "Table 3.4: Rise time [ms], mean of all agents: PPO" in capsys.readouterr().out
