@@ -330,6 +330,7 @@ def _noise_errors(noise: tuple[float, float]) -> Iterator[str]:
         yield f"noise {list(noise)}, expected 0 to 1 each: outputs lie in -1 to 1"
 
 
+ENDS_IN_TANH = OffPolicyConfig | Ddpg1Config  # the actors of these
 ALGORITHMS: dict[str, type[Algorithm]] = {
     algorithm.name: algorithm
     for algorithm in (

@@ -26,7 +26,7 @@ from toolchain.contract import (
 )
 from toolchain.errors import AircraftError, TrainingError
 from toolchain.policy.model_constants import ModelConstants
-from training.config.algorithms import Algorithm, Ddpg1Config, OffPolicyConfig, PpoConfig
+from training.config.algorithms import ENDS_IN_TANH, Algorithm, PpoConfig
 from training.config.pathwise_config import PathwiseConfig
 from training.config.randomization import SAME, Randomization
 from training.config.selection import SelectionLimits
@@ -198,7 +198,7 @@ class TrainingConfig:
         if self.gyro_filter not in GYRO_FILTERS:
             yield f"gyro_filter {self.gyro_filter!r}, expected one of: {', '.join(GYRO_FILTERS)}"
         yield from self.output.errors()
-        if not self.output.squash and isinstance(self.algorithm, OffPolicyConfig | Ddpg1Config):
+        if not self.output.squash and isinstance(self.algorithm, ENDS_IN_TANH):
             yield f"output.squash false, expected true: {self.algorithm.name}'s policies end in tanh"
         if not self.output.squash and self.drawn_bounded and isinstance(self.algorithm, PpoConfig):
             yield "output.squash false, expected true: a beta distribution has its mode at tanh of a sum"
@@ -260,7 +260,7 @@ class TrainingConfig:
             case PpoConfig(distribution=distribution):
                 return distribution == "beta"
             case algorithm:
-                return isinstance(algorithm, OffPolicyConfig | Ddpg1Config)
+                return isinstance(algorithm, ENDS_IN_TANH)
 
     @property
     def gyro_mean(self) -> bool:
