@@ -68,22 +68,34 @@ def parse_address(text: str, *, remote: bool = False) -> Address:
     return address
 
 
+def _open(address: Address) -> socket.socket:
+    """A socket that talks to address only and never waits. Raises LinkError."""
+    opened = socket.socket(address.family, socket.SOCK_DGRAM)
+    try:
+        opened.connect((address.host, address.port))
+    except OSError as error:
+        opened.close()
+        why = (error.strerror or str(error)).lower()
+        raise LinkError(
+            f"--mavlink: {address.host} port {address.port}: {why}, expected a way there; "
+            "check the address and the network"
+        ) from None
+    opened.setblocking(False)
+    return opened
+
+
 class UdpPeer:
     """A socket that talks to one address and hears no other."""
 
     def __init__(self, address: Address) -> None:
         """Raises LinkError where the system has no way there."""
-        self._socket = socket.socket(address.family, socket.SOCK_DGRAM)
-        try:
-            self._socket.connect((address.host, address.port))
-        except OSError as error:
-            self._socket.close()
-            why = (error.strerror or str(error)).lower()
-            raise LinkError(
-                f"--mavlink: {address.host} port {address.port}: {why}, expected a way there; "
-                "check the address and the network"
-            ) from None
-        self._socket.setblocking(False)
+        self._socket = _open(address)
+        if self._socket.getsockname() == self._socket.getpeername():
+            # While nobody listens there, the system may give a socket the very port it is to send to. It
+            # would hear itself and keep that port from the peer. Another socket gets another port as long as
+            # this one is open.
+            with self._socket:
+                self._socket = _open(address)
 
     def fileno(self) -> int:
         """For select."""

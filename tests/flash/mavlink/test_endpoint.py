@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import random
 import socket
+from typing import Any
 
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
@@ -79,6 +80,38 @@ def test_nothing_happens_when_nobody_listens_and_a_later_peer_is_heard() -> None
             station.bind(("127.0.0.1", number))
             peer.send(b"hello")
             _, there = station.recvfrom(100)
+            station.sendto(b"here", there)
+            assert peer.receive() == b"here"
+    finally:
+        peer.close()
+
+
+def test_a_port_that_the_system_gave_to_both_ends_is_left_to_the_peer(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Which port a socket gets is the system's choice: here the first one gets the peer's."""
+    sockets: list[socket.socket] = []
+
+    class Unlucky(socket.socket):
+        def connect(self, place: Any) -> None:
+            if not sockets:
+                self.bind(place)
+            sockets.append(self)
+            super().connect(place)
+
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as station:
+        station.bind(("127.0.0.1", 0))
+        number = station.getsockname()[1]
+    monkeypatch.setattr("flash.mavlink.endpoint.socket.socket", Unlucky)
+    peer = UdpPeer(parse_address(f"udp:127.0.0.1:{number}"))
+    monkeypatch.undo()
+    try:
+        assert len(sockets) == 2 and sockets[0].fileno() == -1
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as station:
+            station.bind(("127.0.0.1", number))
+            peer.send(b"hello")
+            packet, there = station.recvfrom(100)
+            assert packet == b"hello" and there[1] != number
             station.sendto(b"here", there)
             assert peer.receive() == b"here"
     finally:
