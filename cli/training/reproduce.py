@@ -53,9 +53,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=Path,
         default=Path("runs/reproduce"),
         metavar="DIR",
-        help="what the commands write; finished ones are not repeated; default: runs/reproduce",
+        help="what the commands write; finished ones are not repeated unless a file that they name, a recipe "
+        "or an aircraft, has changed; default: runs/reproduce",
     )
-    parser.add_argument("--force", action="store_true", help="repeat what is finished too")
+    parser.add_argument(
+        "--force", action="store_true", help="repeat what is finished too, as after a change of the program"
+    )
     parser.add_argument(
         "--store",
         action="store_true",
@@ -167,6 +170,9 @@ def _watcher(console: Console, count: int, reasons: dict[str, str]) -> Watcher:
             self._ended += 1
             took = f"{done.seconds:.0f} s" if again else "was there"
             console.print(f"[{self._ended} of {count}] {done.step.name}: {took}", markup=False)
+
+        def outdated(self, step: Step, name: str) -> None:
+            console.print(f"{step.name}: {name} has changed since it ran", markup=False)
 
         def failed(self, step: Step, reason: str) -> None:
             self._ended += 1

@@ -1,7 +1,8 @@
 """Runs steps: each a command in a process of its own, several at a time; finished ones are not repeated.
 
 A step's folder is OUT/BUDGET/NAME with what its command writes, OUT/BUDGET/NAME.json holds what it printed
-and OUT/BUDGET/NAME.png its picture. A training that was interrupted goes on from its last checkpoint.
+and OUT/BUDGET/NAME.png its picture. A result is kept as long as the command has the same words and the files
+that they name have the same content. A training that was interrupted goes on from its last checkpoint.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from typing import Any
 
 from toolchain.files import file_size, write_text
 from training.reproduction.experiments import FOLDER, OUT, PLOT, Budget, ReproduceError, Step
+from training.reproduction.inputs import changed, inputs
 
 OUTPUT_BYTES_MAX = 64 << 20
 PICTURES = ("view",)  # commands that draw and print no JSON
@@ -69,6 +71,12 @@ class Place:
 
         return [filled(word) for word in step.words(self.budget)]
 
+    def inputs(self, step: Step) -> dict[str, str]:
+        """Digests of the files that the command reads, see `inputs`."""
+        own = {"{" + name + "}" for name in (OUT, PLOT)}
+        pairs = zip(step.words(self.budget), self.words(step), strict=True)
+        return inputs([word for raw, word in pairs if not any(name in raw for name in own)], self.root)
+
     def _path(self, step: Step, name: str) -> str:
         path = self.picture(step.name) if name == PLOT else self.folder(step.name if name == OUT else name)
         # Commands run in `root`: what is inside it has the same name wherever the project lies.
@@ -83,6 +91,9 @@ class Watcher:
 
     def finished(self, done: Done, *, again: bool) -> None:
         """A step has its result; `again` is False if it was there already."""
+
+    def outdated(self, step: Step, name: str) -> None:
+        """A step has the result of another content of the input `name`; it is run again."""
 
     def failed(self, step: Step, reason: str) -> None:
         """A step has none; steps that need it are left out."""
@@ -111,7 +122,7 @@ def run_steps(
     lost: set[str] = set()
     if not force:
         for step in plan:
-            kept = None if any(name not in done for name in step.needs) else kept_result(step, place)
+            kept = None if any(name not in done for name in step.needs) else kept_result(step, place, watcher)
             if kept is not None:
                 done[step.name] = kept
                 watcher.finished(kept, again=False)
@@ -144,8 +155,8 @@ def run_steps(
     return done
 
 
-def kept_result(step: Step, place: Place) -> Done | None:
-    """The result that a step already has, if it is of the same command."""
+def kept_result(step: Step, place: Place, watcher: Watcher) -> Done | None:
+    """The result that a step already has, if it is of the same command and inputs."""
     path = place.output(step.name)
     if not path.is_file() or file_size(path) > OUTPUT_BYTES_MAX:
         return None
@@ -153,21 +164,25 @@ def kept_result(step: Step, place: Place) -> Done | None:
         record = json.loads(path.read_text())
         if record["words"] != place.words(step):
             return None
+        if other := changed(record["inputs"], place.inputs(step)):
+            watcher.outdated(step, other)
+            return None
         picture = place.picture(step.name) if step.draws else None
         if picture is not None and not picture.is_file():
             return None
         return Done(
             step, place.budget, _typed(record["words"]), float(record["seconds"]), record["output"], picture
         )
-    except (ValueError, KeyError, TypeError, OSError):
+    except (ValueError, KeyError, TypeError, AttributeError, OSError):
         return None
 
 
 def _run(step: Step, place: Place, execute: Execute, stop: Event) -> Done:
     words = place.words(step)
+    read = place.inputs(step)
     folder = place.folder(step.name)
-    started = folder.with_suffix(".words")
-    before = json.dumps(words)
+    started = folder.with_suffix(".started")
+    before = json.dumps({"words": words, "inputs": read})
     folder.parent.mkdir(parents=True, exist_ok=True)
     more: list[str] = []
     if words[0] not in RESUMED:
@@ -187,7 +202,7 @@ def _run(step: Step, place: Place, execute: Execute, stop: Event) -> Done:
         output = {} if plain else json.loads(text)
     except ValueError as error:
         raise ReproduceError(f"{_typed(words)}: printed no JSON ({error})") from error
-    record = {"words": words, "seconds": round(seconds, 1), "output": output}
+    record = {"words": words, "inputs": read, "seconds": round(seconds, 1), "output": output}
     write_text(place.output(step.name), json.dumps(record, indent=1) + "\n")
     picture = place.picture(step.name) if step.draws else None
     return Done(step, place.budget, _typed(words), seconds, output, picture)

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from training.reproduction.experiments import Experiments, ReproduceError, Step, parse
+from training.reproduction.inputs import inputs
 from training.reproduction.steps import Done, Place, Watcher, execute_here, run_steps
 
 TEXT = """
@@ -70,6 +71,10 @@ class Seen(Watcher):
     def __init__(self) -> None:
         self.told: list[str] = []
 
+    def outdated(self, step: Step, name: str) -> None:
+        """See Watcher."""
+        self.told.append(f"{step.name}: {name} changed")
+
     def finished(self, done: Done, *, again: bool) -> None:
         """See Watcher."""
         self.told.append(f"{done.step.name} {'ran' if again else 'was there'}")
@@ -119,6 +124,68 @@ def test_another_command_is_another_result(known: Experiments, tmp_path: Path) -
     again = Commands()
     run(changed, tmp_path, again)
     assert [words[0] for words in again.seen] == ["evaluate"]
+
+
+RECIPE = TEXT.replace("train --steps 10 ", "train --config recipe.toml ")
+
+
+def test_another_content_of_a_recipe_is_another_result(tmp_path: Path) -> None:
+    known = parse(RECIPE, "test")
+    recipe = tmp_path / "recipe.toml"
+    recipe.write_text("steps = 5")
+    run(known, tmp_path, Commands())
+    recipe.write_text("# five\nsteps  = 5\n")
+    again = Commands()
+    assert sorted(run(known, tmp_path, again)) == ["alone was there", "fly was there", "train was there"]
+    recipe.write_text("steps = 6")
+    told = run(known, tmp_path, again)
+    assert sorted(told) == ["alone was there", "fly ran", "train ran", "train: recipe.toml changed"]
+    recipe.unlink()
+    assert "train: recipe.toml changed" in run(known, tmp_path, again)
+
+
+def test_the_output_of_another_step_that_was_replaced_is_another_input(
+    known: Experiments, tmp_path: Path
+) -> None:
+    run(known, tmp_path, Commands())
+    policy = tmp_path / "quick/train/policy.onnx"
+    policy.parent.mkdir(exist_ok=True)
+    policy.write_bytes(b"another")
+    told = run(known, tmp_path, Commands())
+    assert "fly: quick/train/policy.onnx changed" in told and "train was there" in told
+
+
+def test_a_checkpoint_of_another_recipe_is_removed(tmp_path: Path) -> None:
+    known = parse(RECIPE, "test")
+    recipe = tmp_path / "recipe.toml"
+    recipe.write_text("steps = 5")
+    run(known, tmp_path, Commands("train"))
+    checkpoint = tmp_path / "quick/train/checkpoint.pt"
+    checkpoint.parent.mkdir(exist_ok=True)
+    checkpoint.write_bytes(b"half")
+    recipe.write_text("steps = 6")
+    again = Commands()
+    run(known, tmp_path, again)
+    assert "--resume" not in again.seen[0] and not checkpoint.exists()
+
+
+def test_recipes_and_aircraft_of_the_project_are_inputs_by_their_names(tmp_path: Path) -> None:
+    words = ["train", "--aircraft", "iris", "--config", "dissertation-5", "--set", "x" * 5000, "a\0b", "nf1"]
+    words += ["--aircraft", "y" * 5000]
+    assert sorted(inputs(words, tmp_path)) == ["dissertation-5", "iris"]
+    assert inputs(["--aircraft", "nf1"], tmp_path) != inputs(["--config", "nf1"], tmp_path)
+
+
+def test_a_result_without_inputs_is_run_again(known: Experiments, tmp_path: Path) -> None:
+    run(known, tmp_path, Commands())
+    record = tmp_path / "quick/alone.json"
+    good = json.loads(record.read_text())
+    assert "alone was there" in run(known, tmp_path, Commands())
+    without = {key: value for key, value in good.items() if key != "inputs"}
+    wrong: object
+    for wrong in (without, None, [], {**good, "inputs": [1]}, {**good, "words": 5}):
+        record.write_text(json.dumps(wrong))
+        assert "alone ran" in run(known, tmp_path, Commands())
 
 
 def test_a_failed_step_takes_with_it_only_those_that_need_it(known: Experiments, tmp_path: Path) -> None:

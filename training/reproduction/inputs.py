@@ -1,0 +1,47 @@
+"""What a command reads: the files that its words name, and a digest of each, so that a change is noticed."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import itertools
+import json
+import os
+import tomllib
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from sim.aircraft.model import FOLDER as AIRCRAFT
+from training.config.config_file import FOLDER as RECIPES
+
+DIGITS = 16  # of a SHA-256
+SHIPPED = {"--config": RECIPES, "--aircraft": AIRCRAFT}  # by option: where the files are that it names
+
+
+def inputs(words: Sequence[str], root: Path) -> dict[str, str]:
+    """A digest of each file that words name: by its path in `root`, or as a recipe or an aircraft that comes
+    with the project. Of TOML the content counts, not its comments.
+
+    What an input names in its turn (a mesh of an aircraft) is not looked at, nor the program itself.
+    """
+    found: dict[str, str] = {}
+    for option, word in itertools.pairwise(["", *words]):
+        shipped = [SHIPPED[option] / f"{word}.toml"] if option in SHIPPED else []
+        # Unlike Path's, os.path's isfile is False for a word that is too long for a name.
+        path = next((each for each in (*shipped, root / word) if os.path.isfile(each)), None)  # noqa: PTH113
+        if path is not None:
+            found[word] = _digest(path)
+    return found
+
+
+def changed(before: Mapping[str, str], now: Mapping[str, str]) -> str:
+    """The name of an input that is another one now; empty: none is."""
+    return next((name for name in {**before, **now} if before.get(name) != now.get(name)), "")
+
+
+def _digest(path: Path) -> str:
+    data = path.read_bytes()
+    if path.suffix == ".toml":
+        with contextlib.suppress(ValueError):  # the command will tell what is wrong in it
+            data = json.dumps(tomllib.loads(data.decode()), sort_keys=True, default=str).encode()
+    return hashlib.sha256(data).hexdigest()[:DIGITS]
