@@ -16,6 +16,7 @@ from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from sim.aircraft.model import Aircraft
 from training.config.algorithms import DdpgConfig, OffPolicyConfig, SacConfig, Td3Config
 from training.config.training_config import TrainingConfig
+from training.learners.memory import check_memory
 from training.learners.protocol import Report, named_layers
 from training.learners.sb3 import MODULES, Sb3Learner
 
@@ -28,6 +29,8 @@ class OffPolicyLearner(Sb3Learner):
     _model: OffPolicyAlgorithm
 
     def __init__(self, aircraft: Aircraft, config: TrainingConfig, off_policy: OffPolicyConfig) -> None:
+        inputs, motors = len(config.observation_scale(aircraft.motor_count)), aircraft.motor_count
+        check_memory(off_policy.buffer, config.steps, 2 * inputs + motors + 3)  # see REMEMBERED
         super().__init__(aircraft, config, off_policy.discount)
         common: dict[str, Any] = {
             "learning_rate": self._annealed(off_policy.learning_rate),

@@ -253,3 +253,23 @@ def test_an_invalid_configuration_is_rejected_before_training_starts(
 def test_rejects_outputs_without_a_bound_when_the_actor_ends_in_tanh(name: str) -> None:
     with pytest.raises(TrainingError, match=f"output.squash false, expected true: {name}'s policies"):
         TrainingConfig(algorithm=ALL[name])
+
+
+@pytest.mark.parametrize("name", [*OFF_POLICY, "ddpg1"])
+def test_a_buffer_larger_than_a_checkpoint_is_refused_before_a_step_is_flown(
+    name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    config = config_of(ALL[name], output=SQUASHED)
+    with learning(config) as learner:
+        while learner.steps < FEW["buffer"] * 2:
+            learner.learn(0, lambda report: None)
+        memory = learner.state()["memory"]
+    size = sum(each.nbytes for each in memory.values() if isinstance(each, torch.Tensor))
+    monkeypatch.setattr("training.learners.memory.CHECKPOINT_FILE_BYTES_MAX", size)
+    with learning(config):
+        pass
+    monkeypatch.setattr("training.learners.memory.CHECKPOINT_FILE_BYTES_MAX", size - 1)
+    with pytest.raises(TrainingError, match=rf"{size} bytes of it.*; choose at most \d+$"), learning(config):
+        pass
+    with learning(replace(config, steps=500)):  # which do not fill it
+        pass
