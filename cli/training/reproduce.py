@@ -20,6 +20,7 @@ ROOT = Path(__file__).resolve().parents[2]
 STORED = ROOT / "docs" / "results" / "dissertation"
 PAGE = ROOT / "docs" / "dissertation.md"
 PICTURES = ROOT / "docs" / "dissertation"
+OUT = Path("runs", "reproduce")
 JOBS_MAX = 256
 
 
@@ -51,7 +52,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--out",
         type=Path,
-        default=Path("runs/reproduce"),
+        default=OUT,
         metavar="DIR",
         help="what the commands write; finished ones are not repeated unless a file that they name, a recipe "
         "or an aircraft, has changed; default: runs/reproduce",
@@ -210,8 +211,8 @@ def _list(args: argparse.Namespace, known: Experiments, results: Sequence[RowRes
             f"    neuroflight reproduce {row.name} --budget {args.budget}", markup=False, style="dim"
         )
         for step in known.plan([row]) if args.rows else ():
-            words = " ".join(step.words(args.budget))
-            console.print(f"        {step.name}: neuroflight {words}", markup=False, style="dim")
+            line = f"        {step.name}: neuroflight {step.text(args.budget)}"
+            console.print(line, markup=False, style="dim")
     console.print(f"{len(results)} rows", style="dim")
 
 

@@ -43,9 +43,13 @@ class Step:
     quick: str  # words after `neuroflight`, without --json
     full: str
 
+    def text(self, budget: Budget) -> str:
+        """What a user types after `neuroflight`, with folders still in braces."""
+        return self.full if budget == "full" else self.quick
+
     def words(self, budget: Budget) -> list[str]:
-        """The command's words, with folders still in braces."""
-        return shlex.split(self.full if budget == "full" else self.quick)
+        """The words of `text`."""
+        return shlex.split(self.text(budget))
 
     @property
     def needs(self) -> tuple[str, ...]:

@@ -8,6 +8,7 @@ that they name have the same content. A training that was interrupted goes on fr
 from __future__ import annotations
 
 import json
+import shlex
 import shutil
 import signal
 import subprocess
@@ -218,7 +219,7 @@ def _begun(folder: Path) -> bool:
 
 
 def _typed(words: Sequence[str]) -> str:
-    return " ".join(["neuroflight", *words])
+    return shlex.join(["neuroflight", *words])
 
 
 def execute_here(words: Sequence[str], folder: Path, stop: Callable[[], bool]) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shlex
 import tomllib
 from pathlib import Path
 
@@ -99,6 +100,13 @@ def test_stored_figures_are_those_that_rows_read() -> None:
     assert missing == []
 
 
+def test_stored_figures_are_of_the_commands_as_they_are_now() -> None:
+    known = experiments()
+    for name, step in read_stored(STORED).items():
+        words = Place(ROOT, ROOT / reproduce.OUT, step.budget).words(known.steps[name])
+        assert shlex.split(step.command) == ["neuroflight", *words]
+
+
 def test_pictures_of_the_page_are_there() -> None:
     drawn = {row.picture for row in experiments().rows if row.picture}
     assert {path.stem for path in DRAWN.glob("*.png")} == drawn
@@ -154,6 +162,16 @@ def test_list_of_a_row_tells_what_it_runs(capsys: pytest.CaptureFixture[str]) ->
     printed = capsys.readouterr().out
     for part in ("Table 3.9", "full, surpassed", "m = 1: ", "iris-ppo-1: neuroflight train --aircraft "):
         assert part in printed
+
+
+def test_a_listed_command_can_be_typed_when_a_word_of_it_has_spaces(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert main(["reproduce", "--list", "3.4f-ppo"]) == 0
+    (line,) = (each for each in capsys.readouterr().out.splitlines() if "iris-ppo-curves: " in each)
+    typed = line.partition("neuroflight ")[2]
+    assert shlex.split(typed) == experiments().steps["iris-ppo-curves"].words("quick")
+    assert "PPO, m = 1" in shlex.split(typed)
 
 
 def test_an_unknown_row_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
