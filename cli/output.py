@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -41,7 +42,9 @@ def check_folder(path: Path | None, option: str) -> None:
 
 
 def command_line(command: str, /, *words: str, **options: object) -> str:
-    """The command that repeats a result: without options that are None or False, paths cut short."""
+    """The command that repeats a result, as a shell takes it: without options that are None or False, paths
+    cut short.
+    """
     line = ["neuroflight", command, *(_short(word) for word in words)]
     for name, value in options.items():
         if value is None or value is False:
@@ -50,7 +53,7 @@ def command_line(command: str, /, *words: str, **options: object) -> str:
         if value is not True:
             values = value if isinstance(value, Sequence) and not isinstance(value, str) else [value]
             line += [f"{item:g}" if isinstance(item, float) else _short(str(item)) for item in values]
-    return " ".join(line)
+    return shlex.join(line)
 
 
 def print_table(title: str, rows: Sequence[tuple[str, ...]], note: str = "", *, left: bool = False) -> None:

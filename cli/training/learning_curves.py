@@ -86,12 +86,9 @@ def _labels(args: argparse.Namespace) -> list[str]:
 
 
 def _command(args: argparse.Namespace) -> str:
-    import shlex
-
     from cli.output import command_line
 
-    labels = None if args.label is None else [shlex.quote(label) for label in args.label]
-    return command_line("learning-curves", *map(str, args.runs), label=labels)
+    return command_line("learning-curves", *map(str, args.runs), label=args.label)
 
 
 def _document(curve: Curve) -> dict[str, object]:

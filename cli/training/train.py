@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import shlex
 import sys
 from contextlib import ExitStack
 from pathlib import Path
@@ -204,7 +203,7 @@ def _command(args: argparse.Namespace, config: TrainingConfig, seeds: int = 1) -
         steps=args.steps,
         seed=config.seed,
         seeds=seeds if seeds > 1 else None,
-        set=[shlex.quote(override) for override in args.set] or None,
+        set=args.set or None,
     )
 
 

@@ -227,7 +227,7 @@ def _document(
     from training.evaluation.failure import DIVERGENCE, RECOVERY, document
 
     cases = {option: getattr(args, option) for option in ("fail", "payload", "drop", "shift")}
-    words = [f"--{option} {value}" for option, values in cases.items() for value in values]
+    words = [word for option, values in cases.items() for value in values for word in (f"--{option}", value)]
     command = command_line(
         "failure",
         *args.controllers,
