@@ -30,7 +30,7 @@ def render(experiments: Experiments, kept: Mapping[str, Kept], pictures: str) ->
         parts.append(f"## Chapter {chapter}: {CHAPTERS[chapter]}" if chapter < 6 else f"## {CHAPTERS[6]}")
         filled = [each for each in rows if not each.row.hardware]
         for place, group in groupby(filled, lambda result: result.row.place):
-            parts += _place(place, list(group), pictures)
+            parts += _place(place, list(group), experiments, pictures)
     parts.append(_hardware(experiments.rows))
     return "\n\n".join(parts) + "\n"
 
@@ -86,7 +86,7 @@ def _summary(results: Sequence[RowResult]) -> str:
     )
 
 
-def _place(place: str, group: Sequence[RowResult], pictures: str) -> list[str]:
+def _place(place: str, group: Sequence[RowResult], experiments: Experiments, pictures: str) -> list[str]:
     titles = dict.fromkeys(result.row.title for result in group)
     title = titles.popitem()[0] if len(titles) == 1 else _common(list(titles))
     parts = [f"### {place}: {title}" if title else f"### {place}"]
@@ -108,7 +108,7 @@ def _place(place: str, group: Sequence[RowResult], pictures: str) -> list[str]:
             parts.append(f"{head}{result.row.why}")
     for name in dict.fromkeys(result.row.picture for result in group if result.row.picture):
         parts.append(f"![{place}]({pictures}/{name}.png)")
-    names = _shortest([result.row for result in group])
+    names = " ".join(_names([result.row for result in group], experiments))
     parts.append(f"`neuroflight reproduce {names} --budget full`")
     return parts
 
@@ -119,9 +119,14 @@ def _common(titles: Sequence[str]) -> str:
     return starts.pop() if len(starts) == 1 else "; ".join(titles)
 
 
-def _shortest(rows: Sequence[Row]) -> str:
-    starts = {row.name.partition("-")[0] for row in rows}
-    return " ".join(sorted(starts))
+def _names(rows: Sequence[Row], experiments: Experiments) -> Sequence[str]:
+    """What stands for these rows on the command line: a beginning that no other row has, or their names."""
+    parts = rows[0].name.split("-")
+    for count in range(1, len(parts) + 1):
+        start = "-".join(parts[:count])
+        if set(experiments.chosen([start])) == set(rows):
+            return [start]
+    return [row.name for row in rows]
 
 
 def _hardware(rows: Sequence[Row]) -> str:

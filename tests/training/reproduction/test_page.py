@@ -90,6 +90,22 @@ def test_the_page_is_what_the_stored_figures_give() -> None:
     assert PAGE.read_text() == render(experiments(), read_stored(STORED), DRAWN.name)
 
 
+def test_commands_of_the_page_run_what_stands_above_them_and_nothing_else() -> None:
+    known = experiments()
+    places = list(dict.fromkeys(row.place for row in known.rows if not row.hardware))
+    sections = re.split(
+        r"^###? ", PAGE.read_text().partition("\n## What no run fills")[0], flags=re.MULTILINE
+    )
+    commands = [
+        re.findall(r"^`neuroflight reproduce (.*) --budget full`$", each, re.MULTILINE) for each in sections
+    ]
+    for place, (names,) in zip(places, filter(None, commands), strict=True):
+        chosen = {row.name for row in known.chosen(names.split())}
+        own = {row.name for row in known.rows if row.place == place}
+        # A name with which others begin chooses those, too.
+        assert own <= chosen <= own | {name for name in chosen if name.partition("-")[0] in own}
+
+
 def test_stored_figures_are_those_that_rows_read() -> None:
     known, kept = experiments(), read_stored(STORED)
     read = {(source.step, source.path) for row in known.rows for source in sources(row)}
