@@ -30,7 +30,7 @@ class OffPolicyLearner(Sb3Learner):
 
     def __init__(self, aircraft: Aircraft, config: TrainingConfig, off_policy: OffPolicyConfig) -> None:
         inputs, motors = len(config.observation_scale(aircraft.motor_count)), aircraft.motor_count
-        check_memory(off_policy.buffer, config.steps, 2 * inputs + motors + 3)  # see REMEMBERED
+        check_memory(off_policy.buffer, config.steps, 2 * inputs + motors + 3)  # REMEMBERED has so many
         super().__init__(aircraft, config, off_policy.discount)
         common: dict[str, Any] = {
             "learning_rate": self._annealed(off_policy.learning_rate),

@@ -73,10 +73,10 @@ class Place:
         return [filled(word) for word in step.words(self.budget)]
 
     def inputs(self, step: Step) -> dict[str, str]:
-        """Digests of the files that the command reads, see `inputs`."""
-        own = {"{" + name + "}" for name in (OUT, PLOT)}
+        """Digests of the files that the command reads, see `inputs`; what it writes is none of them."""
         pairs = zip(step.words(self.budget), self.words(step), strict=True)
-        return inputs([word for raw, word in pairs if not any(name in raw for name in own)], self.root)
+        read = [word for raw, word in pairs if not {OUT, PLOT} & set(FOLDER.findall(raw))]
+        return inputs(read, self.root)
 
     def _path(self, step: Step, name: str) -> str:
         path = self.picture(step.name) if name == PLOT else self.folder(step.name if name == OUT else name)

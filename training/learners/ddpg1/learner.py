@@ -41,7 +41,7 @@ from sim.aircraft.model import Aircraft
 from training.config.algorithms import Ddpg1Config
 from training.config.training_config import TrainingConfig
 from training.envs.vector import AttitudeVecEnv
-from training.learners.ddpg1.replay import Replay
+from training.learners.ddpg1.replay import Replay, row_width
 from training.learners.ddpg1.update import ActorCritic, Engine, Learnt, Losses
 from training.learners.memory import check_memory
 from training.learners.network.normalization import ObservedMoments
@@ -59,7 +59,7 @@ class Ddpg1Learner:
     def __init__(self, aircraft: Aircraft, config: TrainingConfig, ddpg1: Ddpg1Config) -> None:
         self._config, self._ddpg1 = config, ddpg1
         inputs, motors = len(config.observation_scale(aircraft.motor_count)), aircraft.motor_count
-        check_memory(ddpg1.buffer, config.steps, 2 * inputs + motors + 1)
+        check_memory(ddpg1.buffer, config.steps, row_width(inputs, motors))
         self._env = AttitudeVecEnv(aircraft, config, ddpg1.aircraft)
         self._networks = ActorCritic(inputs, config.hidden, motors, config.activation)
         self._engine = Engine(self._networks)

@@ -11,6 +11,11 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float32]
 
 
+def row_width(inputs: int, motors: int) -> int:
+    """Numbers in a row of `Replay`."""
+    return 2 * inputs + motors + 1
+
+
 class Replay:
     """Control steps as rows: observation (n), action (M), reward, next observation (n).
 
@@ -18,7 +23,7 @@ class Replay:
     """
 
     def __init__(self, size: int, inputs: int, motors: int) -> None:
-        self.rows: Floats = np.zeros((size, 2 * inputs + motors + 1), np.float32)
+        self.rows: Floats = np.zeros((size, row_width(inputs, motors)), np.float32)
         self.filled = self._next = 0
 
     def add(self, observations: Floats, actions: Floats, rewards: Floats, following: Floats) -> None:
