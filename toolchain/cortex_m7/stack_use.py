@@ -229,7 +229,7 @@ class _Code:
 
     def _callees(self, function: _Function) -> Iterator[_Function]:
         if match := _VENEER.fullmatch(function.name):
-            yield self._one(match[1])
+            yield self._one(_CLONE.sub("", match[1]))
             return
         for instruction in self._bodies[function.start]:
             if _goes_by_pointer(instruction):

@@ -45,14 +45,15 @@ HOT = (
     *(
         "uart_ring_read",
         "firmware_receive",
-        "sbus_push",
+        "receiver_channels",
+        "receiver_tick",
         "firmware_log",
         "firmware_sample",
         "gyro_step",
         "observation_step",
     ),
     *("policy_step", "mixer_mix", "dshot_value", "dshot_frame", "motors_write", "memcpy", "gyro_tick"),
-    *("program_gyro_silent", "receiver_line_read", "hal_deadline_missed"),
+    *("receiver_line_read", "hal_deadline_missed"),
 )
 WHILE_FLASH_IS_BUSY = ("flash_memory_erase_sector", "flash_memory_program_words", "core_clean_caches")
 DMA_BUFFERS = ("gyro_response", "receiver_ring_bytes")

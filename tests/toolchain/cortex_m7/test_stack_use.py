@@ -26,13 +26,13 @@ __attribute__((section(".stack"), used)) char stack[4096];
 """
 
 
-def use(folder: Path, text: str, name: str = "main.c") -> StackUse:
-    """The stack of a program whose functions are `text`."""
+def use(folder: Path, text: str, name: str = "main.c", *flags: str) -> StackUse:
+    """The stack of a program whose functions are `text`, linked with `flags`."""
     objects = folder / "obj"
     objects.mkdir()
     (objects / name).write_text(PROGRAM % text)
     compile_arm("-c", "-g", "-O1", "-fno-inline", "-fstack-usage", name, out=objects / "program.o")
-    compile_arm("-nostdlib", "-Wl,-e,reset_handler", "obj/program.o", out=folder / "program.elf")
+    compile_arm("-nostdlib", "-Wl,-e,reset_handler", *flags, "obj/program.o", out=folder / "program.elf")
     return stack_use(folder / "program.elf", objects)
 
 
@@ -77,6 +77,20 @@ def test_a_jump_at_the_end_of_a_function_is_a_call_when_followed(tmp_path: Path)
         tmp_path, "void last(void); void reset_handler(void) { last(); } void last(void) { FRAME(64); }"
     )
     assert found.thread.path == ("reset_handler", "last", "take")
+
+
+def test_a_clone_is_found_behind_the_linkers_veneer_when_it_lies_too_far_for_a_call(tmp_path: Path) -> None:
+    found = use(
+        tmp_path,
+        'QUIET __attribute__((section(".far"))) void away(void) __asm__("away.constprop.0");'
+        "void away(void) { FRAME(200); }"
+        "void reset_handler(void) { away(); away(); }",
+        "main.c",
+        "-Wl,--section-start=.far=0x08000000",
+    )
+    assert found.thread.path == (
+        *("reset_handler", "__away.constprop.0_veneer", "away.constprop.0", "__take_veneer", "take"),
+    )
 
 
 def test_what_assembly_pushes_is_counted_when_the_compiler_does_not_say(tmp_path: Path) -> None:
