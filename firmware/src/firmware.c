@@ -43,28 +43,34 @@ static bool firmware_switch_on(const struct firmware *fw)
 	return (fw->receiver.on & MODE_BIT(ARM)) != 0;
 }
 
-/* All conditions of safety except those that a control step finds. A lost receiver's throttle is low, its switch off. */
-static uint32_t firmware_conditions(const struct firmware *fw)
+/* What forbids arming now. A lost receiver's throttle is low. */
+static uint32_t firmware_reasons(const struct firmware *fw)
 {
-	static const uint32_t health[] = {
-		[NF_GYRO_HEALTH_GOOD] = 0,
-		[NF_GYRO_HEALTH_INVALID] = SAFETY_REASON(GYRO_BAD) | SAFETY_GYRO_INVALID,
-		[NF_GYRO_HEALTH_STUCK] = SAFETY_REASON(GYRO_BAD) | SAFETY_GYRO_STUCK,
-		[NF_GYRO_HEALTH_SATURATED] = SAFETY_REASON(GYRO_BAD), /* flown, until it is railed */
-		[NF_GYRO_HEALTH_SILENT] = SAFETY_REASON(GYRO_BAD) | SAFETY_GYRO_SILENT,
-	};
-	const enum receiver_link link = receiver_link(&fw->receiver);
-	const bool lost = link == RECEIVER_LOST;
+	const bool lost = receiver_link(&fw->receiver) == RECEIVER_LOST;
 	const bool throttle_high = fw->receiver.channels_us[NF_CHANNEL_THROTTLE] > NF_THROTTLE_LOW_US;
 
-	return fw->edges.forbidden | health[fw->health] | control_reasons(&fw->control, fw->pid_wanted) |
-	       REASON_IF(fw->grace_left > 0, BOOT_GRACE) | REASON_IF(!fw->gyro.calibrated, GYRO_NOT_CALIBRATED) |
-	       REASON_IF(lost, RECEIVER_LOST) | REASON_IF(!lost && throttle_high, THROTTLE_HIGH) |
-	       REASON_IF(!firmware_level(fw), NOT_LEVEL) |
-	       REASON_IF(motor_test_forbids(&fw->motor_test) || dshot_command_busy(&fw->dshot_command), MOTOR_TEST) |
-	       (gyro_railed(&fw->gyro) ? SAFETY_GYRO_SATURATED : 0u) |
+	return fw->edges.forbidden | control_reasons(&fw->control, fw->pid_wanted) |
+	       REASON_IF(fw->health != NF_GYRO_HEALTH_GOOD, GYRO_BAD) | REASON_IF(fw->grace_left > 0, BOOT_GRACE) |
+	       REASON_IF(!fw->gyro.calibrated, GYRO_NOT_CALIBRATED) | REASON_IF(lost, RECEIVER_LOST) |
+	       REASON_IF(!lost && throttle_high, THROTTLE_HIGH) | REASON_IF(!firmware_level(fw), NOT_LEVEL) |
+	       REASON_IF(motor_test_forbids(&fw->motor_test) || dshot_command_busy(&fw->dshot_command), MOTOR_TEST);
+}
+
+/* What moves safety's state now, except what a control step finds. A lost receiver's switch is off. */
+static uint32_t firmware_inputs(const struct firmware *fw)
+{
+	static const uint16_t health[] = {
+		[NF_GYRO_HEALTH_GOOD] = 0,
+		[NF_GYRO_HEALTH_INVALID] = SAFETY_GYRO_INVALID,
+		[NF_GYRO_HEALTH_STUCK] = SAFETY_GYRO_STUCK,
+		[NF_GYRO_HEALTH_SATURATED] = 0, /* flown, until it is railed */
+		[NF_GYRO_HEALTH_SILENT] = SAFETY_GYRO_SILENT,
+	};
+	const enum receiver_link link = receiver_link(&fw->receiver);
+
+	return health[fw->health] | (gyro_railed(&fw->gyro) ? SAFETY_GYRO_SATURATED : 0u) |
 	       (link == RECEIVER_HOLD ? SAFETY_RECEIVER_HELD : 0u) |
-	       (!lost && firmware_switch_on(fw) ? SAFETY_SWITCH_ON : 0u);
+	       (link != RECEIVER_LOST && firmware_switch_on(fw) ? SAFETY_SWITCH_ON : 0u);
 }
 
 /* Which controller the pilot wants. A lost receiver's switches are ignored: the last choice stays, except that nobody holds
@@ -90,11 +96,15 @@ static void firmware_forget(struct firmware *fw)
 	fw->rested = true;
 }
 
-/* Updates safety with all conditions that hold now, and `found`. */
+/* Updates safety with all conditions that hold now, and the inputs `found`. */
 static void firmware_update_safety(struct firmware *fw, uint32_t found)
 {
 	fw->pid_wanted = firmware_choose_pid(fw);
-	if (safety_update(&fw->safety, firmware_conditions(fw) | found)) {
+	const struct safety_conditions conditions = {
+		.reasons = firmware_reasons(fw),
+		.inputs = firmware_inputs(fw) | found,
+	};
+	if (safety_update(&fw->safety, conditions)) {
 		control_reset(&fw->control);
 		firmware_forget(fw); /* where frames disarm and arm within one control step, nothing has rested */
 	}
@@ -107,7 +117,7 @@ static void firmware_report(struct firmware *fw)
 	const struct control *control = &fw->control;
 
 	receiver_channels(&fw->receiver, status->channels_us);
-	status->arming_reasons = safety_reasons(&fw->safety, firmware_conditions(fw));
+	status->arming_reasons = safety_reasons(&fw->safety, firmware_reasons(fw));
 	status->modes = (uint8_t)receiver_modes(&fw->receiver);
 	status->receiver_good = receiver_link(&fw->receiver) == RECEIVER_GOOD;
 	status->receiver_quality = (uint8_t)receiver_quality(&fw->receiver);

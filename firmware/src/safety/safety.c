@@ -2,21 +2,23 @@
 
 #include <stddef.h>
 
-#define REASONS ((1u << NF_ARMING_REASON_COUNT) - 1u)
+_Static_assert(NF_ARMING_REASON_COUNT <= 32, "a bit each");
 #define OWN_REASONS (SAFETY_REASON(SWITCH_NOT_CYCLED) | SAFETY_REASON(CRASHED))
-#define FORBIDS_ARMING (REASONS & ~OWN_REASONS)
-#define LOST SAFETY_REASON(RECEIVER_LOST)
 
-/* Conditions that safety adds itself, in the bits of the reasons that nobody tells it. */
-#define READY SAFETY_REASON(SWITCH_NOT_CYCLED) /* the switch was off at the last update */
-#define DROPPED SAFETY_REASON(CRASHED)         /* in FAILSAFE_DROP the motors have stopped */
-_Static_assert(REASONS < SAFETY_SWITCH_ON && OWN_REASONS == (READY | DROPPED), "conditions overlap");
+/* Inputs that safety adds itself. */
+enum {
+	READY = SAFETY_INPUTS_END,             /* the switch was off at the last update */
+	DROPPED = SAFETY_INPUTS_END << 1,      /* in FAILSAFE_DROP the motors have stopped */
+	LOST = SAFETY_INPUTS_END << 2,         /* these, by the reasons: RECEIVER_LOST */
+	UNCALIBRATED = SAFETY_INPUTS_END << 3, /* GYRO_NOT_CALIBRATED */
+	FORBIDDEN = SAFETY_INPUTS_END << 4,    /* any that nobody else computes */
+};
 
 #define IN(state) (1u << NF_FLIGHT_##state)
 #define FLYING (IN(ARMED) | IN(FAILSAFE_HOLD))
 #define TURNING (FLYING | IN(FAILSAFE_DROP))
 
-/* The first row that fits moves the state; none leaves it. A row fits in the states of `from` when all bits of
+/* The first row that fits moves the state; none leaves it. A row fits in the states of `from` when all inputs of
  * `all` and none of `none` hold.
  *
  * Arming takes a switch that moves: at the last update it was off with the receiver heard, and at the update that
@@ -46,9 +48,9 @@ static const struct transition {
 	{ IN(FAILSAFE_DROP), SAFETY_OFF_HEARD, DROPPED, NF_FLIGHT_DISARMED, NF_STOP_SWITCH },
 	{ IN(FAILSAFE_DROP) | IN(CRASHED), 0, SAFETY_SWITCH_ON | LOST, NF_FLIGHT_DISARMED, NF_STOP_NONE },
 	{ IN(BOOT), 0, 0, NF_FLIGHT_CALIBRATING, NF_STOP_NONE },
-	{ IN(CALIBRATING), 0, SAFETY_REASON(GYRO_NOT_CALIBRATED), NF_FLIGHT_DISARMED, NF_STOP_NONE },
-	{ IN(DISARMED), SAFETY_REASON(GYRO_NOT_CALIBRATED), 0, NF_FLIGHT_CALIBRATING, NF_STOP_NONE },
-	{ IN(DISARMED), READY | SAFETY_SWITCH_ON, FORBIDS_ARMING, NF_FLIGHT_ARMED, NF_STOP_NONE },
+	{ IN(CALIBRATING), 0, UNCALIBRATED, NF_FLIGHT_DISARMED, NF_STOP_NONE },
+	{ IN(DISARMED), UNCALIBRATED, 0, NF_FLIGHT_CALIBRATING, NF_STOP_NONE },
+	{ IN(DISARMED), READY | SAFETY_SWITCH_ON, FORBIDDEN, NF_FLIGHT_ARMED, NF_STOP_NONE },
 };
 
 void safety_init(struct safety *safety, const struct nf_settings *settings, unsigned control_rate_hz)
@@ -64,27 +66,30 @@ void safety_init(struct safety *safety, const struct nf_settings *settings, unsi
 	};
 }
 
-static const struct transition *safety_matching(enum nf_flight_state state, uint32_t conditions)
+static const struct transition *safety_matching(enum nf_flight_state state, uint32_t inputs)
 {
 	for (size_t i = 0; i < sizeof transitions / sizeof transitions[0]; ++i) {
 		const struct transition *t = &transitions[i];
-		if ((t->from & 1u << state) && (conditions & t->all) == t->all && (conditions & t->none) == 0)
+		if ((t->from & 1u << state) && (inputs & t->all) == t->all && (inputs & t->none) == 0)
 			return t;
 	}
 	return NULL;
 }
 
-static uint32_t safety_own_conditions(const struct safety *safety)
+static uint32_t safety_own_inputs(const struct safety *safety, uint32_t reasons)
 {
 	return (safety->ready ? READY : 0u) |
-	       (safety->state == NF_FLIGHT_FAILSAFE_DROP && safety->descent_left == 0 ? DROPPED : 0u);
+	       (safety->state == NF_FLIGHT_FAILSAFE_DROP && safety->descent_left == 0 ? DROPPED : 0u) |
+	       (reasons & SAFETY_REASON(RECEIVER_LOST) ? LOST : 0u) |
+	       (reasons & SAFETY_REASON(GYRO_NOT_CALIBRATED) ? UNCALIBRATED : 0u) |
+	       (reasons & ~OWN_REASONS ? FORBIDDEN : 0u);
 }
 
-bool safety_update(struct safety *safety, uint32_t conditions)
+bool safety_update(struct safety *safety, struct safety_conditions conditions)
 {
 	const enum nf_flight_state before = safety->state;
-	const struct transition *t = safety_matching(before,
-						     (conditions & ~OWN_REASONS) | safety_own_conditions(safety));
+	const uint32_t inputs = conditions.inputs | safety_own_inputs(safety, conditions.reasons);
+	const struct transition *t = safety_matching(before, inputs);
 
 	if (t) {
 		safety->state = t->to;
@@ -93,7 +98,7 @@ bool safety_update(struct safety *safety, uint32_t conditions)
 		if (t->to == NF_FLIGHT_FAILSAFE_DROP)
 			safety->descent_left = safety->descends ? safety->descent_steps : 0;
 	}
-	safety->ready = (conditions & (SAFETY_SWITCH_ON | LOST)) == 0;
+	safety->ready = (inputs & (SAFETY_SWITCH_ON | LOST)) == 0;
 	return before == NF_FLIGHT_DISARMED && safety->state == NF_FLIGHT_ARMED;
 }
 
@@ -113,11 +118,11 @@ bool safety_motors(const struct safety *safety)
 	return (FLYING & 1u << safety->state) != 0 || safety_descending(safety);
 }
 
-uint32_t safety_reasons(const struct safety *safety, uint32_t conditions)
+uint32_t safety_reasons(const struct safety *safety, uint32_t reasons)
 {
 	if (safety_motors(safety))
 		return 0;
-	return (conditions & FORBIDS_ARMING) | (safety->ready ? 0u : SAFETY_REASON(SWITCH_NOT_CYCLED)) |
+	return (reasons & ~OWN_REASONS) | (safety->ready ? 0u : SAFETY_REASON(SWITCH_NOT_CYCLED)) |
 	       (safety->state == NF_FLIGHT_CRASHED ? SAFETY_REASON(CRASHED) : 0u) |
 	       (safety->state == NF_FLIGHT_FAULT ? SAFETY_REASON(FAULT) : 0u);
 }

@@ -7,19 +7,27 @@
 
 #include "nf_contract.h"
 
-/* Conditions: bits of enum nf_arming_reason that hold now, and these above the 22 that are kept for them.
- * SWITCH_NOT_CYCLED and CRASHED are computed by safety and ignored on input. */
+/* What holds at one moment, in two words. A reason only forbids arming, except that RECEIVER_LOST and GYRO_NOT_CALIBRATED also
+ * move the state; an input only moves the state. SWITCH_NOT_CYCLED and CRASHED are computed by safety and ignored here. */
+struct safety_conditions {
+	uint32_t reasons; /* bit field of enum nf_arming_reason: SAFETY_REASON(name) */
+	uint32_t inputs;  /* bit field of enum safety_input */
+};
 #define SAFETY_REASON(name) (1u << NF_ARMING_REASON_##name)
-#define SAFETY_SWITCH_ON (1u << 22)
-#define SAFETY_OFF_HEARD (1u << 23)      /* the last frame says off, whatever the link's state */
-#define SAFETY_RECEIVER_HELD (1u << 24)  /* silent, but not yet lost */
-#define SAFETY_GYRO_INVALID (1u << 25)   /* this, stuck and silent: with the reason GYRO_BAD */
-#define SAFETY_GYRO_STUCK (1u << 26)
-#define SAFETY_GYRO_SATURATED (1u << 27) /* for NF_GYRO_SATURATED_MS */
-#define SAFETY_GYRO_SILENT (1u << 28)
-#define SAFETY_CRASH (1u << 29)
-#define SAFETY_RUNAWAY (1u << 30)
-#define SAFETY_NO_CONTROLLER (1u << 31)
+
+enum safety_input {
+	SAFETY_SWITCH_ON = 1 << 0,
+	SAFETY_OFF_HEARD = 1 << 1,      /* the last frame says off, whatever the link's state */
+	SAFETY_RECEIVER_HELD = 1 << 2,  /* silent, but not yet lost */
+	SAFETY_GYRO_INVALID = 1 << 3,   /* this, stuck and silent: with the reason GYRO_BAD */
+	SAFETY_GYRO_STUCK = 1 << 4,
+	SAFETY_GYRO_SATURATED = 1 << 5, /* for NF_GYRO_SATURATED_MS */
+	SAFETY_GYRO_SILENT = 1 << 6,
+	SAFETY_CRASH = 1 << 7,
+	SAFETY_RUNAWAY = 1 << 8,
+	SAFETY_NO_CONTROLLER = 1 << 9,
+	SAFETY_INPUTS_END = 1 << 10,    /* above it are safety's own */
+};
 
 struct safety {
 	enum nf_flight_state state;
@@ -35,7 +43,7 @@ void safety_init(struct safety *safety, const struct nf_settings *settings, unsi
 
 /* Called for every receiver frame and every control step with all conditions that hold. Returns whether this update
  * armed. */
-bool safety_update(struct safety *safety, uint32_t conditions);
+bool safety_update(struct safety *safety, struct safety_conditions conditions);
 
 /* A control step has passed. */
 void safety_tick(struct safety *safety);
@@ -46,7 +54,7 @@ bool safety_motors(const struct safety *safety);
 /* Is this a failsafe descent (rates centred, throttle of the setting)? Then the motors may turn. */
 bool safety_descending(const struct safety *safety);
 
-/* The reasons among `conditions` as shown to the pilot: with safety's own, and none at all while motors may turn. */
-uint32_t safety_reasons(const struct safety *safety, uint32_t conditions);
+/* Those that hold, `reasons`, as shown to the pilot: with safety's own, and none at all while motors may turn. */
+uint32_t safety_reasons(const struct safety *safety, uint32_t reasons);
 
 #endif

@@ -117,8 +117,9 @@ JOINED_MUTANTS = (
     Mutant(
         name="a saturated gyro forbids nothing",
         file=FIRMWARE,
-        old="[NF_GYRO_HEALTH_SATURATED] = SAFETY_REASON(GYRO_BAD),",
-        new="[NF_GYRO_HEALTH_SATURATED] = 0,",
+        old="REASON_IF(fw->health != NF_GYRO_HEALTH_GOOD, GYRO_BAD)",
+        new="REASON_IF(fw->health != NF_GYRO_HEALTH_GOOD && fw->health != NF_GYRO_HEALTH_SATURATED, "
+        "GYRO_BAD)",
         tests=(SATURATED,),
     ),
     Mutant(

@@ -204,16 +204,23 @@ SAFETY_MUTANTS = (
     Mutant(
         name="it arms with a switch that did not move",
         file=SAFETY,
-        old="READY | SAFETY_SWITCH_ON, FORBIDS_ARMING",
-        new="SAFETY_SWITCH_ON, FORBIDS_ARMING",
+        old="READY | SAFETY_SWITCH_ON, FORBIDDEN",
+        new="SAFETY_SWITCH_ON, FORBIDDEN",
         tests=(OF_SAFETY,),
     ),
     Mutant(
         name="a lost receiver's switch is off",
         file=SAFETY,
-        old="safety->ready = (conditions & (SAFETY_SWITCH_ON | LOST)) == 0;",
-        new="safety->ready = (conditions & SAFETY_SWITCH_ON) == 0;",
+        old="safety->ready = (inputs & (SAFETY_SWITCH_ON | LOST)) == 0;",
+        new="safety->ready = (inputs & SAFETY_SWITCH_ON) == 0;",
         tests=(OF_SAFETY, "joined/test_interlock.py"),
+    ),
+    Mutant(
+        name="a reason that has no number yet forbids nothing",
+        file=SAFETY,
+        old="(reasons & ~OWN_REASONS ? FORBIDDEN : 0u)",
+        new="(reasons & ~OWN_REASONS & ((1u << NF_ARMING_REASON_COUNT) - 1u) ? FORBIDDEN : 0u)",
+        tests=(OF_SAFETY,),
     ),
     Mutant(
         name="a crash on the ground is told after a descent",
