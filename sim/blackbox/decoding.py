@@ -309,6 +309,22 @@ class _Decoder:
         result.slow_row = np.array(self._slow_rows, np.int64)
         if self._step is not None and len(result.main):
             self._drop_wrong(result.main[:, self._step])
+        if self._time is not None and len(result.main):
+            self._continue_time(result.main[:, self._time])
+
+    def _continue_time(self, time: Array) -> None:
+        """Continue the clock's 32 bits, which begin anew every 71.6 minutes, in `time` (N,) and in events.
+
+        Inter frames run on beyond 2^32 us, since they are predicted; the next intra frame has 32 bits again.
+        """
+        time %= WORD
+        time[1:] = time[0] + np.cumsum(np.diff(time) % WORD)
+        events = self._result.events
+        for at, event in enumerate(events):
+            if "time" in event.values:
+                near = int(time[min(event.row, len(time) - 1)])
+                away = (event.values["time"] - near + WORD // 2) % WORD - WORD // 2
+                events[at] = replace(event, values={**event.values, "time": near + away})
 
     def _drop_wrong(self, steps: Array) -> None:
         """Drop rows whose step a later row does not exceed: they were damaged, and the log went on before."""

@@ -81,12 +81,9 @@ class Log:
 
     @cached_property
     def time_us(self) -> Integers:
-        """Time (N,) [us] of the firmware's clock; the 32 bits of a long flight are continued."""
-        raw = self.columns.get("time")
-        if raw is None:
-            return np.zeros(len(self), np.int64)
-        steps: Integers = np.diff(raw % WORD, prepend=raw[:1] % WORD) % WORD
-        return (raw[0] % WORD if len(raw) else 0) + np.cumsum(steps)
+        """Time (N,) [us] of the firmware's clock, which goes on beyond 32 bits; 0 where the log has none."""
+        time = self.columns.get("time")
+        return np.zeros(len(self), np.int64) if time is None else time
 
     @cached_property
     def t(self) -> Array:

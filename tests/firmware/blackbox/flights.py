@@ -62,9 +62,14 @@ def fly(
     settings: Mapping[str, float] | None = None,
     gyro_hz: int = 4000,
     drained: Callable[[int], bool] = always,
+    prepared: Callable[[Reference], None] = lambda _: None,
 ) -> Flown:
-    """Arm, fly with little sticks, disarm; `drained`: whether the log is taken out behind that sample."""
+    """Arm, fly with little sticks, disarm; `drained`: whether the log is taken out behind that sample.
+
+    prepared: what is done to the firmware before its first sample.
+    """
     board = Reference(library, gyro_hz, settings or {})
+    prepared(board)
     rng = np.random.default_rng(7)
     divider, total = gyro_hz // CONTROL_HZ, int((ARMED_S + seconds + 0.5) * gyro_hz)
     data, rows = [board.blackbox()], []

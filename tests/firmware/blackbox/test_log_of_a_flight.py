@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from sim.blackbox.export import save_csv
 from sim.blackbox.log import Log, floats, read_log
 from sim.ports.library import Reference
 from tests.firmware.blackbox.flights import ARMED_S, Flown, fly
+from tests.firmware.conftest import Core
 from toolchain.contract import (
     CHANNEL_ARM,
     CHANNEL_COUNT,
@@ -74,6 +77,41 @@ def assert_the_same(flown: Flown, log: Log) -> None:
     assert np.array_equal(matrix(log, "accRaw"), flown.forces[rows])
     degrees = np.degrees(flown.gyro[rows].astype(float))
     assert np.abs(matrix(log, "gyroADC") - degrees).max() <= 0.501
+
+
+def after_uptime(core: Core, samples: int) -> Callable[[Reference], None]:
+    """Makes a firmware that has been on for so many gyro samples already, and has done nothing else."""
+
+    def prepare(board: Reference) -> None:
+        firmware = core.ffi.cast("struct firmware *", core.ffi.from_buffer(board._memory))
+        assert firmware.samples == firmware.control_steps == 0, "struct reference begins with it"
+        firmware.samples = firmware.window = samples
+
+    return prepare
+
+
+def test_no_frame_is_lost_and_the_time_goes_on_when_its_32_bits_of_us_begin_anew(
+    reference_library: Path, reference_core: Core, tmp_path: Path
+) -> None:
+    """After 71.6 minutes, 0.25 s behind arming."""
+    gyro_hz, word = 4000, 1 << 32
+    uptime_us = (word // 1000 - round(1000 * (ARMED_S + 0.25))) * 1000
+    flown = fly(reference_library, prepared=after_uptime(reference_core, uptime_us * gyro_hz // 1_000_000))
+    log = flown.log(tmp_path)
+    assert log.lost == 0 and not log.notes and log.ended
+    assert log.frames.unusable == log.frames.corrupt == 0
+    rows = flown.rows(log)
+    assert_the_same(flown, log)
+    time = uptime_us + 1000 * flown.step[rows]
+    assert time[0] < word < time[-1]
+    assert log.columns["loopIteration"][np.argmax(time > word)] % 32, "an I frame tells the whole 32 bits"
+    assert np.array_equal(log.columns["time"], time)
+    assert np.array_equal(log.time_us, time)
+    (arming,) = (event for event in log.events if event.kind == LogEvent.SYNC_BEEP)
+    assert arming.values["time"] == time[arming.row]
+    save_csv(tmp_path / "flight.csv", log)
+    table = np.genfromtxt(tmp_path / "flight.csv", delimiter=",", names=True, usecols=(0, 1))
+    assert np.array_equal(table["time_us"], time)
 
 
 def test_every_value_is_the_flights_when_its_log_is_read(flown: Flown, tmp_path: Path) -> None:

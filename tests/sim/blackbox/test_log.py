@@ -98,6 +98,19 @@ def test_float_bits_and_the_32_bits_of_time_come_back_when_they_wrap(tmp_path: P
     assert (log.time_us == start + 1000 * np.arange(40)).all()
 
 
+def test_time_of_rows_and_events_goes_on_when_intra_frames_begin_anew(tmp_path: Path) -> None:
+    word = 1 << 32
+    start = 2 * word - 10_500  # a log holds no more than the lower 32 bits of it
+    frames = flight(COLUMNS, ROWS[:80], start=start)
+    told = event(0, (start + 80_000) % word) + event(14, 80, (start + 80_000) % word)
+    log = read_log(save(tmp_path, PRODUCT, NUMBERS, fields(COLUMNS), frames, told, END))
+    time = start - word + 1000 * np.arange(80)
+    assert log.lost == 0 and not log.notes
+    assert log.columns["time"].tolist() == log.time_us.tolist() == time.tolist()
+    assert [one.values["time"] for one in log.events[:2]] == [time[-1] + 1000] * 2
+    assert log.seconds == 0.079
+
+
 def test_missing_steps_are_counted_when_logging_resumes(tmp_path: Path) -> None:
     later = intra(500, 5_500_000, ROWS[100]) + intra(501, 5_501_000, ROWS[101])
     parts = (flight(COLUMNS, ROWS[:100]), event(14, 500, 5_500_000), later, END)

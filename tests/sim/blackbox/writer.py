@@ -107,12 +107,16 @@ def flight(
     interval: int = 32,
     period: int = 1000,
     divider: int = 1,
+    start: int = 5_000_000,
 ) -> bytes:
-    """Frames of rows `period` [us] and `divider` control steps apart, an I frame every `interval` rows."""
+    """Frames of rows from `start` [us], `period` [us] and `divider` control steps apart.
+
+    Every `interval` rows there is an I frame.
+    """
     out = bytearray()
     for number, values in enumerate(rows):
         if number % interval == 0:
-            out += intra(number * divider, 5_000_000 + number * period, values)
+            out += intra(number * divider, start + number * period, values)
         else:
             # After an I frame both frames before are that one: the line is level, and time one period late.
             out += inter(columns, period if number % interval == 1 else 0, rows[number - 1], values)
