@@ -93,4 +93,5 @@ RULES = (
     _below_half_the_gyro_rate("dynamic_notch_count", "dynamic_notch_high_hz"),
     _different(tuple(setting.name for setting in SETTINGS if setting.name.startswith("map_"))),
     _below("battery_low_v", "battery_warn_v"),
+    _below("failsafe_hold_ms", "failsafe_delay_ms"),
 )

@@ -2,7 +2,7 @@
 
 However it ends (the source has told all, is gone, Ctrl-C, an error), frames with the arm switch off and the
 throttle down go out first; then nothing, so that the board's failsafe sees a receiver that fell silent. If
-the line itself is gone the failsafe alone acts: rates centred after RECEIVER_HOLD_MS, its stage later.
+the line itself is gone the failsafe alone acts: rates centred after failsafe_hold_ms, its stage later.
 """
 
 from __future__ import annotations

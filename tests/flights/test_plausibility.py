@@ -224,7 +224,7 @@ def test_the_pid_takes_over_from_a_trial_when_the_receiver_falls_silent(fly_chan
         parts = (
             Segment(0.5, pid=True),
             Segment(0.05, turning, pid=True),
-            Segment(0.3, turning, 0.0, heard, True),
+            Segment(0.5, turning, 0.0, heard, True),
         )
         flights[heard] = fly_changed(Scenario("gap", parts), settings=settings)[0]
     silent_from, held_until = 550, 550 + RECEIVER_HOLD_MS - 10  # the last frame may be 10 ms old

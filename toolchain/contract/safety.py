@@ -10,10 +10,16 @@ ARMING_DELAY_MS = 3000  # as set by default; ESCs have played their start-up tun
 CALIBRATION_MS = 1000  # length of the still gyro average
 CALIBRATION_MOTION_DEG_S = 5.0  # a standard deviation above this is motion: start again
 CALIBRATION_BIAS_DEG_S = 20.0  # a mean above this is motion: start again
-RECEIVER_HOLD_MS = 100  # silence after which the sticks are taken as centred, throttle kept
-RECEIVER_LOST_MS = 1000  # silence after which the configured failsafe stage begins, as set by default
+# Without a good frame for so long the sticks are taken as centred, throttle kept; as set by default, and as long as
+# Betaflight flies the last sticks on.
+RECEIVER_HOLD_MS = 300
+RECEIVER_LOST_MS = 1000  # the same until the configured failsafe stage begins, as set by default
 RECEIVER_RECOVERY_MS = 200  # frames must come this long before a lost link counts as good again
-RECEIVER_OFF_FRAMES = 2  # in a row must say that the switch is off, or that the transmitter is lost
+RECEIVER_PAUSE_MS = 100  # from frame to frame at most: no recovery goes on, and no ramp is drawn, over a longer one
+RECEIVER_OFF_FRAMES = 2  # in a row must say that the switch is off
+# A receiver's word that it has lost its transmitter counts for so long, unless it takes it back: receivers of
+# CRSF tell their link's quality several times a second. Not less than the longest hold.
+RECEIVER_FLAG_MS = 1000
 GYRO_BAD_MS = 10  # bad, stuck or silent: so long the last good sample stands in, then motors stop
 # An axis at the end of its range is flown as that. An aircraft that turns faster than its gyro can tell for
 # so long, without one sample below, is out of control, or its gyro is dead: no stick asks for such a rate.

@@ -35,8 +35,10 @@ from toolchain.contract.safety import (
     ARMING_DELAY_MS,
     BOOT_GRACE_MS,
     GYRO_BAD_MS,
+    RECEIVER_FLAG_MS,
     RECEIVER_HOLD_MS,
     RECEIVER_LOST_MS,
+    RECEIVER_PAUSE_MS,
 )
 
 
@@ -130,7 +132,8 @@ _CHIRP_END_MEANING = f"where it ends; at most {CHIRP_RATE_PART:g} of the control
 _STYLE_MEANING = "what the nine numbers below mean; changing it sets them to the new style's defaults"
 _RATE_MEANING = "actual: slope at the centre; betaflight: RC rate"
 _MAX_MEANING = "actual: at full stick; betaflight: super rate"
-_DELAY_MEANING = f"silence of the receiver until the stage begins; held from {RECEIVER_HOLD_MS} ms on"
+_HOLD_MEANING = "without a good frame of the receiver until rates are centred, the throttle kept"
+_DELAY_MEANING = "the same until the stage begins; longer than failsafe_hold_ms"
 _MODE_MEANING = "MODE AUX LOW HIGH: on from LOW us to below HIGH us of that AUX channel; none: unused"
 _GAIN_MEANING = "of the PID: times the gain that is built in"
 # Flown in the twins of NF1 and hexacopter without gyro filters: both fly every corner, up to a P of 1.4, down
@@ -207,6 +210,7 @@ SETTINGS = (
     _choice("failsafe_stage", "drop", ("drop", "descend"), "after the hold"),
     _number("failsafe_throttle", 0.0, 1.0, 0.2, "1", "while descending"),
     _whole("failsafe_descend_ms", 0, 60_000, 3000, "ms", "then the motors stop"),
+    _whole("failsafe_hold_ms", RECEIVER_PAUSE_MS, RECEIVER_FLAG_MS, RECEIVER_HOLD_MS, "ms", _HOLD_MEANING),
     _whole("failsafe_delay_ms", 200, 20_000, RECEIVER_LOST_MS, "ms", _DELAY_MEANING),
     _number("level_limit_deg", 0.0, 180.0, 25.0, "deg", "tilt that arming allows; 0: any, known or not"),
     _whole("arming_delay_ms", BOOT_GRACE_MS, 10_000, ARMING_DELAY_MS, "ms", _ARMING_DELAY_MEANING),

@@ -32,12 +32,14 @@ void receiver_init(struct receiver *receiver, const struct nf_settings *settings
 			[AUX4] = (uint8_t)settings->map_aux4,
 		},
 		.interpolates = settings->interpolation != 0,
-		.hold_after = gyro_rate_hz * NF_RECEIVER_HOLD_MS / 1000u,
+		.hold_after = gyro_rate_hz * settings->failsafe_hold_ms / 1000u,
 		.lost_after = gyro_rate_hz * settings->failsafe_delay_ms / 1000u,
 		.recovery = gyro_rate_hz * NF_RECEIVER_RECOVERY_MS / 1000u + 1u, /* the last one is a frame's */
+		.pause_after = gyro_rate_hz * NF_RECEIVER_PAUSE_MS / 1000u,
+		.flag_length = gyro_rate_hz * NF_RECEIVER_FLAG_MS / 1000u,
 		.gap_after = gyro_rate_hz * LINE_GAP_MS / 1000u,
 	};
-	receiver->since = receiver->hold_after;
+	receiver->since = receiver->pause_after;
 	modes_init(&receiver->modes, settings);
 	link_quality_init(&receiver->quality, gyro_rate_hz);
 	receiver_lose(receiver);
@@ -46,7 +48,7 @@ void receiver_init(struct receiver *receiver, const struct nf_settings *settings
 /* A complete frame arrived, even if it repeats the last one: it tells the time between frames. */
 static void receiver_frame_heard(struct receiver *receiver, bool good)
 {
-	if (receiver->since > 0 && receiver->since < receiver->hold_after)
+	if (receiver->since > 0 && receiver->since < receiver->pause_after)
 		receiver->interval = receiver->since;
 	receiver->since = 0;
 	link_quality_frame(&receiver->quality, good);
@@ -75,21 +77,10 @@ static void receiver_take(struct receiver *receiver, const uint16_t wire_us[NF_C
 		receiver->channels_us[i] = wire_us[receiver->map[i]];
 	receiver->on = receiver_switch(receiver, modes_on(&receiver->modes, receiver->channels_us));
 	receiver->age = 0;
+	receiver->flagged = 0;
 	if (receiver->recovering == 1)
 		receiver->recovering = 0;
 	receiver_frame_heard(receiver, true);
-}
-
-/* A frame says that the transmitter is lost. A link that is lost anyhow stays so. */
-static void receiver_hear_failsafe(struct receiver *receiver)
-{
-	++receiver->failsafes;
-	if (receiver->failsafes < NF_RECEIVER_OFF_FRAMES && receiver->recovering == 0) {
-		receiver_frame_heard(receiver, false);
-		return;
-	}
-	receiver->failsafes = 0;
-	receiver_lose(receiver);
 }
 
 /* Repeated channels (frame_lost) keep their age, and so do those of a frame in failsafe. */
@@ -99,12 +90,9 @@ static bool receiver_push_sbus(struct receiver *receiver, uint8_t byte)
 
 	if (!sbus_push(&receiver->line.sbus, byte, &frame))
 		return false;
-	if (frame.failsafe) {
-		receiver_hear_failsafe(receiver);
-		return true;
-	}
-	receiver->failsafes = 0;
-	if (frame.frame_lost)
+	if (frame.failsafe)
+		receiver->flagged = receiver->flag_length;
+	if (frame.failsafe || frame.frame_lost)
 		receiver_frame_heard(receiver, false);
 	else
 		receiver_take(receiver, frame.channels_us);
@@ -126,6 +114,13 @@ static bool receiver_read_sbus(struct receiver *receiver, const uint8_t **bytes,
 	return frame;
 }
 
+/* Channels come without a flag: an uplink of no quality at all is what says that they are not the transmitter's. */
+static void receiver_hear_quality(struct receiver *receiver, uint8_t percent)
+{
+	receiver->flagged = percent == 0 ? receiver->flag_length : 0;
+	link_quality_tell(&receiver->quality, percent);
+}
+
 /* Takes waiting frames up to the first with channels; returns whether there was one. */
 static bool receiver_take_crsf(struct receiver *receiver)
 {
@@ -133,10 +128,13 @@ static bool receiver_take_crsf(struct receiver *receiver)
 
 	while (crsf_take(&receiver->line.crsf, &frame)) {
 		if (frame.kind == CRSF_CHANNELS) {
-			receiver_take(receiver, frame.channels_us);
+			if (receiver->flagged > 0)
+				receiver_frame_heard(receiver, false);
+			else
+				receiver_take(receiver, frame.channels_us);
 			return true;
 		}
-		link_quality_tell(&receiver->quality, frame.quality);
+		receiver_hear_quality(receiver, frame.quality);
 	}
 	return false;
 }
@@ -233,21 +231,23 @@ void receiver_tick(struct receiver *receiver)
 	link_quality_tick(&receiver->quality);
 	if (receiver->silent < receiver->gap_after)
 		++receiver->silent;
-	if (receiver->since < receiver->hold_after)
+	if (receiver->since < receiver->pause_after)
 		++receiver->since;
 	if (receiver->age < receiver->lost_after && ++receiver->age == receiver->lost_after)
 		receiver_lose(receiver);
-	else if (receiver->recovering > 0 && receiver->age >= receiver->hold_after)
+	else if (receiver->recovering > 0 && (receiver->flagged > 0 || receiver->age >= receiver->pause_after))
 		receiver->recovering = receiver->recovery;
 	else if (receiver->recovering > 1)
 		receiver->recovering--;
+	if (receiver->flagged > 0)
+		--receiver->flagged;
 }
 
 enum receiver_link receiver_link(const struct receiver *receiver)
 {
 	if (receiver->recovering > 0)
 		return RECEIVER_LOST;
-	return receiver->age >= receiver->hold_after ? RECEIVER_HOLD : RECEIVER_GOOD;
+	return receiver->flagged > 0 || receiver->age >= receiver->hold_after ? RECEIVER_HOLD : RECEIVER_GOOD;
 }
 
 uint32_t receiver_modes(const struct receiver *receiver)

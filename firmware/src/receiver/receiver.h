@@ -4,8 +4,12 @@
  * No single frame ends a flight. A frame may be wrong and yet pass: SBUS has parity bits only, which miss two flipped
  * bits of one byte; CRSF's CRC-8 misses two bits that lie 93 apart (the order of x modulo its polynomial), for which its
  * frames of 192 bits have room; MSP's sum is weaker still. So on each protocol NF_RECEIVER_OFF_FRAMES good frames in
- * a row must say that the mode ARM is off, or that the transmitter is lost. That costs the time of one frame: 4 ms of
- * CRSF at 250 Hz, 7 to 14 ms of SBUS. "On" counts at once, but only after an "off" that counted: on, off, on never arms. */
+ * a row must say that the mode ARM is off. That costs the time of one frame: 4 ms of CRSF at 250 Hz, 7 to 14 ms of
+ * SBUS. "On" counts at once, but only after an "off" that counted: on, off, on never arms.
+ *
+ * A receiver that has lost its transmitter may send on, channels that it repeats or has been taught. What they say counts
+ * for nothing, "off" neither: a frame that is flagged is no frame. One that says failsafe holds at once, as if the silence
+ * had lasted so long; lost is what has had no good frame for the setting failsafe_delay_ms, flagged frames or none. */
 #ifndef NF_RECEIVER_H
 #define NF_RECEIVER_H
 
@@ -20,9 +24,9 @@
 #include "receiver/sbus.h"
 
 enum receiver_link {
-	RECEIVER_LOST, /* never heard, silent for the setting failsafe_delay_ms or in failsafe, and until frames have
-			* come for NF_RECEIVER_RECOVERY_MS again */
-	RECEIVER_HOLD, /* silent for NF_RECEIVER_HOLD_MS: rates centred, throttle kept */
+	RECEIVER_LOST, /* never heard, or no good frame for the setting failsafe_delay_ms, and until good ones have come
+			* for NF_RECEIVER_RECOVERY_MS again */
+	RECEIVER_HOLD, /* none for the setting failsafe_hold_ms, or flagged: rates centred, throttle kept */
 	RECEIVER_GOOD,
 };
 
@@ -32,23 +36,24 @@ struct receiver {
 	union {
 		struct sbus sbus;
 		struct crsf crsf;
-	} line;                                 /* the frame being read, by protocol */
-	uint8_t protocol;                       /* NF_RECEIVER_PROTOCOL_... */
-	uint8_t map[NF_CHANNEL_MAPPED_COUNT];   /* which of the wire's channels is this one */
+	} line; /* the frame being read, by protocol */
+	uint8_t protocol; /* NF_RECEIVER_PROTOCOL_... */
+	uint8_t map[NF_CHANNEL_MAPPED_COUNT]; /* which of the wire's channels is this one */
 	struct modes modes;
 	bool interpolates;
 	uint16_t channels_us[NF_CHANNEL_COUNT]; /* of the last good frame, mapped */
-	uint32_t on;                            /* modes that it switches on (enum mode_index), ARM as it counts */
-	uint16_t from_us[RECEIVER_STICKS];      /* sticks as they were flown when it came */
-	uint32_t interval;                      /* gyro samples between two frames, 0: not known */
-	uint32_t since;                         /* gyro samples since the last frame, at most hold_after */
-	uint32_t age;                           /* gyro samples since the last good frame, at most lost_after */
-	uint32_t recovering;                    /* gyro samples until a frame may make the link good again; 1: the
+	uint32_t on; /* modes that it switches on (enum mode_index), ARM as it counts */
+	uint16_t from_us[RECEIVER_STICKS]; /* sticks as they were flown when it came */
+	uint32_t interval; /* gyro samples between two frames, 0: not known */
+	uint32_t since; /* gyro samples since the last frame, at most pause_after */
+	uint32_t age; /* gyro samples since the last good frame, at most lost_after */
+	uint32_t recovering; /* gyro samples until a frame may make the link good again; 1: the
 						 * next one does; 0: the link is not lost */
-	uint8_t offs;                           /* frames in a row that say off while ARM counts as on */
-	uint8_t failsafes;                      /* frames in a row that say failsafe while the link is not lost */
-	uint32_t silent;                        /* gyro samples since the last byte, at most gap_after */
-	uint32_t hold_after, lost_after, recovery, gap_after; /* gyro samples */
+	uint8_t offs; /* frames in a row that say off while ARM counts as on */
+	uint32_t flagged; /* gyro samples for which it counts that the receiver said it has lost its
+						 * transmitter; 0: it has not */
+	uint32_t silent; /* gyro samples since the last byte, at most gap_after */
+	uint32_t hold_after, lost_after, recovery, pause_after, flag_length, gap_after; /* gyro samples */
 	struct link_quality quality;
 };
 

@@ -347,6 +347,12 @@ static bool settings_battery_fits(const struct nf_settings *settings, unsigned f
 	return settings->battery_low_v < settings->battery_warn_v;
 }
 
+static bool settings_failsafe_fits(const struct nf_settings *settings, unsigned first)
+{
+	(void)first;
+	return settings->failsafe_hold_ms < settings->failsafe_delay_ms;
+}
+
 /* Each of the motors that fly has an output of its own among the first ones. */
 static bool settings_outputs_fit(const struct nf_settings *settings, unsigned first)
 {
@@ -376,6 +382,7 @@ static const struct rule {
 	{ settings_map_fits, SETTING_AT_map_roll, SETTING_AT_map_aux4 },
 	{ settings_rates_fit, SETTING_AT_rates_style, RATES_LAST },
 	{ settings_battery_fits, SETTING_AT_battery_warn_v, SETTING_AT_battery_low_v },
+	{ settings_failsafe_fits, SETTING_AT_failsafe_hold_ms, SETTING_AT_failsafe_delay_ms },
 	{ settings_msp_baud_fits, SETTING_AT_msp_baud, SETTING_AT_msp_baud },
 	{ settings_msp_baud_fits, SETTING_AT_uart3_baud, SETTING_AT_uart3_baud },
 	{ settings_log_baud_fits, SETTING_AT_blackbox_baud, SETTING_AT_blackbox_baud },

@@ -187,7 +187,7 @@ CASES = (
     (pid_alone, 1000, NOTCHES),
     (pid_alone, 8000, FILTERS),
     (policy_and_pid, 4000, ("receiver_protocol=msp",)),
-    (failsafe, 4000, ("failsafe_delay_ms=300",)),
+    (failsafe, 4000, ("failsafe_hold_ms=100", "failsafe_delay_ms=300")),
     (fallback, 2000, ()),
     (gyro_faults, 8000, ("gyro_stuck_ms=20",)),
     (gyro_faults, 1000, ("gyro_stuck_ms=0",)),

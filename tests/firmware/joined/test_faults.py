@@ -201,7 +201,7 @@ def test_it_flies_on_when_frames_come_again_within_the_failsafe_delay(
 def test_the_stage_begins_when_silence_has_lasted_as_long_as_is_set(
     pilot: Callable[..., Pilot], delay_ms: int
 ) -> None:
-    p = pilot(f"--set=failsafe_delay_ms={delay_ms}")
+    p = pilot(f"--set=failsafe_delay_ms={delay_ms}", "--set=failsafe_hold_ms=100")
     p.take_off()
     p.heard = False
     since_frame = (p.ms - 1) % FRAME_MS + 1

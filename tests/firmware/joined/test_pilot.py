@@ -132,8 +132,8 @@ def test_noise_is_silence_when_it_is_all_that_comes(pilot: Any, scripted: Any) -
     p = pilot()
     p.arm()
     scripted.lib.scripted_action = [0.3] * 4
-    p.fly(50, arm=2000, throttle=1500, c0=1900)
-    p.step(p.frame(arm=2000, throttle=1500, c0=1900))
+    p.fly(50, arm=2000, throttle=1500, c0=1525)
+    p.step(p.frame(arm=2000, throttle=1500, c0=1525))
     for step in range(1, RECEIVER_LOST_MS + 50):
         noise = rng.integers(0x10, 0xC8, 10, np.uint8).tobytes()
         values = p.step(noise)

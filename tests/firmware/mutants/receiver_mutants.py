@@ -30,17 +30,45 @@ RECEIVER_MUTANTS = (
         tests=(OF_RECEIVER,),
     ),
     Mutant(
-        name="one frame in failsafe ends a flight",
+        name="channels of a frame in failsafe are flown",
         file=RECEIVER,
-        old="receiver->failsafes < NF_RECEIVER_OFF_FRAMES && receiver->recovering == 0",
-        new="receiver->failsafes < NF_RECEIVER_OFF_FRAMES && receiver->recovering > 0",
+        old="if (frame.failsafe || frame.frame_lost)",
+        new="if (frame.frame_lost)",
         tests=(OF_RECEIVER,),
     ),
     Mutant(
-        name="frames in failsafe need not come in a row",
+        name="a frame in failsafe holds only when the silence has lasted",
         file=RECEIVER,
-        old="\treceiver->failsafes = 0;\n\tif (frame.frame_lost)",
-        new="\tif (frame.frame_lost)",
+        old="return receiver->flagged > 0 || receiver->age >=",
+        new="return receiver->age >=",
+        tests=(OF_RECEIVER, "joined/test_interlock.py"),
+    ),
+    Mutant(
+        name="a good frame does not end the hold of a flag",
+        file=RECEIVER,
+        old="\treceiver->flagged = 0;\n",
+        new="",
+        tests=(OF_RECEIVER,),
+    ),
+    Mutant(
+        name="channels of CRSF count although the uplink has no quality",
+        file=RECEIVER,
+        old="\t\t\tif (receiver->flagged > 0)\n",
+        new="\t\t\tif (receiver->flagged > receiver->flag_length)\n",
+        tests=(OF_RECEIVER,),
+    ),
+    Mutant(
+        name="a link recovers although its frames are flagged",
+        file=RECEIVER,
+        old="(receiver->flagged > 0 || receiver->age >= receiver->pause_after)",
+        new="receiver->age >= receiver->pause_after",
+        tests=(OF_RECEIVER,),
+    ),
+    Mutant(
+        name="the hold time is not that of the setting",
+        file=RECEIVER,
+        old="gyro_rate_hz * settings->failsafe_hold_ms / 1000u",
+        new="gyro_rate_hz * NF_RECEIVER_HOLD_MS / 1000u",
         tests=(OF_RECEIVER,),
     ),
     Mutant(
@@ -56,7 +84,8 @@ RECEIVER_MUTANTS = (
     Mutant(
         name="a link recovers although its frames stay away again",
         file=RECEIVER,
-        old="else if (receiver->recovering > 0 && receiver->age >= receiver->hold_after)\n"
+        old="else if (receiver->recovering > 0 && (receiver->flagged > 0 || receiver->age >= "
+        "receiver->pause_after))\n"
         "\t\treceiver->recovering = receiver->recovery;\n\t",
         new="",
         tests=(OF_RECEIVER,),
@@ -71,8 +100,8 @@ RECEIVER_MUTANTS = (
     Mutant(
         name="sticks are held a sample too long",
         file=RECEIVER,
-        old="return receiver->age >= receiver->hold_after ? RECEIVER_HOLD : RECEIVER_GOOD;",
-        new="return receiver->age > receiver->hold_after ? RECEIVER_HOLD : RECEIVER_GOOD;",
+        old="receiver->age >= receiver->hold_after ? RECEIVER_HOLD : RECEIVER_GOOD;",
+        new="receiver->age > receiver->hold_after ? RECEIVER_HOLD : RECEIVER_GOOD;",
         tests=(OF_RECEIVER, "joined/test_interlock.py"),
     ),
     Mutant(
@@ -106,8 +135,8 @@ RECEIVER_MUTANTS = (
     Mutant(
         name="repeated channels are new ones",
         file=RECEIVER,
-        old="if (frame.frame_lost)\n\t\treceiver_frame_heard(receiver, false);\n\telse\n\t\t",
-        new="",
+        old="if (frame.failsafe || frame.frame_lost)",
+        new="if (frame.failsafe)",
         tests=(OF_RECEIVER,),
     ),
     Mutant(

@@ -17,8 +17,10 @@ from toolchain.contract import (
     CHANNEL_THROTTLE,
     CHANNEL_UNTOLD_US,
     CHANNEL_YAW,
+    RECEIVER_FLAG_MS,
     RECEIVER_HOLD_MS,
     RECEIVER_LOST_MS,
+    RECEIVER_PAUSE_MS,
     RECEIVER_RECOVERY_MS,
     Mode,
     ModeRange,
@@ -104,13 +106,14 @@ Make = Callable[..., Receiver]
 
 # --- The link ---------------------------------------------------------------------------------
 @pytest.mark.parametrize("rate_hz", [1000, 2000, 4000, 8000])
-@pytest.mark.parametrize("delay_ms", [None, 200, 400, 20_000])
+@pytest.mark.parametrize(("hold_ms", "delay_ms"), [(None, None), (100, 200), (None, 400), (1000, 20_000)])
 def test_link_is_held_and_then_lost_when_silence_lasts_as_long_as_is_set(
-    make: Make, scripted: Any, rate_hz: int, delay_ms: int | None
+    make: Make, scripted: Any, rate_hz: int, hold_ms: int | None, delay_ms: int | None
 ) -> None:
     lib = scripted.lib
-    receiver = make(rate_hz) if delay_ms is None else make(rate_hz, failsafe_delay_ms=delay_ms)
-    hold, lost = (ms * rate_hz // 1000 for ms in (RECEIVER_HOLD_MS, delay_ms or RECEIVER_LOST_MS))
+    changed = {"failsafe_hold_ms": hold_ms, "failsafe_delay_ms": delay_ms}
+    receiver = make(rate_hz, **{name: ms for name, ms in changed.items() if ms is not None})
+    hold, lost = (ms * rate_hz // 1000 for ms in (hold_ms or RECEIVER_HOLD_MS, delay_ms or RECEIVER_LOST_MS))
     receiver.recover()
     receiver.tick(hold - 1)
     assert (receiver.link(), receiver.channels()) == (lib.RECEIVER_GOOD, FLOWN)
@@ -144,8 +147,7 @@ def test_a_lost_link_is_good_when_frames_have_come_for_as_long_as_it_takes(
     if before == "silence":
         receiver.tick(RECEIVER_LOST_MS * rate_hz // 1000)
     if before == "failsafe":
-        receiver.frame(failsafe=True)
-        receiver.frame(failsafe=True)
+        receiver.run(RECEIVER_LOST_MS, failsafe=True)
     receiver.run(RECEIVER_RECOVERY_MS - 1)
     receiver.tick(rate_hz // 1000 - 1)
     receiver.frame()
@@ -162,8 +164,9 @@ def test_recovery_begins_anew_when_it_is_set_back(make: Make, scripted: Any, set
     receiver.run(RECEIVER_RECOVERY_MS - 10)
     if setback == "failsafe":
         receiver.frame(failsafe=True)
+        receiver.tick(1)
     else:
-        receiver.tick(RECEIVER_HOLD_MS)
+        receiver.tick(RECEIVER_PAUSE_MS)
     receiver.run(RECEIVER_RECOVERY_MS)
     assert receiver.link() == scripted.lib.RECEIVER_LOST
     receiver.frame()
@@ -172,11 +175,17 @@ def test_recovery_begins_anew_when_it_is_set_back(make: Make, scripted: Any, set
 
 def test_link_never_recovers_when_frames_are_rare_or_repeated(make: Make, scripted: Any) -> None:
     rare, repeated = make(), make()
-    rare.run(3000, every_ms=RECEIVER_HOLD_MS + 1)
+    rare.run(3000, every_ms=RECEIVER_PAUSE_MS + 1)
     assert rare.link() == scripted.lib.RECEIVER_LOST
     repeated.frame()
     repeated.run(3000, frame_lost=True)
     assert repeated.link() == scripted.lib.RECEIVER_LOST
+
+
+def test_link_recovers_as_slowly_when_a_long_hold_is_set(make: Make, scripted: Any) -> None:
+    receiver = make(failsafe_hold_ms=1000, failsafe_delay_ms=2000)
+    receiver.run(3000, every_ms=RECEIVER_PAUSE_MS + 1)
+    assert receiver.link() == scripted.lib.RECEIVER_LOST
 
 
 def test_link_is_lost_when_nothing_was_ever_heard(make: Make, scripted: Any) -> None:
@@ -186,26 +195,112 @@ def test_link_is_lost_when_nothing_was_ever_heard(make: Make, scripted: Any) -> 
     assert (receiver.link(), receiver.channels()) == (scripted.lib.RECEIVER_LOST, LOST)
 
 
-def test_link_is_lost_when_two_frames_in_a_row_say_failsafe(make: Make, scripted: Any) -> None:
+# --- Flagged frames: the receiver says that they are not the transmitter's -----------------------
+PRESET = [2000, 1000, 1000, 2000, *[1000] * 12]  # what a receiver may have been taught: low, off
+
+
+@pytest.mark.parametrize("frame_lost", [False, True])
+def test_it_holds_at_once_and_flies_on_with_the_first_good_frame_when_frames_say_failsafe(
+    make: Make, scripted: Any, frame_lost: bool
+) -> None:
     receiver = make()
     receiver.recover()
-    for frame_lost in (False, True):
-        receiver.frame([2000] * CHANNEL_COUNT, failsafe=True)
+    for _ in range(3):
+        for _ in range(5):
+            receiver.frame(PRESET, frame_lost=frame_lost, failsafe=True)
+            assert (receiver.link(), receiver.channels()) == (scripted.lib.RECEIVER_HOLD, HELD)
+            receiver.tick(10)
+            assert (receiver.link(), receiver.channels()) == (scripted.lib.RECEIVER_HOLD, HELD)
+        receiver.frame()
         assert (receiver.link(), receiver.channels()) == (scripted.lib.RECEIVER_GOOD, FLOWN)
-        receiver.frame(frame_lost=frame_lost)
-        assert (receiver.link(), receiver.channels()) == (scripted.lib.RECEIVER_GOOD, FLOWN)
-    receiver.frame(failsafe=True)
-    receiver.frame(failsafe=True)
+
+
+@pytest.mark.parametrize("delay_ms", [400, 5000])
+@pytest.mark.parametrize("frame_lost", [False, True])
+def test_link_is_lost_as_late_as_in_silence_when_frames_say_failsafe(
+    make: Make, scripted: Any, delay_ms: int, frame_lost: bool
+) -> None:
+    receiver = make(failsafe_delay_ms=delay_ms)
+    receiver.recover()
+    for elapsed in range(delay_ms):
+        if elapsed % 9 == 5:
+            receiver.frame(PRESET, frame_lost=frame_lost, failsafe=True)
+        assert receiver.link() == (scripted.lib.RECEIVER_GOOD if elapsed < 5 else scripted.lib.RECEIVER_HOLD)
+        receiver.tick(1)
     assert (receiver.link(), receiver.channels()) == (scripted.lib.RECEIVER_LOST, LOST)
+    receiver.run(3000, channels=PRESET, frame_lost=frame_lost, failsafe=True)
+    assert receiver.link() == scripted.lib.RECEIVER_LOST
 
 
-def test_a_frame_in_failsafe_is_no_news_when_it_comes_alone(make: Make, scripted: Any) -> None:
-    receiver = make()
+def test_a_hold_by_a_flag_does_not_end_in_silence(make: Make, scripted: Any) -> None:
+    receiver = make(failsafe_hold_ms=RECEIVER_FLAG_MS, failsafe_delay_ms=20_000)
     receiver.recover()
-    receiver.tick(RECEIVER_HOLD_MS - 1)
-    receiver.frame(failsafe=True)
-    receiver.tick(1)
-    assert receiver.link() == scripted.lib.RECEIVER_HOLD
+    receiver.frame(PRESET, failsafe=True)
+    for _ in range(2 * RECEIVER_FLAG_MS):
+        assert receiver.link() == scripted.lib.RECEIVER_HOLD
+        receiver.tick(1)
+
+
+def test_flagged_frames_that_say_off_are_no_off(make: Make) -> None:
+    receiver, on = make(), [1500] * 4 + [2000] * 12
+    off = [*on[:CHANNEL_ARM], 1000, *on[CHANNEL_ARM + 1 :]]
+    receiver.run(RECEIVER_RECOVERY_MS + 10, channels=on)
+    for flags in ({"failsafe": True}, {"frame_lost": True}, {"failsafe": True, "frame_lost": True}):
+        receiver.run(500, channels=off, **flags)
+        assert receiver.arm()
+        receiver.frame(on)
+    receiver.frame(off)
+    receiver.run(500, channels=on, failsafe=True)
+    assert receiver.arm()
+    receiver.frame(off)
+    assert not receiver.arm(), "the pilot's second one, whatever came between"
+
+
+def uplink(crsf: Frame, percent: int) -> bytes:
+    """A frame of CRSF that tells the uplink's quality."""
+    return crsf(0x14, bytes([70, 70, percent, *[0] * 7]))
+
+
+def test_channels_of_crsf_are_no_frame_while_the_uplink_has_no_quality(
+    make: Make, scripted: Any, sbus: Frame, crsf: Frame
+) -> None:
+    receiver = make(receiver_protocol=CRSF, failsafe_delay_ms=5000)
+    flown, preset = (
+        crsf(0x16, sbus([VALUE_OF_US[us] for us in channels])[1:23]) for channels in (FLOWN, PRESET)
+    )
+
+    def run(ms: int, channels: bytes, percent: int) -> None:
+        for elapsed in range(ms):
+            receiver.push((uplink(crsf, percent) if elapsed % 100 == 0 else b"") + channels)
+            receiver.tick(1)
+
+    run(RECEIVER_RECOVERY_MS + 1, flown, 1)
+    assert (receiver.link(), receiver.channels()) == (scripted.lib.RECEIVER_GOOD, FLOWN)
+    receiver.push(uplink(crsf, 0))
+    assert (receiver.link(), receiver.channels()) == (scripted.lib.RECEIVER_HOLD, HELD)
+    run(4900, preset, 0)
+    assert (receiver.link(), receiver.channels()) == (scripted.lib.RECEIVER_HOLD, HELD)
+    receiver.push(uplink(crsf, 1) + flown)
+    assert (receiver.link(), receiver.channels()) == (scripted.lib.RECEIVER_GOOD, FLOWN)
+    run(5000, preset, 0)
+    assert (receiver.link(), receiver.channels()) == (scripted.lib.RECEIVER_LOST, LOST)
+    run(1000, preset, 0)
+    run(RECEIVER_RECOVERY_MS, flown, 1)
+    assert receiver.link() == scripted.lib.RECEIVER_LOST
+    run(1, flown, 1)
+    assert (receiver.link(), receiver.channels()) == (scripted.lib.RECEIVER_GOOD, FLOWN)
+
+
+def test_channels_of_crsf_count_again_when_the_quality_is_told_no_more(
+    make: Make, scripted: Any, sbus: Frame, crsf: Frame
+) -> None:
+    receiver = make(receiver_protocol=CRSF)
+    receiver.push(uplink(crsf, 0))
+    for _ in range(RECEIVER_FLAG_MS + RECEIVER_RECOVERY_MS + 1):
+        assert receiver.link() == scripted.lib.RECEIVER_LOST
+        receiver.push(crsf_sticks(sbus, crsf, 1500))
+        receiver.tick(1)
+    assert receiver.link() == scripted.lib.RECEIVER_GOOD
 
 
 def test_the_switch_is_off_when_two_good_frames_in_a_row_say_so(make: Make) -> None:
@@ -243,9 +338,10 @@ def flown_through(receiver: Receiver, wrong: bytes, good: bytes) -> int:
     """How many frames came out of `wrong`, whether they were a flight's end or not; then comes a good one."""
     seen = len(receiver.push(wrong))
     receiver.tick(5)
-    assert receiver.link() == receiver.lib.RECEIVER_GOOD
+    assert receiver.link() != receiver.lib.RECEIVER_LOST
     assert receiver.arm()
     assert len(receiver.push(good)) >= 1
+    assert receiver.link() == receiver.lib.RECEIVER_GOOD
     receiver.tick(5)
     assert receiver.arm()
     return seen
@@ -262,7 +358,7 @@ def test_no_two_flipped_bits_of_one_sbus_frame_end_a_flight(make: Make, scripted
         wrong = flipped(good, first, second)
         scripted.lib.sbus_reset(parser)
         if [scripted.lib.sbus_push(parser, byte, frame) for byte in wrong][-1]:
-            ends += frame.failsafe or (frame.channels_us[CHANNEL_ARM] < 1700 and not frame.frame_lost)
+            ends += frame.channels_us[CHANNEL_ARM] < 1700 and not (frame.frame_lost or frame.failsafe)
         flown_through(receiver, wrong, good)
     print(f"{ends} pairs of bits make a frame that would have ended the flight")
     assert ends > 300
@@ -440,8 +536,7 @@ def test_no_mode_is_on_when_only_what_stands_in_for_a_lost_receiver_lies_in_its_
     off = [1500] * CHANNEL_COUNT
     receiver.run(RECEIVER_RECOVERY_MS + 20, channels=off)
     assert receiver.modes() == set()
-    receiver.frame(failsafe=True)
-    receiver.frame(failsafe=True)
+    receiver.run(RECEIVER_LOST_MS, channels=[1000] * CHANNEL_COUNT, failsafe=True)
     assert (receiver.channels()[CHANNEL_ARM], receiver.modes()) == (1000, set())
     receiver.run(RECEIVER_RECOVERY_MS + 20, channels=off)
     receiver.tick(RECEIVER_LOST_MS)
@@ -578,11 +673,20 @@ def test_sticks_start_from_the_centre_when_the_link_was_held(make: Make) -> None
     assert receiver.channels()[0] == 1750, "the silence was no interval"
 
 
+def test_sticks_start_from_the_centre_when_the_hold_was_a_flags(make: Make) -> None:
+    receiver = make(interpolation=1)
+    receiver.run(400, every_ms=10, channels=sticks_at(2000))
+    receiver.frame(failsafe=True)
+    receiver.tick(10)
+    receiver.frame(sticks_at(2000))
+    assert receiver.channels()[0] == 1500
+
+
 def test_sticks_jump_when_there_is_no_interval_yet(make: Make) -> None:
     receiver = make(interpolation=1, receiver_protocol=SBUS)
     receiver.frame(sticks_at(1800))
     receiver.frame(sticks_at(1200))
-    receiver.tick(RECEIVER_HOLD_MS - 1)
+    receiver.tick(RECEIVER_PAUSE_MS - 1)
     assert receiver.self.interval == 0
 
 

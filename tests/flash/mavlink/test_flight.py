@@ -174,7 +174,7 @@ def test_a_companion_that_comes_back_is_not_obeyed_before_it_enables_again(locks
 def test_the_flight_goes_on_when_it_enables_again_in_time(lockstep: MakeLockstep) -> None:
     gateway = armed(lockstep)
     gateway.run(SETTLED_MS, lambda: gateway.station.rates(0, 0, 0, 0.3))
-    gateway.run(500)
+    gateway.run(700)
     assert gateway.session.firmware.safety.state is FlightState.FAILSAFE_HOLD
     assert gateway.enable() == ACCEPTED
     gateway.run(SETTLED_MS, lambda: gateway.station.rates(1.0, 0, 0, 0.3))
@@ -186,7 +186,7 @@ def test_another_gateway_takes_over_what_flies(lockstep: MakeLockstep) -> None:
     gateway = armed(lockstep)
     gateway.run(SETTLED_MS, lambda: gateway.station.rates(0, 0, 0, 0.3))
     gateway.restart_gateway()
-    gateway.run(300, lambda: gateway.station.rates(0, 0, 0, 0.3))
+    gateway.run(500, lambda: gateway.station.rates(0, 0, 0, 0.3))
     assert gateway.session.firmware.safety.state is FlightState.FAILSAFE_HOLD
     assert gateway.enable() == ACCEPTED
     gateway.run(SETTLED_MS, lambda: gateway.station.rates(1.0, 0, 0, 0.3))
@@ -264,7 +264,7 @@ def test_leaving_offboard_is_a_failsafe_and_not_a_stop_at_once(lockstep: MakeLoc
     gateway = armed(lockstep)
     gateway.run(SETTLED_MS, lambda: gateway.station.rates(0, 0, 0, 0.3))
     gateway.station.command(mavlink.MAV_CMD_DO_SET_MODE, 1, 0)
-    gateway.run(300, lambda: gateway.station.rates(0, 0, 0, 0.3))
+    gateway.run(500, lambda: gateway.station.rates(0, 0, 0, 0.3))
     assert gateway.session.firmware.safety.state is FlightState.FAILSAFE_HOLD
     assert gateway.reply.dshot.all()
     assert until_stopped(gateway) <= RECEIVER_LOST_MS - 200
