@@ -45,6 +45,8 @@ struct hal {
 
 	/* From `background`: the battery's last measurement. */
 	void (*power_read)(void *context, struct power_sample *power);
+	/* From `link`: how often outputs to the motors had stuck and were set up anew since boot. */
+	uint32_t (*motor_restarts)(void *context);
 	void (*beeper)(void *context, bool on);
 	void (*led)(void *context, bool on);
 	/* Feeds the watchdog; without it the board resets within a second. */

@@ -223,6 +223,14 @@ static void background_record(void *context, struct control_record *record)
 	firmware_record(config->firmware, &config->stats[NF_TASK_CONTROL].last, record);
 }
 
+static uint32_t background_motor_restarts(void *context)
+{
+	const struct background *background = context;
+	const struct hal *hal = background->config.hal;
+
+	return hal->motor_restarts(hal->context);
+}
+
 static uint32_t background_samples(void *context)
 {
 	const struct background *background = context;
@@ -264,6 +272,7 @@ static void background_offer_commands(struct background *background)
 		.cycles_hz = config->cycles_hz,
 		.context = background,
 		.samples = background_samples,
+		.motor_restarts = background_motor_restarts,
 		.session = background_session,
 		.storing = background_storing,
 		.motor_test = background_test_motors,

@@ -258,6 +258,20 @@ def read(port: EmulatedPort, elf: Path, name: str) -> Any:
     return np.frombuffer(port.board.engine.memory(variable.address, variable.size), variable.dtype)[0]
 
 
+def test_frames_go_on_within_five_samples_when_the_timer_that_sends_them_has_stopped(
+    drill: Drill, started: tuple[Still, Any], board_image: Path
+) -> None:
+    """The ESCs of the board refuse a frame that is not whole, and one without a rest before it."""
+    escs = started[0].port.board.hardware.escs[:4]
+    drill(seconds=0.1)
+    whole = [esc.frames for esc in escs]
+    replies, events = drill("motors-stuck@0.06", seconds=0.1)
+    assert not events and all(reply.armed and reply.dshot.all() for reply in replies)
+    # The one that was to begin as it stopped, four that found its stream enabled: the last of them ended it.
+    assert [before - esc.frames for before, esc in zip(whole, escs, strict=True)] == [5] * 4
+    assert read(started[0].port, board_image, "restarts") == 1
+
+
 OVERLOAD_S = 0.0006  # of each control step: with it a sample takes 2.8 times its period
 
 

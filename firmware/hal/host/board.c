@@ -96,6 +96,13 @@ static const struct log_device *host_board_log(void *context, enum nf_log_device
 	return device == NF_LOG_DEVICE_NONE ? NULL : board->log;
 }
 
+/* Packets leave at once. */
+static uint32_t host_board_motor_restarts(void *context)
+{
+	(void)context;
+	return 0;
+}
+
 struct hal host_board_hal(struct host_board *board)
 {
 	return (struct hal){
@@ -106,6 +113,7 @@ struct hal host_board_hal(struct host_board *board)
 		.deadline_missed = host_board_deadline_missed,
 		.cycles = host_board_cycles,
 		.power_read = host_board_power_read,
+		.motor_restarts = host_board_motor_restarts,
 		.beeper = host_board_switch,
 		.led = host_board_switch,
 		.watchdog_feed = host_board_nothing,

@@ -119,6 +119,7 @@ static const struct hal functions = {
 	.deadline_missed = hal_deadline_missed,
 	.cycles = hal_cycles,
 	.power_read = hal_power_read,
+	.motor_restarts = motors_restarts,
 	.beeper = hal_beeper,
 	.led = hal_led,
 	.watchdog_feed = hal_watchdog_feed,

@@ -113,6 +113,15 @@ static void status_load(const struct task_line *t)
 	printer_text(t->out, " % of a gyro period at most");
 }
 
+static void status_motors(const struct task_line *t)
+{
+	printer_text(t->out, "motors: ");
+	printer_number(t->out, t->status->trace.motor_count);
+	printer_text(t->out, ", outputs that had stuck set up anew ");
+	printer_number(t->out, t->services->motor_restarts(t->services->context));
+	printer_text(t->out, " times");
+}
+
 static void status_gyro(const struct task_line *t)
 {
 	const struct firmware_status *s = t->status;
@@ -149,8 +158,8 @@ static void status_log(const struct task_line *t)
 bool command_status(const struct task_line *t)
 {
 	static void (*const lines[])(const struct task_line *t) = {
-		status_state, status_reasons, status_battery,  status_policy,
-		status_load,  status_gyro,    status_receiver, status_log,
+		status_state,  status_reasons, status_battery,  status_policy, status_load,
+		status_motors, status_gyro,    status_receiver, status_log,
 	};
 
 	lines[t->row](t);

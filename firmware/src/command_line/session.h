@@ -42,6 +42,7 @@ struct command_line_services {
 	void *context;                 /* of the functions below */
 
 	uint32_t (*samples)(void *context); /* gyro samples since boot; wraps */
+	uint32_t (*motor_restarts)(void *context); /* as in struct hal */
 	/* A session opens or ends. While one is open NF_ARMING_REASON_CLI forbids arming. NF_REFUSAL_ARMED: it must not
 	 * open, and nothing has changed. */
 	enum nf_refusal (*session)(void *context, bool open);

@@ -1,5 +1,7 @@
 #include "housekeeping/scheduler.h"
 
+#include "common/fence.h"
+
 void task_stats_init(struct task_stats *stats, uint32_t rate_hz)
 {
 	*stats = (struct task_stats){ .rate_hz = rate_hz };
@@ -21,14 +23,31 @@ void task_stats_add(struct task_stats *stats, uint32_t cycles, bool missed)
 	stats->misses += missed;
 }
 
+/* Reads how many runs there were, and their sum: of the same moment. A run that the interrupt adds between the reads, or between
+ * the halves of the sum, shows in the number of runs. */
+static uint32_t task_stats_read(const struct task_stats *stats, uint64_t *sum)
+{
+	const volatile uint32_t *const now = &stats->runs;
+	uint32_t runs;
+
+	do {
+		runs = *now;
+		fence();
+		*sum = stats->sum;
+		fence();
+	} while (runs != *now);
+	return runs;
+}
+
 /* Long division, bit by bit: the compiler's of 64 bits takes 0.7 KB of flash. A mean of 32 bits is one of 32 bits. */
 uint32_t task_stats_mean(const struct task_stats *stats)
 {
-	uint64_t rest = stats->sum;
+	uint64_t rest;
+	const uint32_t runs = task_stats_read(stats, &rest);
 	uint32_t mean = 0;
 
-	for (uint32_t bit = UINT32_C(1) << 31; bit != 0 && stats->runs != 0; bit >>= 1) {
-		const uint64_t part = (uint64_t)stats->runs * bit;
+	for (uint32_t bit = UINT32_C(1) << 31; bit != 0 && runs != 0; bit >>= 1) {
+		const uint64_t part = (uint64_t)runs * bit;
 		if (rest < part)
 			continue;
 		rest -= part;

@@ -30,7 +30,7 @@ void task_stats_init(struct task_stats *stats, uint32_t rate_hz);
 /* One run took `cycles`. */
 void task_stats_add(struct task_stats *stats, uint32_t cycles, bool missed);
 
-/* Cycles of a mean run, 0 before the first. */
+/* Cycles of a mean run, 0 before the first. An interrupt may add runs meanwhile. */
 uint32_t task_stats_mean(const struct task_stats *stats);
 
 /* A task of the background. */

@@ -17,6 +17,7 @@ from sim.board.core.context import TIME_HZ
 from sim.board.core.engine import CPI
 from sim.board.devices.sd_card import CardFault
 from sim.board.peripherals.usart import Format
+from sim.board.registers.bus import load_table
 from toolchain.errors import ScenarioError
 
 BOOT = "boot"
@@ -66,6 +67,13 @@ def _overload(board: Board, seconds: float) -> None:
     loop = (0x4A02, 0x3A01, 0xD1FD, 0x4A02, 0x4710, 0xBF00)  # ldr r2; subs r2, #1; bne; ldr r2; bx r2; nop
     engine.poke(stub, struct.pack("<6H2I", *loop, rounds, function))
     engine.poke(table + 4 * calls.index(function), struct.pack("<I", stub | 1))
+
+
+def _stop_timer(board: Board) -> None:
+    """TIM8 stops: what DMA is given for motors 1 to 4 from here on is not asked for, and its stream never ends."""
+    block = load_table().blocks["TIM8"]
+    address = block.base + block.registers["CR1"].offset
+    board.engine.store(address, 4, board.engine.load(address, 4) & ~1)  # CEN
 
 
 def _card(fault: CardFault) -> Callable[[Board, float], None]:
@@ -120,6 +128,10 @@ FAULTS = {
     ),
     "processor-fault": FaultKind(
         "the program jumps to nowhere: a processor fault", begin=lambda board, value: _fault(board)
+    ),
+    "motors-stuck": FaultKind(
+        "the timer that sends frames to motors 1 to 4 stops",
+        begin=lambda board, value: _stop_timer(board),
     ),
     "overload": FaultKind(
         "each control step takes longer, until a reset",

@@ -148,6 +148,36 @@ def test_a_new_frame_is_dropped_when_the_last_is_on_the_wire(motors: Callable[..
     assert [board.ticks(motor) for motor in range(4)] == [[135] * 16 + [0, 0]] * 4
 
 
+def test_an_output_that_is_stuck_is_set_up_anew_and_gets_a_whole_frame_at_the_next_write(
+    motors: Callable[..., Motors],
+) -> None:
+    board = motors(DSHOT600, 6)
+    board.write(*[2047] * 6)
+    board.finish()
+    board.write(*[2047] * 6)
+    sketch, tim3 = board.sketch, 0x40000400
+    for bank in (0, 2):  # the frames of TIM8 and TIM1 have ended, that of TIM3 does not
+        controller, stream, *_ = BANKS[bank]
+        sketch.poke(controller + 0x10 + 0x18 * stream, board.register(bank, 0) & ~1)
+    sketch.poke(tim3, 0)  # CR1: the timer stands
+    for _ in range(3):
+        board.write(*[0] * 6)
+        assert board.sending() == [False, True, False] and sketch.peek(tim3) == 0
+    written: list[str] = []
+    sketch.on_write = lambda register, value: written.append(register.instance)
+    board.write(*[0] * 6)
+    sketch.on_write = lambda register, value: None
+    assert set(written) == {"TIM3", "DMA1"}, "the others are left alone"
+    assert board.sending() == [False] * 3, "the lines rest until the next write"
+    assert sketch.field("TIM_CR1", "CEN", "TIM3") == 1 and sketch.field("TIM_DIER", "UDE", "TIM3") == 0
+    assert sketch.peek(tim3 + 0x40) == 0, "CCR4: low"
+    assert sketch.call_with(board.symbols["motors_restarts"], 0) == 1
+    board.write(*[0] * 6)
+    assert board.sending() == [True] * 3 and sketch.field("TIM_DIER", "UDE", "TIM3") == 1
+    assert board.ticks(4) == [67] * 16 + [0, 0]
+    assert board.sketch.sins == []
+
+
 def test_every_line_is_driven_low_when_forced(motors: Callable[..., Motors]) -> None:
     board = motors(DSHOT600, 6)
     written: list[tuple[str, int]] = []

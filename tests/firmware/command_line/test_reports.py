@@ -36,6 +36,7 @@ def test_status_says_state_reasons_battery_policy_and_load(desk: Desk) -> None:
     assert text["load"] == "0 % of a gyro period at most"
     assert text["gyro"].startswith("1000 Hz, GOOD, ")
     assert text["receiver"] == "good, quality 100 %"
+    assert text["motors"] == "4, outputs that had stuck set up anew 0 times"
     assert text["log"] == "CARD, ABSENT, error NONE, logs 0, dropped steps 0"
 
 

@@ -17,6 +17,13 @@ from toolchain.contract import ArmingReason, FlightState, Refusal
 NEEDED = ("attitude", "motor_test", "dshot_command", "status")  # in this order
 
 
+def catcher(library: Path) -> tuple[FFI, Any]:
+    """What interrupt.c has."""
+    ffi = FFI()
+    ffi.cdef("int interrupt_at(void *pages, size_t bytes, void (*handler)(void));")
+    return ffi, ffi.dlopen(str(library))
+
+
 class Split:
     """Memory for a firmware, cut in two before `forbidden`: the first touch of the front can interrupt."""
 
@@ -30,9 +37,7 @@ class Split:
         self._memory = mmap.mmap(-1, (pages + behind) * mmap.PAGESIZE)
         self._start, self._bytes = ffi.from_buffer(self._memory), pages * mmap.PAGESIZE
         self.fw = ffi.cast("struct firmware *", ffi.cast("char *", self._start) + self._bytes - front)
-        self._ffi = FFI()
-        self._ffi.cdef("int interrupt_at(void *pages, size_t bytes, void (*handler)(void));")
-        self._lib = self._ffi.dlopen(str(library))
+        self._ffi, self._lib = catcher(library)
         self.taken = 0
 
     def interrupt(self, handler: Callable[[], None]) -> None:
@@ -128,3 +133,32 @@ def test_nothing_arms_when_the_switch_comes_while_the_background_looks_whether_f
     f.land()
     switch_on()
     assert f.fw.safety.state == FlightState.ARMED, "a refusal forbids nothing"
+
+
+@pytest.mark.parametrize("watched", ["runs", "sum"])
+def test_a_mean_is_of_whole_runs_when_one_is_added_while_it_is_read(
+    scripted: Any, interrupt: Path, watched: str
+) -> None:
+    """The struct lies across a page's end, `sum` behind it; who touches a page first is interrupted."""
+    ffi, lib = scripted.ffi, scripted.lib
+    own, catching = catcher(interrupt)
+    memory = mmap.mmap(-1, 2 * mmap.PAGESIZE)
+    start = int(ffi.cast("uintptr_t", ffi.from_buffer(memory)))
+    before = ffi.offsetof("struct task_stats", "sum")
+    assert ffi.offsetof("struct task_stats", "runs") < before
+    stats = ffi.cast("struct task_stats *", start + mmap.PAGESIZE - before)
+    lib.task_stats_init(stats, 1000)
+    for _ in range(3):
+        lib.task_stats_add(stats, 100, False)
+    assert lib.task_stats_mean(stats) == 100
+    taken: list[int] = []
+
+    def run() -> None:
+        taken.append(stats.runs)
+        lib.task_stats_add(stats, (1 << 32) - 1, False)
+
+    handler = own.callback("void(void)", run)
+    page = own.cast("void *", start + (watched == "sum") * mmap.PAGESIZE)
+    assert catching.interrupt_at(page, mmap.PAGESIZE, handler) == 0
+    assert lib.task_stats_mean(stats) == (300 + (1 << 32) - 1) // 4
+    assert taken == [3]

@@ -341,4 +341,11 @@ SAFETY_MUTANTS = (
         new="late > period;",
         tests=(OF_SCHEDULER,),
     ),
+    Mutant(
+        name="a run that is added while a mean is read counts by half",
+        file=SCHEDULER,
+        old="while (runs != *now);",
+        new="while (false);",
+        tests=("joined/test_interrupt.py",),
+    ),
 )

@@ -76,10 +76,15 @@ struct pulse {
 };
 
 /* Set by motors_run. */
-static uint32_t banks_in_use;
+static uint32_t banks_in_use, bits_hz;
 static struct pulse pulses[BANK_COUNT];
 
-static void motors_start_bank(const struct bank *bank, uint32_t bit_ticks)
+/* A frame has long ended by the next write, a gyro period later: 60 us with DShot300, 125 us at 8 kHz. A stream that is
+ * enabled at so many writes in a row gets no requests any more, and would never end by itself. */
+#define STUCK_WRITES 4u
+static uint32_t writes_dropped, restarts;
+
+static __attribute__((cold, noinline)) void motors_start_bank(const struct bank *bank, uint32_t bit_ticks)
 {
 	TIM_PSC(bank->timer) = 0;
 	TIM_ARR(bank->timer) = bit_ticks - 1u;
@@ -107,8 +112,9 @@ __attribute__((cold)) void motors_run(uint32_t protocol, size_t count)
 	HAL_ASSERT(protocol < sizeof bits_a_second / sizeof bits_a_second[0] && count <= BOARD_MOTOR_COUNT);
 	uint32_t used = 0;
 
+	bits_hz = bits_a_second[protocol];
 	for (; used < BANK_COUNT && banks[used].first < count; ++used) {
-		const uint32_t ticks = banks[used].clock_hz / bits_a_second[protocol];
+		const uint32_t ticks = banks[used].clock_hz / bits_hz;
 
 		pulses[used].zero = ticks * 3u / 8u;
 		pulses[used].more = ticks * 3u / 4u - pulses[used].zero;
@@ -126,6 +132,29 @@ static bool motors_busy(void)
 		if (dma_busy(banks[i].stream))
 			return true;
 	return false;
+}
+
+/* Ends each stream that is stuck and sets its timer up anew, as at the start: the lines are low from here on. No frame is
+ * sent yet. What an ESC has of the one that broke off has no 16 bits; it forgets them in the rest before the next write. A
+ * stream that cannot be ended is tried again later. */
+static __attribute__((cold, noinline)) void motors_restart(void)
+{
+	++restarts;
+	for (uint32_t i = 0; i < banks_in_use; ++i) {
+		const struct bank *const bank = &banks[i];
+
+		if (!dma_busy(bank->stream))
+			continue;
+		TIM_DIER(bank->timer) &= ~bank->request;
+		if (dma_stop(bank->stream))
+			motors_start_bank(bank, bank->clock_hz / bits_hz);
+	}
+}
+
+uint32_t motors_restarts(void *context)
+{
+	(void)context;
+	return restarts;
 }
 
 /* Requests are off while the stream starts, and the counter restarts a bit, so that no update falls in between: else
@@ -162,8 +191,12 @@ static void motors_fill_alone(uint32_t *slots, uint32_t frame, const struct puls
 void motors_write(void *context, const uint16_t dshot[], size_t count, bool telemetry)
 {
 	(void)context;
-	if (motors_busy())
+	if (motors_busy()) {
+		if (++writes_dropped % STUCK_WRITES == 0)
+			motors_restart();
 		return;
+	}
+	writes_dropped = 0;
 	for (uint32_t i = 0; i < banks_in_use; ++i) {
 		const struct bank *const bank = &banks[i];
 
