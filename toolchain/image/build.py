@@ -30,7 +30,8 @@ from toolchain.cortex_m7.stack_use import StackError, StackUse, stack_use
 from toolchain.cortex_m7.timing import Cost, mixed_observations, step_cost
 from toolchain.errors import BuildError, PolicyError
 from toolchain.files import locked, replacing, write_text, write_text_if_changed
-from toolchain.image.elf import FLASH, RAM, Image, image_budgets, memory_use, read_image
+from toolchain.image.elf import FLASH, Image, image_budgets, memory_use, read_image
+from toolchain.image.fit import check_memories, policy_code, split
 from toolchain.image.report import (
     BuildReport,
     ImageSize,
@@ -45,13 +46,12 @@ from toolchain.rendering.contract_header import render_contract
 from toolchain.rendering.pid_table import PidTable, render_pid_table
 
 TARGETS_FOLDER = Path(__file__).resolve().parents[2] / "firmware" / "targets"
-BOARD_MEMORY = (*RAM, FLASH)
+BOARD_MEMORY = (contract.ITCM, contract.DTCM, contract.SRAM1, contract.SRAM2, FLASH)
 MEAN = [contract.POLICY_FILTER_MEAN]  # the one gyro filter that a policy may bring
 NFI = "neuroflight.nfi"  # both banks' images, one behind the other
 OBSERVATIONS = 12  # that a step inside the image is counted with: it takes the same route for all
 PLAIN = re.compile(r"[\w./+@,-]+")  # a path that make takes for one word without a meaning of its own
 STACK_SECTION = ".stack"  # of an image: room that nothing is linked into
-CODE_SECTIONS = ".text"  # of an object: each function has one of its own
 NO_STACK = "the operating system gives this program its stack"
 NO_CYCLES = "cycles are predicted for the board's Cortex-M7 only; build MATEKF722"
 
@@ -198,14 +198,7 @@ def check_fit(compiled: CompiledPolicy, target: Target) -> None:
             f"the policy was trained behind the gyro filters {json.dumps(policy.filters)}, expected [] or "
             f"{json.dumps([MEAN])}; train it behind one of these"
         )
-    plan = compiled.plan
-    for facts, count, most in (
-        (f"has {plan.table.size} weights", plan.table.size, contract.POLICY_WEIGHT_COUNT_MAX),
-        (f"works on {plan.memory} floats", plan.memory, contract.POLICY_MEMORY_COUNT_MAX),
-    ):
-        if count > most:
-            excess = f"{count - most} more than the board's {most}"
-            raise PolicyError(f"the policy {facts}, {excess}; train a smaller network")
+    check_memories(compiled.plan, len(compiled.emission.blob))
 
 
 def _check_pid(pid: PidTable | None, policy: PolicyModel) -> None:
@@ -292,13 +285,13 @@ def _step_cost(compiled: CompiledPolicy, image: Path) -> Cost:
 
 
 def _image_size(image: Image, objects: Path, compiled: CompiledPolicy) -> ImageSize:
-    policy = read_image(objects / "policy.o")
+    code = policy_code(objects / "policy.o")
+    _, slow = split(code)
     return ImageSize(
         text_data_bss=sum(section.size for section in image.sections if section.name != STACK_SECTION),
         flash=sum(segment.size for segment in image.segments),
-        policy_code=sum(
-            section.size for section in policy.sections if section.name.startswith(CODE_SECTIONS)
-        ),
+        policy_code=sum(section.size for section in code),
+        policy_code_in_flash=sum(section.size for section in slow),
         policy_weights=int(compiled.plan.table.nbytes),
     )
 

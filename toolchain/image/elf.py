@@ -19,6 +19,7 @@ from toolchain.contract import (
     FLASH_BYTES,
     IMAGE_TAIL_BYTES,
     ITCM,
+    NULL_PAGE_BYTES,
     SRAM1,
     SRAM2,
     Region,
@@ -27,13 +28,17 @@ from toolchain.errors import BuildError
 from toolchain.files import file_size
 
 FLASH = Region("flash", FLASH_BASE, FLASH_BYTES)
-RAM = (ITCM, DTCM, SRAM1, SRAM2)
+# As the linker script has them, which leaves the null page out.
+RAM = (
+    Region("ITCM", ITCM.address + NULL_PAGE_BYTES, ITCM.size - NULL_PAGE_BYTES),
+    *(DTCM, SRAM1, SRAM2),
+)
 
 # What an image may take of them (the linker scripts hold it too): of its bank all but the marks at the end.
 # The boot part has a sector of its own.
 BOOT = Region("boot part", FLASH_BOOT.address, FLASH_BOOT.size)
 BANK = Region("bank", FLASH_BANK_A.address, FLASH_BANK_A.size - IMAGE_TAIL_BYTES)
-RAM_BUDGET = 208 * 1024
+RAM_USED, RAM_LIMIT = "ram_bytes", "RAM_LIMIT"  # image.ld's names: of all RAM but the policy's weights
 
 VFP_REGISTERS = 1  # Tag_ABI_VFP_args: floats are passed in VFP registers (ARM IHI 0045, section 3.3.5.3)
 
@@ -134,10 +139,14 @@ def memory_use(image: Image) -> tuple[MemoryUse, ...]:
 
 
 def image_budgets(image: Image) -> tuple[MemoryUse, ...]:
-    """How much of its limits an image takes: boot part, bank with policy, all RAM. Raises BuildError."""
-    _, *rams = memory_use(image)
+    """How much of its limits an image takes: boot part, bank, RAM without the policy's weights.
+
+    Raises BuildError.
+    """
     parts = _place(((s.address, s.size, "segment") for s in image.segments), (BOOT, BANK))
-    return *parts, MemoryUse("RAM", sum(use.used for use in rams), RAM_BUDGET)
+    if missing := {RAM_USED, RAM_LIMIT} - image.symbols.keys():
+        raise BuildError(f"the image does not tell {missing.pop()}, expected one that image.ld has linked")
+    return *parts, MemoryUse("RAM but weights", image.symbols[RAM_USED], image.symbols[RAM_LIMIT])
 
 
 def _place(spans: Iterable[tuple[int, int, str]], regions: Sequence[Region]) -> tuple[MemoryUse, ...]:

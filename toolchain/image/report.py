@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
 REPORT_BYTES_MAX = 1 << 20
+CACHE_LINE_BYTES = 32  # of the Cortex-M7's instruction cache
 TRAINING_SHOWN = ("algorithm", "steps", "seed")  # the entries of the training that the table has room for
 
 
@@ -68,6 +69,7 @@ class ImageSize:
     text_data_bss: int  # all sections that occupy memory while it runs, without the stack
     flash: int  # what is written to flash: boot part, code, constants, load images
     policy_code: int  # functions of policy.c
+    policy_code_in_flash: int  # of them those that find no room in ITCM
     policy_weights: int  # its table
 
 
@@ -211,6 +213,8 @@ def print_report(report: BuildReport, console: Console) -> None:
     table.add_row("", "sha256", f"{policy.sha256[:16]}… (whole in report.json)")
     if report.step_instructions is not None:
         table.add_row("", "a step", _step(report))
+    if report.image_size is not None:
+        table.add_row("", "code", _code(report.image_size))
     pid = report.pid
     fallback = "none: no gains for this aircraft" if pid is None else f"{pid.name} of aircraft {pid.aircraft}"
     table.add_row("PID", "built in", fallback)
@@ -253,4 +257,15 @@ def _step(report: BuildReport) -> str:
     return (
         f"{counted}, {report.predicted_cycles:,} cycles predicted: {1e6 * seconds:.0f} µs, "
         f"{100 * seconds * report.policy.control_rate_hz:.1f} % of its period"
+    )
+
+
+def _code(size: ImageSize) -> str:
+    """Where the policy's code runs, in words."""
+    if size.policy_code_in_flash == 0:
+        return f"{size.policy_code:,} bytes, all in ITCM"
+    lines = -(-size.policy_code_in_flash // CACHE_LINE_BYTES)
+    return (
+        f"{size.policy_code:,} bytes, {size.policy_code_in_flash:,} of them run from flash for want of ITCM: "
+        f"{lines} lines of the cache, whose misses no prediction counts"
     )

@@ -45,15 +45,20 @@ $(OBJ)/boot_part.o: $(BOOT_OBJECTS)
 
 # Each bank's image is linked from the same objects; its header then gets what only the whole image tells.
 LINK = $(CC) $(CPUFLAGS) -nostartfiles -nostdlib -Wl,--nmagic -Wl,--gc-sections -Wl,--fatal-warnings \
-	-Wl,-Map=$(@:.elf=.map) -o $@ $(filter %.o,$^) -lgcc
-STAMP = PYTHONPATH=.. '$(subst ','\'',$(PYTHON))' -m toolchain.image.stamp $@
+	-Wl,-Map=$(@:.elf=.map) -o $@ $(filter %.o,$^) -lgcc -L $(OBJ)
+IMAGE_TOOL = PYTHONPATH=.. '$(subst ','\'',$(PYTHON))' -m toolchain.image
+STAMP = $(IMAGE_TOOL).stamp $@
+
+# Which of the policy's functions run from ITCM.
+$(OBJ)/policy.ld: $(OBJ)/policy.o $(wildcard ../toolchain/image/fit.py)
+	$(IMAGE_TOOL).fit $< $@
 
 .SECONDEXPANSION:
-$(BUILD)/neuroflight.elf: $$(CORE_OBJECTS) $$(MAIN_OBJECT) $$(HAL_OBJECTS) $(OBJ)/boot_part.o hal/stm32f7/bank_a.ld hal/stm32f7/image.ld
+$(BUILD)/neuroflight.elf: $$(CORE_OBJECTS) $$(MAIN_OBJECT) $$(HAL_OBJECTS) $(OBJ)/boot_part.o hal/stm32f7/bank_a.ld hal/stm32f7/image.ld $(OBJ)/policy.ld
 	$(LINK) -T hal/stm32f7/bank_a.ld
 	$(STAMP)
 
-$(BUILD)/neuroflight-b.elf: $$(CORE_OBJECTS) $$(MAIN_OBJECT) $$(HAL_OBJECTS) hal/stm32f7/bank_b.ld hal/stm32f7/image.ld $(BUILD)/neuroflight.elf
+$(BUILD)/neuroflight-b.elf: $$(CORE_OBJECTS) $$(MAIN_OBJECT) $$(HAL_OBJECTS) hal/stm32f7/bank_b.ld hal/stm32f7/image.ld $(OBJ)/policy.ld $(BUILD)/neuroflight.elf
 	$(LINK) -T hal/stm32f7/bank_b.ld
 	$(STAMP) --build-of $(BUILD)/neuroflight.elf
 
@@ -67,7 +72,7 @@ $(BUILD)/neuroflight.hex: $(BUILD)/neuroflight.elf
 
 # The same two parts for the ROM's USB DFU.
 $(BUILD)/neuroflight.dfu: $(BUILD)/neuroflight.elf
-	PYTHONPATH=.. '$(subst ','\'',$(PYTHON))' -m toolchain.image.dfu $< $@
+	$(IMAGE_TOOL).dfu $< $@
 
 # Both banks' images, one behind the other: what is sent to a board that runs one of them.
 $(BUILD)/neuroflight.nfi: $(BUILD)/neuroflight.elf $(BUILD)/neuroflight-b.elf

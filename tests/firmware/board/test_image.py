@@ -197,8 +197,8 @@ def test_all_variables_and_the_stack_lie_in_dtcm_but_the_backgrounds_when_linked
         assert symbols[name] % 4 == 0, name
     for name in SLOW_DMA_BUFFERS:
         assert within(symbols[name], 4, sections[".uncached_bss"]), name
-    for name in ("firmware", "weights"):
-        assert within(symbols[name], sizes(elf)[name], sections[".bss"]), name
+    for name, where in (("firmware", ".bss"), ("weights", ".weights")):
+        assert within(symbols[name], sizes(elf)[name], sections[where]), name
 
 
 def test_the_largest_policy_would_fit_dtcm_when_its_room_is_added(elf: ELFFile, image_folder: Path) -> None:

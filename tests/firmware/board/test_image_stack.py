@@ -12,7 +12,7 @@ from unicorn.arm_const import UC_ARM_REG_SP
 
 from toolchain.cortex_m7.stack_use import StackUse, stack_use
 
-STACK_BYTES = 8192
+STACK_BYTES = 7168
 SPARE_BYTES = 2048  # that nothing of ours may ever need
 
 

@@ -132,6 +132,10 @@ def broad(kit: Kit) -> Chain:
     return kit.mlp((6, 600, 4))
 
 
+def long(kit: Kit) -> Chain:
+    return kit.mlp((6, *[4] * 414, 4))
+
+
 MISFITS: list[tuple[Callable[[Kit], Chain], str]] = [
     (seven_motors, "the policy drives 7 motors, MATEKF722 has 6; train it for an aircraft with no more"),
     (slow, "the policy runs at 500 Hz, the firmware at 1000, 2000, 4000 Hz"),
@@ -139,8 +143,9 @@ MISFITS: list[tuple[Callable[[Kit], Chain], str]] = [
     (wide, "the policy cannot be flown: the observation has 66 values, expected at most 64"),
     (remembering, "the policy cannot be flown: the observation remembers 288 values, expected at most 256"),
     (sighted, "the policy observes gravity, which the firmware has no source for; train it on other blocks"),
-    (large, "weights, 744 more than the board's 12288"),
-    (broad, "the policy works on 1200 floats, 560 more than the board's 640"),
+    (large, "13,032 weights, DTCM has room for 12,288: 2,976 bytes too many; train a smaller network"),
+    (broad, "1,200 floats to work on, DTCM has room for 640: 2,240 bytes too many; train one with narrower"),
+    (long, "831 kernel calls, the bank has room for 800: 992 bytes too many; train fewer layers"),
 ]
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from toolchain.contract import DTCM, FLASH_BANK_A, FLASH_BASE
 from toolchain.errors import BuildError
-from toolchain.image.elf import RAM_BUDGET, image_budgets, memory_use, read_image
+from toolchain.image.elf import BANK, RAM, image_budgets, memory_use, read_image
 
 CORTEX_M7 = ("-mcpu=cortex-m7", "-mthumb", "-mfpu=fpv5-sp-d16")
 HEAP = {"malloc", "calloc", "realloc", "free", "_sbrk", "_sbrk_r", "_malloc_r"}
@@ -30,9 +30,30 @@ def test_board_image_stays_in_its_budget_when_built(board_image: Path) -> None:
     assert budgets["boot part"].used + budgets["bank"].used == use["flash"].used
     assert all(0 < part.used <= part.size for part in budgets.values())
     assert (budgets["boot part"].size, budgets["bank"].size) == (16 * 1024, 128 * 1024 - 128)
-    assert 0 < sum(part.used for name, part in use.items() if name != "flash") <= RAM_BUDGET
+    weights = next(section.size for section in image.sections if section.name == ".weights")
+    used = sum(part.used for name, part in use.items() if name != "flash")
+    assert budgets["RAM but weights"].used == used - weights
     assert use["ITCM"].used > 0
     assert use["DTCM"].used > 4 * 4868  # the policy's weights among others
+
+
+def test_regions_are_the_linkers_when_a_report_tells_them(board_image: Path) -> None:
+    told = (board_image.with_suffix(".map")).read_text()
+    configuration = told.partition("Memory Configuration")[2].partition("Linker script")[0]
+    linkers = {}
+    for line in configuration.splitlines():
+        match line.split():
+            case [name, origin, length, *_] if origin.startswith("0x") and name != "*default*":
+                linkers[name] = (int(origin, 16), int(length, 16))
+    assert linkers["BANK"] == (BANK.address, BANK.size)
+    assert {region.name: (region.address, region.size) for region in RAM}.items() <= linkers.items()
+
+
+def test_an_image_is_refused_when_it_does_not_tell_its_ram(tmp_path: Path) -> None:
+    source = "void start(void) { }"
+    image = read_image(linked(tmp_path, source, f"-Wl,-Ttext={FLASH_BANK_A.address:#x}"))
+    with pytest.raises(BuildError, match=r"the image does not tell (ram_bytes|RAM_LIMIT), expected one that"):
+        image_budgets(image)
 
 
 def test_board_image_is_hard_float_for_the_cortex_m7_when_built(board_image: Path) -> None:
