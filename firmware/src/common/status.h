@@ -59,6 +59,7 @@ struct firmware_status {
 	float sag_v;                           /* voltage drop by the load */
 	uint8_t cells;                         /* 0: not known */
 	uint8_t battery_level;                 /* enum battery_level */
+	uint8_t gyro_identity;                 /* WHO_AM_I of the gyro chip, known or not; 0: nothing was read */
 };
 
 #endif
