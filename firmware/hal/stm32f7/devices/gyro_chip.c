@@ -1,6 +1,7 @@
 #include "hal/stm32f7/devices/gyro_chip.h"
 
 #include "board.h"
+#include "hal/stm32f7/core/clock.h"
 #include "hal/stm32f7/core/core.h"
 #include "hal/stm32f7/core/fault.h"
 #include "hal/stm32f7/core/gpio.h"
@@ -97,6 +98,13 @@ static const struct chip_setting chip_settings[] = {
 static DMA_BUFFER_SLOW uint8_t gyro_request[TRANSFER_BYTES];
 static DMA_BUFFER uint8_t gyro_response[TRANSFER_BYTES];
 
+/* A sample whose handler takes longer than its period is followed by the next one at once, and nothing below runs in
+ * between: no background, and nobody feeds the watchdog. What runs below is owed a cycle for each 8 that samples take,
+ * and while it is owed more than a millisecond samples are left out, which counts as lost ones. A single slow sample
+ * costs none. */
+#define CYCLES_A_CYCLE 8u
+#define OWED_MAX (CLOCK_CORE_HZ / 1000u)
+
 /* Between gyro_run, the edge handler, the sample handler and the tick. */
 static struct {
 	const struct chip *chip; /* NULL: none that we know */
@@ -106,6 +114,8 @@ static struct {
 	volatile uint32_t due;   /* reads since gyro_run, made or not; the edge handler's alone */
 	volatile uint32_t read;  /* `due` of the read that is under way; likewise */
 	uint32_t taken;          /* `due` of the last sample; sample handler and tick */
+	uint32_t ended;          /* the last sample [cycle]; the sample handler's alone */
+	uint32_t owed;           /* to what runs below [cycles]; likewise */
 	uint32_t silent_ms;      /* since the last sample; sample handler and tick, which share a priority */
 	volatile uint32_t samples; /* taken; written by the sample handler alone */
 	volatile bool reading;   /* a transfer was started and not yet taken */
@@ -208,6 +218,7 @@ void gyro_run(const struct hal_handlers *handlers, unsigned rate_hz)
 	gyro.divider = NF_GYRO_EDGE_RATE_HZ / rate_hz;
 	gyro.until_read = 1;
 	gyro.reading = false;
+	gyro.ended = time_cycles();
 	gyro_request[0] = ACCEL_XOUT_H | READ;
 	barrier();
 	gyro.handlers = handlers; /* from here on the tick watches */
@@ -277,12 +288,28 @@ static int16_t gyro_big_endian(const volatile uint8_t *bytes)
 	return (int16_t)(uint16_t)(bytes[0] << 8 | bytes[1]);
 }
 
+/* Has what runs below had its share up to now? */
+static bool gyro_share(uint32_t now)
+{
+	const uint32_t had = now - gyro.ended;
+
+	gyro.owed -= had < gyro.owed ? had : gyro.owed;
+	gyro.ended = now;
+	return gyro.owed <= OWED_MAX;
+}
+
 void gyro_sample_handler(void)
 {
 	struct imu_sample sample;
+	const uint32_t begun = time_cycles();
 
 	/* The edge handler may not come between: it would take the half-ended transfer for a stuck one. */
 	interrupts_disable();
+	if (!gyro_share(begun)) {
+		gyro_end_transfer();
+		interrupts_enable();
+		return;
+	}
 	sample.valid = dma_complete(DMA_GYRO_RX); /* or it ended in an error of the bus */
 	const uint32_t lost = gyro.read - gyro.taken - 1u;
 
@@ -299,4 +326,6 @@ void gyro_sample_handler(void)
 	gyro.silent_ms = 0;
 	++gyro.samples;
 	gyro.handlers->sample(gyro.handlers->context, &sample);
+	gyro.ended = time_cycles();
+	gyro.owed += (gyro.ended - begun) / CYCLES_A_CYCLE;
 }

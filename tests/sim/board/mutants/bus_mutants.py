@@ -58,7 +58,7 @@ BUS_MUTANTS = (
         file=GYRO,
         old="return gyro_set(chip->spi_only) && gyro_set(",
         new="return gyro_set(",
-        message=r"the ICM20602 samples while it may take its bus for I2C, expected register 0x70 with bit 0x40",
+        message=r"the ICM20602 samples while it may take its bus for I2C, expected register 0x70",
         seconds=0.4,
         slow=True,
     ),
