@@ -9,7 +9,7 @@ from flash.client import Client
 from flash.hints import HINTS, betaflight_reasons
 from flash.info import is_ours
 from flash.messages import Analog, Attitude, BatteryState
-from toolchain.contract import Msp
+from toolchain.contract import GyroIdentity, Msp
 
 
 @dataclass(frozen=True)
@@ -21,6 +21,7 @@ class Flight:
     stop_cause: str  # why the motors stopped last
     fallback_cause: str  # why the PID took over last
     refused_cause: str  # why the policy must not fly until it is acknowledged
+    gyro_chip: str  # name and identity of the chip; "" where there is none, as on a host
     gyro_health: str
     gyro_temperature_deg_c: float
     policy: str
@@ -52,13 +53,13 @@ def read_overview(client: Client) -> Overview:
     if ours:
         safety = records.safety(client.request(Msp.SAFETY))
         reasons = messages.arming_reasons(safety.arming_flags)
-        flight, percent = _flight(client, safety), safety.receiver_percent
+        flight, percent, hints = _flight(client, safety), safety.receiver_percent, _hints(safety)
     else:
         reasons = betaflight_reasons(extended.arming_flags, extended.arming_flag_count)
-        flight, percent = None, _percent(messages.analog(client.request(Msp.ANALOG)))
+        flight, percent, hints = None, _percent(messages.analog(client.request(Msp.ANALOG))), {}
     return Overview(
         armed=extended.status.armed,
-        arming_reasons={reason: HINTS.get(reason, "") if ours else "" for reason in reasons},
+        arming_reasons={reason: hints.get(reason, "") for reason in reasons},
         flight=flight,
         battery=battery,
         attitude=attitude,
@@ -66,6 +67,14 @@ def read_overview(client: Client) -> Overview:
         control_period_us=extended.status.cycle_time_us,
         load_percent=extended.status.load_percent,
     )
+
+
+def _hints(safety: records.Safety) -> dict[str, str]:
+    """How to lift each reason; a chip that is not known cannot be mended by a new start."""
+    if safety.gyro_identity in (None, records.NO_CHIP) or safety.gyro_known:
+        return HINTS
+    known = ", ".join(f"{chip.name} (0x{chip:02X})" for chip in GyroIdentity)
+    return HINTS | {"GYRO_BAD": f"the gyro is an {safety.gyro_chip}, this firmware knows {known}"}
 
 
 def _flight(client: Client, safety: records.Safety) -> Flight:
@@ -77,6 +86,7 @@ def _flight(client: Client, safety: records.Safety) -> Flight:
         stop_cause=safety.stop_cause.name,
         fallback_cause=safety.fallback_cause.name,
         refused_cause=safety.refused_cause.name,
+        gyro_chip=safety.gyro_chip,
         gyro_health=safety.gyro_health.name,
         gyro_temperature_deg_c=safety.temperature_deg_c,
         policy=policy.name,

@@ -6,11 +6,12 @@ from dataclasses import dataclass
 from enum import IntEnum
 
 from flash.payload import Reader
-from toolchain.contract import FallbackCause, FlightState, GyroHealth, Msp, StopCause, Task
+from toolchain.contract import FallbackCause, FlightState, GyroHealth, GyroIdentity, Msp, StopCause, Task
 
 # Registers of a fault record, in the order of the reply: firmware/src/storage/fault_record.h.
 FAULT_REGISTERS = ("r0", "r1", "r2", "r3", "r12", "lr", "pc", "psr", "cfsr", "hfsr", "mmfar", "bfar", "sp")
 FAULT_FILE_BYTES = 24
+NO_CHIP = 0xFF  # what the pull-up of a bus answers for a gyro chip that does not
 
 
 @dataclass(frozen=True)
@@ -29,6 +30,23 @@ class Safety:
     temperature_deg_c: float  # of the gyro
     idle: float  # motor fraction at zero thrust, of the controller that flies
     refused_cause: FallbackCause  # why the policy must not fly until it is acknowledged; NONE: it may
+    gyro_identity: int | None  # WHO_AM_I of its chip; None: no chip was read, or the firmware tells none
+
+    @property
+    def gyro_known(self) -> bool:
+        """Whether the chip is one that boards are flown with."""
+        return self.gyro_identity in tuple(GyroIdentity)
+
+    @property
+    def gyro_chip(self) -> str:
+        """Name and identity of the gyro chip as people read them; "" where the firmware tells of none."""
+        if self.gyro_identity is None:
+            return ""
+        if self.gyro_identity == NO_CHIP:
+            return f"no chip answers (0x{NO_CHIP:02X})"
+        if not self.gyro_known:
+            return f"unknown chip (0x{self.gyro_identity:02X})"
+        return f"{GyroIdentity(self.gyro_identity).name} (0x{self.gyro_identity:02X})"
 
 
 @dataclass(frozen=True)
@@ -95,6 +113,7 @@ def safety(payload: bytes) -> Safety:
     fallback, health = reader.one_of(FallbackCause), reader.one_of(GyroHealth)
     reasons, policy_good, pid_built_in, pid_flies, percent, centidegrees, idle = reader.fields("I3?Bhf")
     refused = reader.one_of(FallbackCause)
+    (identity,) = reader.fields("B") if reader.at < len(payload) else (0,)  # a firmware of before tells none
     return Safety(
         state=state,
         stop_cause=stop,
@@ -108,6 +127,7 @@ def safety(payload: bytes) -> Safety:
         temperature_deg_c=centidegrees / 100,
         idle=idle,
         refused_cause=refused,
+        gyro_identity=identity or None,
     )
 
 

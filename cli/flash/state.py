@@ -110,6 +110,7 @@ def _status_rows(told: Overview) -> list[tuple[str, str]]:
             ("flies", flight.flies),
             ("policy", f"{flight.policy}, {'good' if flight.policy_good else 'BAD: it does not fly'}"),
         ]
+        warmth = f"{flight.gyro_temperature_deg_c:.1f} deg C"
     held = [f"{name}: {hint}" if hint else name for name, hint in told.arming_reasons.items()]
     rows += [("arming held by" if i == 0 else "", line) for i, line in enumerate(held or ["nothing"])]
     if flight is not None:
@@ -119,7 +120,7 @@ def _status_rows(told: Overview) -> list[tuple[str, str]]:
             ("policy refused", "no" if flight.refused_cause == "NONE" else words(flight.refused_cause)),
             ("faults pending", "none" if flight.fault is None else f"{words(flight.fault)}; see `faults`"),
             ("boots", str(flight.boots)),
-            ("gyro", f"{words(flight.gyro_health)}, {flight.gyro_temperature_deg_c:.1f} deg C"),
+            ("gyro", ", ".join(filter(None, (flight.gyro_chip, words(flight.gyro_health), warmth)))),
         ]
     cells = f"{battery.cells} cells" if battery.cells else "cells not known"
     rows += [
@@ -194,17 +195,19 @@ def faults(args: argparse.Namespace) -> int:
 
     with connect(args) as client:
         told = records.faults(client.request(Msp.FAULTS))
+        gyro = records.safety(client.request(Msp.SAFETY)).gyro_chip
         if args.ack and told.pending is not None:
             client.request(Msp.FAULTS, requests.acknowledge(told.pending.boot))
     if args.json:
         known = None
         if told.pending is not None:
             known = asdict(told.pending) | {"kind": told.pending.kind.name}
-        print_json({"boots": told.boots, "fault": known, "acknowledged": bool(known and args.ack)})
+        acknowledged = bool(known and args.ack)
+        print_json({"boots": told.boots, "fault": known, "acknowledged": acknowledged, "gyro": gyro})
     elif told.pending is None:
         print(f"no fault is pending; this is boot {told.boots}")
     else:
-        print_facts(_fault_rows(told.pending, told.boots))
+        print_facts([*_fault_rows(told.pending, told.boots), *([("gyro", gyro)] if gyro else [])])
         if args.ack:
             print(f"acknowledged: the fault that boot {told.pending.boot} found")
     return 0

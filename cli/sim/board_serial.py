@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from sim.board.serial.bridge import End
 
 PORT_MAX = 65535
-GYROS = ("mpu6500", "icm20689")  # of sim.board.matekf722
+GYROS = ("icm20602", "mpu6500", "icm20689", "icm20601", "icm20608g", "mpu9250")  # of sim.board.matekf722
 UARTS = {"uart1": "USART1", "uart3": "USART3"}  # that speak MSP, as users and the chip call them
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 

@@ -7,6 +7,7 @@
 #define WEIGHTS_AT_ONCE ((size_t)POLICY_WEIGHT_COUNT / 8 + 1) /* all of them in less than a second */
 #define FAULT_LOG_RENEW_MS 5000u
 #define FRACTION_PER_US 0.001f
+#define REHEARSALS 8u /* of each controller; the first one fills the caches and counts for nothing */
 #define TOOK_OVER_MS 3000u /* so long beeper and LED tell nothing but that the PID took over */
 _Static_assert(NF_DSHOT_ALL_MOTORS == UINT8_MAX, "as MSP says it");
 _Static_assert(NF_CHANNEL_MAX_US - NF_CHANNEL_MIN_US == 1000, "FRACTION_PER_US says otherwise");
@@ -72,6 +73,22 @@ static enum board_alignment background_alignment(const struct background *backgr
 						(enum board_alignment)(set - NF_GYRO_ALIGNMENT_CW0);
 }
 
+/* Before arming no controller runs, so that no sample tells what one takes. */
+static void background_rehearse(struct background *background)
+{
+	const struct hal *hal = background->config.hal;
+
+	for (unsigned pid = 0; pid < 2; ++pid)
+		for (unsigned i = 0; i < REHEARSALS; ++i) {
+			hal->watchdog_feed(hal->context);
+			const uint32_t start = hal->cycles(hal->context);
+			firmware_rehearse_init(background->config.firmware, pid != 0);
+			const uint32_t took = hal->cycles(hal->context) - start;
+			if (i > 0 && took > background->controller_cycles)
+				background->controller_cycles = took;
+		}
+}
+
 static enum nf_err background_start_firmware(struct background *background)
 {
 	const struct background_config *config = &background->config;
@@ -89,7 +106,11 @@ static enum nf_err background_start_firmware(struct background *background)
 		.pid = config->pid,
 	};
 
-	return firmware_init(config->firmware, &firmware);
+	const enum nf_err err = firmware_init(config->firmware, &firmware);
+	if (err != NF_OK || !config->real_time)
+		return err;
+	background_rehearse(background);
+	return firmware_init(config->firmware, &firmware); /* of the rehearsals nothing is left */
 }
 
 /* --- What MSP changes --------------------------------------------------------------------------------- */
@@ -451,11 +472,16 @@ static void background_watch_load(struct background *background)
 
 	if (!background->config.real_time)
 		return;
+	const bool flew = background->flying;
+	background->flying = firmware_armed(background->config.firmware);
+	background->flown |= background->flying;
+	const uint32_t unflown = flew || background->flying ? 0 : background->controller_cycles;
 	if (background->overloaded > 0)
 		--background->overloaded;
 	for (size_t i = 0; i < sizeof watched / sizeof watched[0]; ++i) {
 		struct task_stats *stats = &background->config.stats[watched[i]];
-		if (background_percent(background, stats->recent) > 100)
+		const uint32_t more = watched[i] == NF_TASK_CONTROL ? unflown : 0;
+		if (background_percent(background, stats->recent + more) > 100)
 			background->overloaded = NF_LOAD_CALM_MS * STORAGE_RATE_HZ / 1000u;
 		stats->recent = 0;
 	}
@@ -554,11 +580,12 @@ void background_step(struct background *background)
 	background_run_blackbox(background);
 }
 
-/* The longest time of a sample as a share of the gyro period. */
+/* The longest time of a sample as a share of the gyro period: before the first flight with what the controllers add. */
 static uint16_t background_load_percent(const struct background *background)
 {
 	const struct task_stats *stats = background->config.stats;
-	const uint32_t gyro = stats[NF_TASK_GYRO].worst, control = stats[NF_TASK_CONTROL].worst;
+	const uint32_t unflown = background->flown ? 0 : background->controller_cycles;
+	const uint32_t gyro = stats[NF_TASK_GYRO].worst, control = stats[NF_TASK_CONTROL].worst + unflown;
 	const uint32_t longest = gyro > control ? gyro : control;
 	const uint32_t percent = background_percent(background, longest);
 
@@ -577,6 +604,7 @@ void background_status(const struct background *background, struct firmware_stat
 	status->sag_v = battery_sag(battery);
 	status->cells = (uint8_t)battery->cells;
 	status->battery_level = (uint8_t)battery_level(battery);
+	status->gyro_identity = background->config.gyro_identity;
 }
 
 size_t background_link(struct background *background, unsigned port, const uint8_t *bytes, size_t count, uint8_t *reply,

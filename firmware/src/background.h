@@ -34,6 +34,7 @@ struct background_config {
 	struct task_stats *stats; /* [TASK_COUNT], by enum nf_task */
 	enum board_alignment alignment; /* of the gyro chip, where the settings say "board" */
 	enum gyro_chip gyro_chip;
+	uint8_t gyro_identity; /* as in struct hal_info */
 	const struct pid_gains *pid;
 	const struct msp_identity *identity;
 	unsigned bank; /* of images, that this one runs from */
@@ -64,6 +65,8 @@ struct background {
 	struct blackbox blackbox;
 	struct log_snapshot snapshot; /* of the firmware, before a log */
 	struct firmware kept; /* its bytes */
+	uint32_t controller_cycles; /* what a control step takes longer while armed, at most; 0: not measured */
+	bool flying, flown; /* armed when the load was looked at last; ever since boot */
 	uint32_t overloaded; /* runs of the storage task until a load above 100 % is forgiven */
 	bool heard; /* the receiver, since boot */
 	bool refused; /* a policy, when alerts were last looked at */

@@ -359,6 +359,15 @@ static uint32_t firmware_fly(struct firmware *fw, float output[POLICY_ACTION_COU
 	return firmware_doubt(fw, &outputs) | found;
 }
 
+void firmware_rehearse_init(struct firmware *fw, bool pid)
+{
+	float output[POLICY_ACTION_COUNT];
+
+	fw->pid_wanted = pid;
+	fw->status.trace.throttle = 0.5f;
+	(void)firmware_fly(fw, output);
+}
+
 /* The motors' values of a control step whose outputs are `output`. */
 static void firmware_drive(struct firmware *fw, const float output[POLICY_ACTION_COUNT])
 {

@@ -116,6 +116,10 @@ struct firmware {
  * not run this firmware. */
 enum nf_err firmware_init(struct firmware *fw, const struct firmware_config *config);
 
+/* Flies a control step without a sample, to measure how long controller and checks take: with the PID, or the policy. Only
+ * between two firmware_init, as it leaves anything behind. */
+void firmware_rehearse_init(struct firmware *fw, bool pid);
+
 /* Is the next sample a control step? The first one is. */
 bool firmware_control_due(const struct firmware *fw);
 

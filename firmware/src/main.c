@@ -28,6 +28,7 @@ static enum nf_err boot(void)
 		.stats = stats,
 		.alignment = info.alignment,
 		.gyro_chip = info.gyro_chip,
+		.gyro_identity = info.gyro_identity,
 		.pid = &pid_gains_built_in,
 		.identity = &info.identity,
 		.bank = info.bank,

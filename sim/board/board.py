@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from sim.board.core.context import TIME_HZ
 from sim.board.core.engine import CPI, Engine, Note
 from sim.board.devices.esc import SILENT_S, Esc, Frame
-from sim.board.devices.gyro_chip import MPU6500, READY, GyroChip, GyroKind
+from sim.board.devices.gyro_chip import ICM20602, READY, GyroChip, GyroKind
 from sim.board.devices.sd_card import CardSlot, SdCard
 from sim.board.inspection import Inspection
 from sim.board.matekf722 import MOTORS
@@ -48,7 +48,7 @@ class Hardware:
     def __init__(
         self,
         engine: Engine,
-        chip: GyroKind = MPU6500,
+        chip: GyroKind = ICM20602,
         *,
         options: OptionBytes | None = None,
         card: SdCard | None = None,
@@ -244,7 +244,7 @@ class Board:
         image: bytes,
         *,
         elf: Path | None = None,
-        chip: GyroKind = MPU6500,
+        chip: GyroKind = ICM20602,
         cpi: Fraction = CPI,
         strict: bool = True,
         profile: bool = False,

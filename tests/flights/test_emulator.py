@@ -11,7 +11,6 @@ import pytest
 
 from flash.settings import parse_change
 from sim.board.debug.variables import pointers_in, read_variables
-from sim.board.devices.gyro_chip import ICM20689
 from sim.board.matekf722 import GYROS
 from sim.control import sticks
 from sim.flight.scenario import Scenario, Segment
@@ -115,11 +114,12 @@ def test_the_pointers_of_a_structure_are_found_wherever_they_lie_in_it(board_ima
     assert pointers_in(board_image, "firmware.gyro") == ()
 
 
-def test_an_icm20689_flies_the_same_bits_when_the_pilot_has_said_how_it_is_turned(
-    image: Path, reference_library: Path, flown: Flown
+@pytest.mark.parametrize("chip", list(GYROS))
+def test_every_gyro_chip_flies_the_same_bits_when_the_pilot_has_said_how_it_is_turned(
+    image: Path, reference_library: Path, flown: Flown, chip: str
 ) -> None:
-    port = EmulatedPort(image, gyro=GYROS["icm20689"], settings=dict([parse_change("gyro_alignment=cw90")]))
-    assert port.board.hardware.gyro.kind is ICM20689
+    said = {"icm20602": "board", "mpu6500": "board", "icm20689": "cw90"}.get(chip, "cw180")
+    port = EmulatedPort(image, gyro=GYROS[chip], settings=dict([parse_change(f"gyro_alignment={said}")]))
     on_board = flown(port, BUSY)
     assert flown(ReferencePort(reference_library), BUSY).same(on_board)
 

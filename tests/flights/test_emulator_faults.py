@@ -290,6 +290,25 @@ def test_lost_samples_are_missed_deadlines_and_time_goes_on_when_the_processor_i
     assert stats[Task.GYRO]["misses"] >= 1000 * steps
 
 
+@pytest.mark.parametrize("slow_s", [0.00095, 0.0012, pytest.param(0.0017, marks=pytest.mark.slow)])
+def test_the_background_has_its_share_when_a_control_step_takes_as_long_as_its_period(
+    drill: Drill, started: tuple[Still, Any], board_image: Path, slow_s: float
+) -> None:
+    """Longer than the watchdog waits: nothing ran below the samples but where these are left out."""
+    port, before = started[0].port, started[1]
+    replies, events = drill(f"overload={slow_s}@0.06", seconds=0.9)
+    assert not events
+    assert all(reply.armed and reply.dshot.all() for reply in replies)
+    status, stats = (read(port, board_image, name) for name in ("firmware.status", "stats"))
+    assert (bool(status["pid_flies"]), int(status["fallback_cause"])) == (True, FallbackCause.DEADLINE)
+    flown = 0.9 / (slow_s + 0.0006)  # control steps that there was time for, at least
+    assert stats[Task.CONTROL]["runs"] > flown
+    assert before is not None
+    assert stats[Task.ALERT]["runs"] > 0.8 * 50 * 0.9  # 50 a second are meant
+    line = LineTransport(UartLine(port.board), port.board.run_to)
+    assert records.tasks(Client(line, line.clock).request(Msp.TASKS)).loads[Task.CONTROL].misses > flown / 2
+
+
 @pytest.mark.parametrize(
     ("slow_s", "missed"),
     [

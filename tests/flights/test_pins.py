@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,12 +12,13 @@ import pytest
 from flash import requests
 from flash.client import Client
 from flash.messages import arming_reasons
+from flash.overview import read_overview
 from flash.records import safety
 from sim.aircraft.model import load_aircraft
 from sim.board.board import Board
-from sim.board.devices.gyro_chip import ICM20689, MPU6500, GyroKind
+from sim.board.devices.gyro_chip import ICM20602, MPU6500, GyroKind
 from sim.board.devices.gyro_mount import accel_counts
-from sim.board.matekf722 import FULL_VOLTS, GYRO
+from sim.board.matekf722 import FULL_VOLTS, GYRO, GYROS
 from sim.board.serial.bridge import LineTransport, UartLine
 from sim.board.serial.idle_board import configured
 from sim.control import sticks
@@ -28,12 +30,18 @@ from toolchain.image.elf import read_flashable
 MOTORS = 4
 LEVEL = np.array([0.0, 0.0, GRAVITY])
 TURN = 1.0  # rad/s
+# Places in the ecosystem's app's list of gyro chips.
+_APP = (
+    "AUTO NONE MPU6050 L3G4200D MPU3050 L3GD20 MPU6000 MPU6500 MPU9250 ICM20601 ICM20602 ICM20608G ICM20649 "
+    "ICM20689"
+)
+APP_NUMBERS = {name: number for number, name in enumerate(_APP.split())}
 
 
 class Bench:
     """A board on the bench, spoken to over MSP."""
 
-    def __init__(self, flash: bytes, elf: Path, chip: GyroKind = MPU6500) -> None:
+    def __init__(self, flash: bytes, elf: Path, chip: GyroKind = ICM20602) -> None:
         self.board = Board(flash, elf=elf, chip=chip)
         self.board.hardware.adc.set_battery(FULL_VOLTS, 0.0)
         rng = np.random.default_rng(1)
@@ -72,11 +80,33 @@ def test_a_disputed_gyro_arms_only_when_the_pilot_has_said_how_it_is_turned(
     flash = read_flashable(board_image.with_suffix(".bin"))
     if said:
         flash = configured(flash, board_image, {"gyro_alignment": 2.0})
-    for chip in (ICM20689, MPU6500):
+    for chip in (gyro.chip for gyro in GYROS.values()):
         bench = Bench(flash, board_image, chip)
         held = bench.reasons() - {"RECEIVER_LOST", "SWITCH_NOT_CYCLED", "NOT_LEVEL"}
+        told = read_overview(bench.client).flight
+        hardware = bench.client.request(Msp.GYRO_SENSOR), bench.client.request(Msp.SENSOR_CONFIG_ACTIVE)[:1]
         bench.board.close()
-        assert held == ({"GYRO_ALIGNMENT"} if chip is ICM20689 and not said else set())
+        assert hardware == (bytes([1, APP_NUMBERS[chip.name]]), bytes([APP_NUMBERS[chip.name]]))
+        assert told is not None and told.gyro_chip == f"{chip.name} (0x{chip.who_am_i:02X})"
+        known = said or chip in (ICM20602, MPU6500)
+        assert held == (set() if known else {"GYRO_ALIGNMENT"})
+
+
+@pytest.mark.parametrize(
+    ("identity", "told"),
+    [(0x68, "unknown chip (0x68)"), (0xFF, "no chip answers (0xFF)"), (0x00, "")],
+)
+def test_a_chip_that_is_not_known_is_told_by_its_number_and_forbids_arming(
+    board_image: Path, identity: int, told: str
+) -> None:
+    flash = read_flashable(board_image.with_suffix(".bin"))
+    bench = Bench(flash, board_image, replace(ICM20602, who_am_i=identity))
+    overview = read_overview(bench.client)
+    bench.board.close()
+    assert overview.flight is not None and overview.flight.gyro_chip == told
+    hint = overview.arming_reasons["GYRO_BAD"]
+    known = "ICM20602 (0x12)"
+    assert (known in hint) is (identity == 0x68)
 
 
 @pytest.fixture(scope="module")

@@ -189,6 +189,13 @@ _OLD_ALIGNMENT = (
     told("u8", "gyro_align", scaled("gyro_alignment"), "", "as gyro_1_align, which counts"),
     *zeros("u8", "acc_align mag_align"),
 )
+_GYRO = bound(
+    "u8",
+    "gyro_hardware",
+    source(MspSource.GYRO_HARDWARE),
+    "",
+    "7 MPU6500, 8 MPU9250, 9 ICM20601, 10 ICM20602, 11 ICM20608G, 13 ICM20689, 0 another",
+)
 _SENSORS = (
     bound("u8", "acc_hardware", constant(PRESENT), "", "0 any, 1 none"),
     bound("u8", "baro_hardware", constant(ABSENT_PART)),
@@ -296,13 +303,11 @@ _GENERAL = (
     read_only(Msp.DEBUG, bound("u16", "values", constant(0), count=8)),
     read_only(
         Msp.SENSOR_CONFIG_ACTIVE,
-        bound("u8", "gyro_hardware", constant(PRESENT)),
+        _GYRO,
         *_SENSORS,
         *zeros("u8", "sonar_hardware"),
     ),
-    read_only(
-        Msp.GYRO_SENSOR, bound("u8", "gyros", constant(1)), bound("u8", "gyro_hardware", constant(PRESENT))
-    ),
+    read_only(Msp.GYRO_SENSOR, bound("u8", "gyros", constant(1)), _GYRO),
     read_only(Msp.DATAFLASH_SUMMARY, *zeros("u8", "flags"), *zeros("u32", "sectors total_size used_size")),
     read_only(
         Msp.SDCARD_SUMMARY,

@@ -248,6 +248,8 @@ _OWN = (
         number("i16", "temperature", "0.01 deg C"),
         number("f32", "idle", "motor fraction"),
         number("u8", "refused_cause", "", "a fallback cause: why the policy must not fly"),
+        number("u8", "gyro_identity", "", "WHO_AM_I of the gyro chip, known or not; 0: nothing was read"),
+        required=12,
     ),
     reply(
         Msp.TASKS,

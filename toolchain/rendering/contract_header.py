@@ -223,6 +223,7 @@ def _enumerations() -> tuple[Enumeration, ...]:
         _enumeration("nf_stop_cause", "NF_STOP", contract.StopCause, "NF_STOP_CAUSES"),
         _enumeration("nf_fallback_cause", "NF_FALLBACK", contract.FallbackCause, "NF_FALLBACK_CAUSES"),
         _enumeration("nf_gyro_health", "NF_GYRO_HEALTH", contract.GyroHealth, "NF_GYRO_HEALTHS"),
+        _enumeration("nf_gyro_identity", "NF_GYRO_IDENTITY", contract.GyroIdentity, "NF_GYRO_IDENTITIES"),
         _enumeration("nf_task", "NF_TASK", contract.Task, "NF_TASKS"),
         _enumeration("nf_refusal", "NF_REFUSAL", contract.Refusal),
         _enumeration("nf_reboot", "NF_REBOOT", contract.Reboot),

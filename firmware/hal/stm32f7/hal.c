@@ -169,10 +169,12 @@ int hal_init(int argc, char **argv, struct hal_info *info)
 	gpio_output(BOARD_LED0, false); /* active low: lit */
 	gpio_output(BOARD_BEEPER, false);
 	power_start();
-	info->gyro_chip = GYRO_MPU6500;
-	info->alignment = BOARD_MPU6500_ALIGNMENT; /* without a chip it does not matter */
-	(void)gyro_start(&info->alignment, &info->gyro_chip); /* the core hears of its silence */
+	struct gyro_found found = { BOARD_GYRO_ALIGNMENT, GYRO_ICM20602, 0 }; /* without a chip it does not matter */
+	(void)gyro_start(&found); /* the core hears of its silence */
 	watchdog_feed();
+	info->alignment = found.alignment;
+	info->gyro_chip = found.kind;
+	info->gyro_identity = found.identity;
 
 	info->hal = &functions;
 	info->bank = (uint32_t)bank_start == NF_FLASH_BANK_B_ADDRESS;

@@ -17,6 +17,10 @@ enum board_alignment {
 enum gyro_chip {
 	GYRO_MPU6500,
 	GYRO_ICM20689,
+	GYRO_ICM20602,
+	GYRO_ICM20601,
+	GYRO_ICM20608G,
+	GYRO_MPU9250,
 	GYRO_CHIP_COUNT,
 };
 

@@ -36,7 +36,7 @@ struct firmware_status {
 	uint32_t arming_reasons;               /* bit field of enum nf_arming_reason, 0 when armed */
 	uint16_t channels_us[NF_CHANNEL_COUNT];/* as flown: failsafe values while the receiver is lost */
 	uint16_t gyro_rate_hz;
-	uint16_t load_percent;                 /* longest gyro sample so far, of its period; from background.c */
+	uint16_t load_percent;                 /* longest gyro sample so far, of its period, controllers included; from background.c */
 	uint8_t modes;                         /* bit field of enum mode_index: those that are on; 0: receiver lost */
 	bool receiver_good;                    /* a frame came within the hold time */
 	bool policy_good;                      /* self-test passed and no output was refused since */
@@ -59,6 +59,7 @@ struct firmware_status {
 	float sag_v;                           /* voltage drop by the load */
 	uint8_t cells;                         /* 0: not known */
 	uint8_t battery_level;                 /* enum battery_level */
+	uint8_t gyro_identity;                 /* WHO_AM_I of the gyro chip, known or not; 0: nothing was read */
 };
 
 #endif

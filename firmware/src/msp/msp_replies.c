@@ -386,6 +386,7 @@ static void reply_safety(struct msp_writer *w, const struct msp_facts *s)
 	msp_put_rounded(w, status->temperature_deg_c * 100.0f);
 	msp_put_float(w, status->idle);
 	msp_put_u8(w, status->refused_cause);
+	msp_put_u8(w, status->gyro_identity);
 }
 
 static const struct command {

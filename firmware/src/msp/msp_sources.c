@@ -14,6 +14,7 @@
 #define MIXER_QUAD_X 3u
 #define MIXER_HEX_X 10u
 #define MIXER_OTHER 23u
+#define GYRO_IDENTITY(name) NF_GYRO_IDENTITY_##name,
 
 /* --- Features, receiver, arming, beeper -------------------------------------------------------------- */
 static uint32_t sources_features(const struct nf_settings *s)
@@ -332,6 +333,19 @@ static enum nf_refusal sources_set_fields_off(struct nf_settings *s, uint32_t va
 				  value | (s->blackbox_disabled_mask & ~FIELDS_OFF_KNOWN));
 }
 
+/* --- Gyro ------------------------------------------------------------------------------------------------- */
+static uint32_t sources_gyro_hardware(unsigned identity)
+{
+	static const uint8_t identities[] = { NF_GYRO_IDENTITIES(GYRO_IDENTITY) };
+	static const uint8_t hardware[NF_MSP_GYRO_HARDWARE_COUNT] = NF_MSP_GYRO_HARDWARE;
+	_Static_assert(sizeof identities == NF_MSP_GYRO_HARDWARE_COUNT, "a number for each chip");
+
+	for (size_t i = 0; i < sizeof identities; ++i)
+		if (identities[i] == identity)
+			return hardware[i];
+	return 0;
+}
+
 /* --- All of them ------------------------------------------------------------------------------------------ */
 uint32_t msp_source_get(const struct msp_view *view, enum nf_msp_source source, unsigned argument)
 {
@@ -383,6 +397,8 @@ uint32_t msp_source_get(const struct msp_view *view, enum nf_msp_source source, 
 		return s->blackbox_disabled_mask & FIELDS_OFF_KNOWN;
 	case NF_MSP_SOURCE_LOG_CARD:
 		return msp_log_card(view->blackbox, argument);
+	case NF_MSP_SOURCE_GYRO_HARDWARE:
+		return sources_gyro_hardware(view->status->gyro_identity);
 	}
 	return 0;
 }

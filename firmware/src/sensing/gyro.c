@@ -20,13 +20,18 @@ static const struct rotation {
 };
 _Static_assert(sizeof rotations / sizeof rotations[0] == ALIGN_COUNT, "one rotation an alignment");
 
-/* Data sheets: MPU-6500 rev. 1.1 and ICM-20689 rev. 1.1, register TEMP_OUT. */
+/* Data sheets: MPU-6500 rev. 1.1 and ICM-20689 rev. 1.1, register TEMP_OUT. Of the others as PX4's register headers have
+ * it, of the ICM-20601 as its kin: its data sheet was not read. */
 static const struct thermometer {
 	float counts_per_degree;
 	float zero_c; /* at 0 counts */
 } thermometers[] = {
 	[GYRO_MPU6500] = { 333.87f, 21.0f },
 	[GYRO_ICM20689] = { 326.8f, 25.0f },
+	[GYRO_ICM20602] = { 326.8f, 25.0f },
+	[GYRO_ICM20601] = { 326.8f, 25.0f },
+	[GYRO_ICM20608G] = { 326.8f, 25.0f },
+	[GYRO_MPU9250] = { 333.87f, 21.0f },
 };
 _Static_assert(sizeof thermometers / sizeof thermometers[0] == GYRO_CHIP_COUNT, "one thermometer a chip");
 

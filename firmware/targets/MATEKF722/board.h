@@ -9,9 +9,11 @@
 #define BOARD_OSD_CHIP true /* MAX7456 on SPI2, which nothing drives yet */
 
 #define BOARD_HSE_HZ 8000000u
-#define BOARD_MPU6500_ALIGNMENT ALIGN_CW180
-#define BOARD_ICM20689_ALIGNMENT ALIGN_CW90 /* sources disagree, CW180 is said too: */
-#define BOARD_ALIGNMENT_DISPUTED(chip) ((chip) == GYRO_ICM20689) /* the pilot's setting decides */
+/* F722-STD and F722-OSD carry an ICM-20602. That is turned by 180 degrees, and so is the MPU-6500 of older boards. Of the
+ * ICM-20689 sources say 90 and 180 degrees, and of other chips nobody tells: there the pilot's setting decides. */
+#define BOARD_GYRO_ALIGNMENT ALIGN_CW180
+#define BOARD_ICM20689_ALIGNMENT ALIGN_CW90
+#define BOARD_ALIGNMENT_DISPUTED(chip) ((chip) != GYRO_ICM20602 && (chip) != GYRO_MPU6500)
 
 /* RCC enable bits of the ports, timers and UARTs below. */
 #define BOARD_PORT_CLOCKS (RCC_AHB1ENR_GPIOAEN | RCC_AHB1ENR_GPIOBEN | RCC_AHB1ENR_GPIOCEN)

@@ -1,16 +1,19 @@
-"""The gyro chip behind SPI1: MPU6500 or ICM20689, as a register file with its times and limits.
+"""The gyro chip behind SPI1: an ICM20602 or one of its kin, as a register file with its times and limits.
 
 The loop says what the sensors measure; at each sample time the chip latches that into its data registers and
 pulses its data-ready line, in C (native/c/gyro_chip.c). Registers that the chip has but the model does not
-know are errors, so that a configuration is never taken for done. Sources: MPU-6500 product specification
-(PS-MPU-6500A-01) and register map (RM-MPU-6500A-00), ICM-20689 data sheet (DS-000143).
+know are errors, so that a configuration is never taken for done; so are samples of a chip that is not set up
+as its data sheet asks. Sources: MPU-6500 product specification (PS-MPU-6500A-01) and register map
+(RM-MPU-6500A-00), ICM-20689 data sheet (DS-000143); of ICM-20602 (DS-000176), ICM-20608-G and MPU-9250 what
+PX4's register headers tell of their data sheets, of the ICM-20601 (DS-000191) I2Cdev's. Thermometer and speed
+of the ICM-20601 are those of its kin.
 """
 
 from __future__ import annotations
 
 import struct
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from sim.board.core.context import TIME_HZ
@@ -23,7 +26,7 @@ CS, READY = "PC2", "PC3"  # pins.c and gyro_chip.c know them too
 
 SMPLRT_DIV, CONFIG, GYRO_CONFIG, ACCEL_CONFIG, ACCEL_CONFIG2 = 0x19, 0x1A, 0x1B, 0x1C, 0x1D
 INT_PIN_CFG, INT_ENABLE, INT_STATUS, DATA = 0x37, 0x38, 0x3A, 0x3B
-SIGNAL_PATH_RESET, USER_CTRL, PWR_MGMT_1, PWR_MGMT_2, WHO_AM_I = 0x68, 0x6A, 0x6B, 0x6C, 0x75
+SIGNAL_PATH_RESET, USER_CTRL, PWR_MGMT_1, PWR_MGMT_2, I2C_IF, WHO_AM_I = 0x68, 0x6A, 0x6B, 0x6C, 0x70, 0x75
 DATA_BYTES = 14  # accelerometer, temperature, gyro: 16 bits each, the upper byte first
 
 _VALUES = struct.Struct("=7h")  # `measured` of struct gyro
@@ -31,23 +34,26 @@ _READ = 0x80
 _DEVICE_RESET, _SLEEP = 0x80, 0x40  # PWR_MGMT_1
 _MILLISECOND = TIME_HZ // 1000
 PULSE = TIME_HZ // 20_000  # data-ready line: 50 us
-REGISTER_HZ = 1_000_000  # SCK at most, all registers
-FULL_SCALE = 3  # GYRO_CONFIG FS_SEL and ACCEL_CONFIG AFS_SEL of the counts that the loop sets
+_CLOCK, _GOOD_CLOCK = 0x07, 0x01  # PWR_MGMT_1 CLKSEL: the gyro performs as it should with this one only
+_FAST = 0x03  # GYRO_CONFIG FCHOICE_B: past the low-pass, at 32 kHz
+REGISTER_HZ = 1_000_000  # SCK at most, all registers of the older chips
 
-# Registers that the image may write, and the bits of each that the model knows; a `GyroKind` has the rest.
-_WRITABLE = {
-    SMPLRT_DIV: 0xFF,
-    CONFIG: 0x07,
-    GYRO_CONFIG: 0x18,
-    ACCEL_CONFIG: 0x18,
-    ACCEL_CONFIG2: 0x0F,
-    INT_PIN_CFG: 0x10,
-    INT_ENABLE: 0x01,
-    USER_CTRL: 0x11,
-    PWR_MGMT_1: 0xC7,
-    PWR_MGMT_2: 0x3F,
-}
-_READABLE = {*_WRITABLE, SIGNAL_PATH_RESET, INT_STATUS, WHO_AM_I, *range(DATA, DATA + DATA_BYTES)}
+Bits = tuple[tuple[int, int], ...]  # registers, and bits or values of each
+
+# Registers that the image may write, and the bits of each that the model knows. Of an MPU6500:
+_WRITABLE: Bits = (
+    (SMPLRT_DIV, 0xFF),
+    (CONFIG, 0x07),
+    (GYRO_CONFIG, 0x18),
+    (ACCEL_CONFIG, 0x18),
+    (ACCEL_CONFIG2, 0x0F),
+    (INT_PIN_CFG, 0x10),
+    (INT_ENABLE, 0x01),
+    (USER_CTRL, 0x11),
+    (PWR_MGMT_1, 0xC7),
+    (PWR_MGMT_2, 0x3F),
+)
+_READ_ONLY = {INT_STATUS, WHO_AM_I, *range(DATA, DATA + DATA_BYTES)}
 
 
 @dataclass(frozen=True)
@@ -57,12 +63,21 @@ class GyroKind:
     name: str
     who_am_i: int
     data_hz: int  # SCK at most while data and interrupt registers are read
-    power_management: int  # PWR_MGMT_1 after reset
+    reset: Bits  # registers that are not 0 after reset
     signal_paths: int  # SIGNAL_PATH_RESET: those that there are
     counts_per_degree: float  # of the thermometer
     zero_deg_c: float  # where it counts 0
     start_ms: int  # from power to answers, at most (specification: 11 typical)
     reset_ms: int = 100  # from DEVICE_RESET to answers (register map, PWR_MGMT_1)
+    register_hz: int = REGISTER_HZ
+    writable: Bits = _WRITABLE
+    spi_only: tuple[int, int] = (USER_CTRL, 0x10)  # register and bit that switch I2C off
+    full_scale: int = 3  # FS_SEL and ACCEL_FS_SEL of +-2000 deg/s and +-16 g, the counts that the loop sets
+
+    @property
+    def known(self) -> dict[int, int]:
+        """Registers that may be written, and the bits of each that the model knows."""
+        return {**dict(self.writable), SIGNAL_PATH_RESET: self.signal_paths}
 
     def temperature(self, deg_c: float) -> int:
         """Counts of TEMP_OUT."""
@@ -73,7 +88,7 @@ MPU6500 = GyroKind(
     name="MPU6500",
     who_am_i=0x70,
     data_hz=20_000_000,
-    power_management=0x01,
+    reset=((PWR_MGMT_1, 0x01),),
     signal_paths=0x07,
     counts_per_degree=333.87,
     zero_deg_c=21.0,
@@ -83,12 +98,41 @@ ICM20689 = GyroKind(
     name="ICM20689",
     who_am_i=0x98,
     data_hz=8_000_000,
-    power_management=0x41,  # asleep
+    reset=((PWR_MGMT_1, 0x41),),  # asleep
     signal_paths=0x03,  # the gyro's is reserved
     counts_per_degree=326.8,
     zero_deg_c=25.0,
     start_ms=100,
 )
+# By its data sheet it answers 2 ms after power-up; the model asks for as long a wait as its kin.
+ICM20602 = GyroKind(
+    name="ICM20602",
+    who_am_i=0x12,
+    data_hz=10_000_000,
+    register_hz=10_000_000,
+    reset=((PWR_MGMT_1, 0x41), (CONFIG, 0x80)),
+    writable=(
+        (SMPLRT_DIV, 0xFF),
+        (CONFIG, 0x07),  # bit 7 has to be 0
+        (GYRO_CONFIG, 0x1B),
+        (ACCEL_CONFIG, 0x18),
+        (ACCEL_CONFIG2, 0x0F),
+        (INT_PIN_CFG, 0x10),
+        (INT_ENABLE, 0x01),
+        (USER_CTRL, 0x01),  # there is nothing for I2C in it
+        (PWR_MGMT_1, 0xC7),
+        (PWR_MGMT_2, 0x3F),
+        (I2C_IF, 0x40),
+    ),
+    spi_only=(I2C_IF, 0x40),
+    signal_paths=0x03,
+    counts_per_degree=326.8,
+    zero_deg_c=25.0,
+    start_ms=100,
+)
+ICM20608G = replace(ICM20689, name="ICM20608G", who_am_i=0xAF)
+ICM20601 = replace(ICM20689, name="ICM20601", who_am_i=0xAC, full_scale=2)  # +-500 to 4000 deg/s, +-4 to 32 g
+MPU9250 = replace(MPU6500, name="MPU9250", who_am_i=0x71)
 
 
 class GyroChip:
@@ -97,7 +141,7 @@ class GyroChip:
     C takes the samples and answers plain reads of data; this class answers for all other registers.
     """
 
-    def __init__(self, native: Native, pins: Pins, kind: GyroKind = MPU6500) -> None:
+    def __init__(self, native: Native, pins: Pins, kind: GyroKind = ICM20602) -> None:
         self.context, self.kind = native.engine, kind
         self._native, self._pins = native, pins
         self.phase = 0  # by how much later its samples begin: its clock is its own [cycles]
@@ -143,9 +187,7 @@ class GyroChip:
         self._clear()
 
     def _clear(self) -> None:
-        self._known = {**_WRITABLE, SIGNAL_PATH_RESET: self.kind.signal_paths}
-        self._registers = dict.fromkeys(self._known, 0)
-        self._registers[PWR_MGMT_1] = self.kind.power_management
+        self._registers = {**dict.fromkeys(self.kind.known, 0), **dict(self.kind.reset)}
         self._in_c.data = bytes(DATA_BYTES)
         self._in_c.interrupt = False
 
@@ -187,6 +229,8 @@ class GyroChip:
 
     def _configured_period(self) -> int:
         """Cycles between samples."""
+        if self._registers[GYRO_CONFIG] & _FAST:
+            return TIME_HZ // 32_000
         filtered = self._registers[CONFIG] & 7
         if filtered in (0, 7):
             return TIME_HZ // 8000  # whatever the divider says
@@ -245,12 +289,26 @@ class GyroChip:
     def _validate_clock(self, hz: float) -> None:
         address = int(self._in_c.address)
         fast = self._in_c.reads and INT_STATUS <= address < DATA + DATA_BYTES
-        limit = self.kind.data_hz if fast else REGISTER_HZ
+        limit = self.kind.data_hz if fast else self.kind.register_hz
         if hz > limit:
             what = "data" if fast else f"register 0x{address:02X}"
             self.context.fail(
                 f"SPI1 reads or writes {what} of the {self.kind.name} at {hz / 1e6:g} MHz, expected "
                 f"{limit / 1e6:g} MHz at most"
+            )
+
+    def _validate_set_up(self) -> None:
+        """Samples are about to come."""
+        clock = self._registers[PWR_MGMT_1] & _CLOCK
+        if clock != _GOOD_CLOCK:
+            self.context.fail(
+                f"the {self.kind.name} samples with CLKSEL {clock}, expected {_GOOD_CLOCK}: its gyro needs it"
+            )
+        register, bit = self.kind.spi_only
+        if not self._registers[register] & bit:
+            self.context.fail(
+                f"the {self.kind.name} samples while it may take its bus for I2C, expected register "
+                f"0x{register:02X} with bit 0x{bit:02X}"
             )
 
     def _read(self, address: int) -> int:
@@ -261,14 +319,14 @@ class GyroChip:
         if address == INT_STATUS:
             status, self._in_c.interrupt = int(self._in_c.interrupt), False
             return status
-        if address not in _READABLE:
+        if address not in self._registers and address not in _READ_ONLY:
             self.context.fail(
                 f"register 0x{address:02X} of the {self.kind.name} is read, which is not modelled"
             )
         return self._registers[address]
 
     def _write(self, address: int, value: int) -> None:
-        known = self._known.get(address)
+        known = self.kind.known.get(address)
         if known is None or value & ~known:
             self.context.fail(
                 f"register 0x{address:02X} of the {self.kind.name} = 0x{value:02X}: the model knows "
@@ -289,13 +347,14 @@ class GyroChip:
     def _plan(self) -> None:
         """The registers have changed."""
         state = self._in_c
-        state.gyro_shift = FULL_SCALE - (self._registers[GYRO_CONFIG] >> 3 & 3)
-        state.accel_shift = FULL_SCALE - (self._registers[ACCEL_CONFIG] >> 3 & 3)
+        state.gyro_shift = self.kind.full_scale - (self._registers[GYRO_CONFIG] >> 3 & 3)
+        state.accel_shift = self.kind.full_scale - (self._registers[ACCEL_CONFIG] >> 3 & 3)
         awake = not self._registers[PWR_MGMT_1] & _SLEEP and not self._registers[PWR_MGMT_2] & 0x07
         if not awake or not self._registers[INT_ENABLE] & 1:
             state.due = NEVER
             self._sample_alarm.cancel()
             return
+        self._validate_set_up()
         state.period = self._configured_period()
         if state.due == NEVER:
             state.due = self.context.cycle + state.period + self.phase

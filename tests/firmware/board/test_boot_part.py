@@ -263,11 +263,43 @@ def test_a_wish_for_the_rom_is_not_believed_when_no_software_reset_the_chip(
     assert not board.board.hardware.rom.runs
 
 
+def proven_once(build: Build, bank: int) -> bytes:
+    """An image that has run well is in that bank; a newer one, on trial, in the other."""
+    content = [(build.images[A], NEW), (build.images[B], NEW)]
+    content[bank] = (build.images[bank], RUN_WELL)
+    return compose(build, *content)
+
+
+def proven_but_none(build: Build) -> bytes:
+    """What is left of an image that had run well is none for this board."""
+    return compose(build, (build.images[A], NEW), (wrong_board(build), RUN_WELL))
+
+
+@pytest.mark.parametrize(
+    ("flash", "rom"),
+    [
+        (good, False),
+        (lambda build: proven_once(build, A), False),
+        (lambda build: proven_once(build, B), False),
+        (proven_but_none, True),
+    ],
+    ids=["run well", "run well in bank A alone", "run well in bank B alone", "none that has run well"],
+)
+def test_a_low_line_holds_up_no_board_that_has_an_image_which_ran_well(
+    build: Build, trial: MakeTrial, flash: Callable[[Build], bytes], rom: bool
+) -> None:
+    """An adapter without power, or a computer that starts."""
+    board = trial(flash(build))
+    board.board.hardware.pins.drive(MSP_RX, False)
+    board.until(lambda: board.board.hardware.rom.runs or board.bank is not None, UP_S)
+    assert board.board.hardware.rom.runs == rom
+
+
 @pytest.mark.parametrize(("ms", "rom"), [(0, False), (30, False), (49, False), (60, True)])
 def test_the_rom_is_entered_when_the_line_is_held_low_at_power_up(
     build: Build, trial: MakeTrial, ms: int, rom: bool
 ) -> None:
-    board = trial(good(build))
+    board = trial(compose(build, (build.images[A], INSTALLED), None))
     board.board.hardware.pins.drive(MSP_RX, ms == 0)
     board.run(ms / 1000)
     board.board.hardware.pins.drive(MSP_RX, True)
@@ -289,11 +321,24 @@ def test_a_low_line_does_not_hold_the_image_up_when_it_was_no_power_up(
     assert engine.run(board.board.cycle + TIME_HZ // 1000) is Outcome.BREAKPOINT, "within a millisecond"
 
 
+@pytest.mark.parametrize("cause", ["iwdg", "software", "pin"])
+def test_a_low_line_is_not_listened_to_after_a_reset_when_no_image_has_run_well(
+    build: Build, trial: MakeTrial, cause: str
+) -> None:
+    board = trial(compose(build, (build.images[A], INSTALLED), None))
+    board.until(lambda: board.bank == A, UP_S)
+    board.board.hardware.pins.drive(MSP_RX, False)
+    board.board.engine.system_reset(cause)
+    board.until(lambda: board.starts == 2, 0.1)
+    board.until(lambda: board.board.hardware.rom.runs or board.bank == A, UP_S)
+    assert not board.board.hardware.rom.runs
+
+
 def test_a_low_line_does_not_hold_the_image_up_when_the_supply_dipped_in_flight(
     build: Build, trial: MakeTrial
 ) -> None:
     """As the chip is delivered a dip has the flags of a power-up; memory outlives it."""
-    board = trial(good(build))
+    board = trial(compose(build, (build.images[A], INSTALLED), None))
     board.until(lambda: board.bank == A, UP_S)
     steps = 4711
     kept = build.symbols[A]["kept"]

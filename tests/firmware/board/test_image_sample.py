@@ -125,12 +125,37 @@ def test_an_icm20689_is_read_more_slowly_when_it_answers(board_with: Callable[[i
     assert flight.counts == [(1, 2, 3)]
 
 
-@pytest.mark.parametrize(("identity", "alignment", "chip"), [(0x70, 2, 0), (0x98, 1, 1)])  # CW180, CW90
+def test_an_icm20602_is_kept_off_i2c_by_a_register_of_its_own(board_with: Callable[[int], Flight]) -> None:
+    flight = board_with(0x12)
+    written = flight.chip.written
+    assert written[1] == (0x70, 0x40)  # I2C_IF, before all else
+    assert 0x6A not in flight.chip.registers  # USER_CTRL has nothing for it
+    assert written.index((0x6B, 0x01)) < written.index((0x68, 0x03))  # awake when its paths are reset
+    assert flight.chip.registers[0x1A] == 0 and flight.chip.registers[0x1B] == 0x18
+    assert flight.chip.broken_rules == []
+    assert 108e6 / (2 << flight.sketch.field("SPI_CR1", "BR", "SPI1")) == 6.75e6
+
+
+@pytest.mark.parametrize(("identity", "scale", "paths"), [(0xAC, 0x10, 3), (0xAF, 0x18, 3), (0x71, 0x18, 7)])
+def test_kin_are_read_slowly_at_the_same_scale(
+    identity: int, scale: int, paths: int, board_with: Callable[[int], Flight]
+) -> None:
+    flight = board_with(identity)
+    kept = flight.chip.registers
+    assert (kept[0x1B], kept[0x1C], kept[0x68], kept[0x6A]) == (scale, scale, paths, 0x10)
+    assert 108e6 / (2 << flight.sketch.field("SPI_CR1", "BR", "SPI1")) == 6.75e6
+
+
+@pytest.mark.parametrize(
+    ("identity", "alignment", "chip"),  # 2: CW180, 1: CW90
+    [(0x70, 2, 0), (0x98, 1, 1), (0x12, 2, 2), (0xAC, 2, 3), (0xAF, 2, 4), (0x71, 2, 5), (0x68, 2, 2)],
+)
 def test_the_board_says_which_chip_it_has_and_how_it_is_turned_when_it_is_known(
     identity: int, alignment: int, chip: int, board_with: Callable[[int], Flight], symbols: dict[str, int]
 ) -> None:
     sketch = board_with(identity).sketch
-    assert bytes(sketch.uc.mem_read(symbols["info"] + 4, 2)) == bytes([alignment, chip])  # struct hal_info
+    told = bytes(sketch.uc.mem_read(symbols["info"] + 4, 3))  # struct hal_info
+    assert told == bytes([alignment, chip, identity])
 
 
 def test_another_chip_is_not_flown_when_it_answers(board_with: Callable[[int], Flight]) -> None:

@@ -32,15 +32,32 @@ class Board:
 
     made_of: Any = None  # the flash
 
-    def __init__(self, core: Any, flash: Any, alignment: int = 0, **board: bool) -> None:
-        """alignment: the setting; board: of struct hal_info."""
+    def __init__(
+        self, core: Any, flash: Any, alignment: int = 0, controller: float = 0.0, **board: bool
+    ) -> None:
+        """Start it.
+
+        alignment: the setting. controller: share of a gyro period that passes between two looks at the
+        cycles. board: of struct hal_info.
+        """
         self.core, ffi = core, core.ffi
-        self.cycles = ffi.callback("uint32_t(void *)", lambda context: 0)
+        self.clock, passing = 0, int(controller * CYCLES_HZ / GYRO_HZ)
+        self.fed = 0
+
+        def cycles(context: Any) -> int:
+            self.clock += passing
+            return self.clock & 0xFFFFFFFF
+
+        def feed(context: Any) -> None:
+            self.fed += 1
+
+        self.cycles = ffi.callback("uint32_t(void *)", cycles)
+        self.feed = ffi.callback("void(void *)", feed)
         self.power = ffi.callback("void(void *, struct power_sample *)", self._power)
         self.switch = ffi.callback("void(void *, bool)", lambda context, on: None)
         self.log = ffi.callback("struct log_device *(void *, uint8_t)", lambda context, device: ffi.NULL)
         hal = {"cycles": self.cycles, "power_read": self.power, "beeper": self.switch, "led": self.switch}
-        hal["log"] = self.log
+        hal |= {"log": self.log, "watchdog_feed": self.feed}
         self.hal = core.new("struct hal *", {**hal, "flash": flash[0]})
         self.fw, self.stats = core.new("struct firmware *"), core.new("struct task_stats[]", len(Task))
         self.pid, self.target = core.new("struct pid_gains *"), core.new("char[]", b"TARGET")
@@ -59,6 +76,11 @@ class Board:
         self.config = core.new("struct background_config *", config)
         assert core.lib.background_start(self.background, self.config) == 0
         self.dshot, self.number = core.new("uint16_t[8]"), 0
+
+    def bytes_of(self, part: str) -> bytes:
+        """Of a member of struct firmware, pointers in it excepted."""
+        ffi = self.core.ffi
+        return bytes(ffi.buffer(ffi.addressof(self.fw, *part.split("."))))
 
     def _power(self, context: Any, power: Any) -> None:
         power.volts_mv, power.amps_mv, power.valid = 1527, 0, True
@@ -115,6 +137,35 @@ def test_it_does_not_arm_until_a_second_has_passed_without_an_overload(board: Ma
     assert b.run(110, load=1.02) == {ArmingReason.LOAD}
     assert b.run(LOAD_CALM_MS - 110) == {ArmingReason.LOAD}
     assert b.run(220) == set()
+
+
+@pytest.mark.parametrize(
+    ("load", "controller", "held"), [(0.4, 0.59, False), (0.4, 0.62, True), (0.0, 1.02, True)]
+)
+def test_the_controllers_time_counts_for_the_load_before_one_has_flown(
+    board: Make, load: float, controller: float, held: bool
+) -> None:
+    b = board(real_time=True, controller=controller)
+    assert b.fed >= 2, "a slow controller's rehearsals must not end in a watchdog's reset"
+    assert b.run(1200, load=load) == ({ArmingReason.LOAD} if held else set())
+    told = b.core.new("struct firmware_status *")
+    b.core.lib.background_status(b.background, told)
+    assert told.load_percent == pytest.approx(100 * (load + controller), abs=1)
+
+
+def test_nothing_is_left_of_the_rehearsals(board: Make) -> None:
+    rehearsed, other = board(real_time=True, controller=0.3), board(real_time=False)
+    for b in (rehearsed, other):
+        b.run(50)
+    for part in (
+        "control.observation",
+        "control.pid.integral",
+        "turning",
+        "plausibility",
+        "crash",
+        "status.trace",
+    ):
+        assert rehearsed.bytes_of(part) == other.bytes_of(part), part
 
 
 def test_a_load_is_no_reason_when_samples_wait_for_the_processor(board: Make) -> None:

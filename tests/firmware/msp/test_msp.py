@@ -394,6 +394,7 @@ def test_safety_tells_state_and_causes_when_asked(server: Callable[..., Server])
         temperature_deg_c=-12.344,
         idle=0.25,
         refused_cause=FallbackCause.POLICY_OUTPUT,
+        gyro_identity=0x12,
     )
     assert records.safety(s.ask(Msp.SAFETY)) == records.Safety(
         state=FlightState.CRASHED,
@@ -408,6 +409,7 @@ def test_safety_tells_state_and_causes_when_asked(server: Callable[..., Server])
         temperature_deg_c=-12.34,
         idle=0.25,
         refused_cause=FallbackCause.POLICY_OUTPUT,
+        gyro_identity=0x12,
     )
 
 

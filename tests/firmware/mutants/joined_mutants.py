@@ -397,6 +397,27 @@ JOINED_MUTANTS = (
         tests=(OF_BOARD,),
     ),
     Mutant(
+        name="what a controller takes is no load before it flies",
+        file=BACKGROUND,
+        old="stats->recent + more",
+        new="stats->recent + 0u * more",
+        tests=(OF_BOARD,),
+    ),
+    Mutant(
+        name="a rehearsal is left in the controllers",
+        file=BACKGROUND,
+        old="\treturn firmware_init(config->firmware, &firmware); /* of",
+        new="\treturn NF_OK; /* of",
+        tests=(OF_BOARD,),
+    ),
+    Mutant(
+        name="the watchdog is not fed while a slow controller is rehearsed",
+        file=BACKGROUND,
+        old="\t\t\thal->watchdog_feed(hal->context);\n",
+        new="",
+        tests=(OF_BOARD,),
+    ),
+    Mutant(
         name="a program that waits for its samples is overloaded",
         file=BACKGROUND,
         old="\tif (!background->config.real_time)\n\t\treturn;\n",

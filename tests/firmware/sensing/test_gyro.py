@@ -402,6 +402,8 @@ def test_temperature_is_the_data_sheets_when_the_chip_is_known(
         31.0, abs=0.01
     )
     c.feed(temperature=-3268)
-    assert scripted.lib.gyro_temperature_c(c.struct, scripted.lib.GYRO_ICM20689) == pytest.approx(
-        15.0, abs=0.01
-    )
+    for name in ("ICM20689", "ICM20602", "ICM20601", "ICM20608G"):
+        told = scripted.lib.gyro_temperature_c(c.struct, getattr(scripted.lib, f"GYRO_{name}"))
+        assert told == pytest.approx(15.0, abs=0.01)
+    told = scripted.lib.gyro_temperature_c(c.struct, scripted.lib.GYRO_MPU9250)
+    assert told == pytest.approx(21.0 - 9.788, abs=0.01)

@@ -31,6 +31,7 @@ SAFE = Safety(
     temperature_deg_c=25.0,
     idle=0.2,
     refused_cause=FallbackCause.NONE,
+    gyro_identity=None,
 )
 
 

@@ -142,13 +142,6 @@ static bool boot_hears_break(void)
 	return low;
 }
 
-/* Only where the board has just got its power: after a reset in flight no line may keep the image from its motors. A
- * dip of the supply in flight looks like power-on (fault.c), but memory then tells that the motors were armed. */
-static bool boot_is_broken_into(void)
-{
-	return boot_reset_was(RCC_CSR_PORRSTF) && !kept_armed() && boot_hears_break();
-}
-
 /* --- Which bank --------------------------------------------------------------------------------------------- */
 /* Whatever the checksum says, the core is not sent to where no image can be. */
 static bool boot_is_image(unsigned bank)
@@ -161,6 +154,23 @@ static bool boot_is_image(unsigned bank)
 	return image_bank_fits(&header, bank, board) && head->stack > (uint32_t)dtcm_start &&
 	       head->stack <= (uint32_t)dtcm_end && head->stack % 8u == 0u && head->reset > address &&
 	       head->reset < address + NF_FLASH_BANK_A_SIZE && head->reset % 2u == 1u;
+}
+
+/* Is there an image that has run well? It answers MSP, by which it can be asked for the ROM. */
+static bool boot_has_proven(void)
+{
+	for (unsigned bank = 0; bank < IMAGE_BANK_COUNT; ++bank)
+		if (boot_is_image(bank) && image_bank_marks(&boot_flash, bank).confirmed)
+			return true;
+	return false;
+}
+
+/* Only where the board has just got its power: after a reset in flight no line may keep the image from its motors. A
+ * dip of the supply in flight looks like power-on (fault.c), but memory then tells that the motors were armed. And only
+ * where no image has run well yet: a line is low as well where what is plugged in has no power, or is starting. */
+static bool boot_is_broken_into(void)
+{
+	return boot_reset_was(RCC_CSR_PORRSTF) && !kept_armed() && !boot_has_proven() && boot_hears_break();
 }
 
 /* The header has been looked at. */

@@ -1,6 +1,7 @@
 #include "hal/stm32f7/devices/gyro_chip.h"
 
 #include "board.h"
+#include "hal/stm32f7/core/clock.h"
 #include "hal/stm32f7/core/core.h"
 #include "hal/stm32f7/core/fault.h"
 #include "hal/stm32f7/core/gpio.h"
@@ -16,7 +17,8 @@
 #define EXTI_PORT_C 2u /* SYSCFG_EXTICR1 */
 
 /* MPU-6500 register map and descriptions (RM-MPU-6500A-00), section 4; the ICM-20689 (DS-000143) has the same
- * registers there. */
+ * registers there. ICM-20602 (DS-000176), ICM-20608-G and MPU-9250 as PX4's register headers tell of their data sheets,
+ * ICM-20601 as I2Cdev's of DS-000191: docs/board-bring-up.md says what of it only hardware can prove. */
 enum chip_register {
 	SMPLRT_DIV = 0x19,
 	CONFIG = 0x1A,
@@ -30,37 +32,58 @@ enum chip_register {
 	USER_CTRL = 0x6A,
 	PWR_MGMT_1 = 0x6B,
 	PWR_MGMT_2 = 0x6C,
+	I2C_IF = 0x70, /* the ICM-20602's alone */
 	WHO_AM_I = 0x75,
 };
 #define READ 0x80u
 #define DEVICE_RESET 0x80u /* PWR_MGMT_1 */
+#define AWAKE 0x01u        /* PWR_MGMT_1: clock from the gyro's PLL (CLKSEL 1), which all of them ask for */
+#define FULL_SCALE_3 0x18u /* GYRO_CONFIG: +-2000 deg/s, FCHOICE_B 0; ACCEL_CONFIG: +-16 g */
+#define FULL_SCALE_2 0x10u /* the same of the ICM-20601, whose ranges are twice as wide */
 #define START_MS 100u      /* at most, from power to the first access (PS-MPU-6500A-01, start-up time) */
 #define RESET_MS 100u      /* of the chip, and again of its signal paths */
+
+struct chip_setting {
+	uint8_t address;
+	uint8_t value;
+};
+#define SPI_ONLY_BY_USER_CTRL { USER_CTRL, 0x10 } /* I2C_IF_DIS */
+#define SPI_ONLY_BY_I2C_IF { I2C_IF, 0x40 }       /* I2C_IF_DIS of the ICM-20602, whose USER_CTRL has no such bit */
 
 /* What the chips differ in. */
 static const struct chip {
 	uint8_t identity;    /* WHO_AM_I */
-	uint8_t reset_paths; /* SIGNAL_PATH_RESET: all there are */
-	enum spi_speed speed;/* of data; registers take 1 MHz */
-	enum board_alignment alignment;
 	enum gyro_chip kind;
+	enum board_alignment alignment;
+	struct chip_setting spi_only;
+	uint8_t reset_paths; /* SIGNAL_PATH_RESET: all there are */
+	uint8_t full_scale;  /* GYRO_CONFIG and ACCEL_CONFIG */
+	enum spi_speed speed;/* of data; registers take 1 MHz */
 } chips[] = {
-	{ 0x70, 0x07, SPI_13M5, BOARD_MPU6500_ALIGNMENT, GYRO_MPU6500 },    /* 20 MHz at most */
-	{ 0x98, 0x03, SPI_6M75, BOARD_ICM20689_ALIGNMENT, GYRO_ICM20689 },  /* 8 MHz at most */
+	/* 20 MHz at most */
+	{ NF_GYRO_IDENTITY_MPU6500, GYRO_MPU6500, BOARD_GYRO_ALIGNMENT, SPI_ONLY_BY_USER_CTRL, 0x07, FULL_SCALE_3,
+	  SPI_13M5 },
+	/* 8 MHz at most */
+	{ NF_GYRO_IDENTITY_ICM20689, GYRO_ICM20689, BOARD_ICM20689_ALIGNMENT, SPI_ONLY_BY_USER_CTRL, 0x03, FULL_SCALE_3,
+	  SPI_6M75 },
+	/* 10 MHz at most */
+	{ NF_GYRO_IDENTITY_ICM20602, GYRO_ICM20602, BOARD_GYRO_ALIGNMENT, SPI_ONLY_BY_I2C_IF, 0x03, FULL_SCALE_3,
+	  SPI_6M75 },
+	/* 8 MHz at most */
+	{ NF_GYRO_IDENTITY_ICM20601, GYRO_ICM20601, BOARD_GYRO_ALIGNMENT, SPI_ONLY_BY_USER_CTRL, 0x03, FULL_SCALE_2,
+	  SPI_6M75 },
+	{ NF_GYRO_IDENTITY_ICM20608G, GYRO_ICM20608G, BOARD_GYRO_ALIGNMENT, SPI_ONLY_BY_USER_CTRL, 0x03, FULL_SCALE_3,
+	  SPI_6M75 },
+	/* 20 MHz at most by its data sheet, but PX4 keeps to 10 */
+	{ NF_GYRO_IDENTITY_MPU9250, GYRO_MPU9250, BOARD_GYRO_ALIGNMENT, SPI_ONLY_BY_USER_CTRL, 0x07, FULL_SCALE_3,
+	  SPI_6M75 },
 };
 
-/* Written in this order, each read back; the same numbers for both chips. */
-static const struct chip_setting {
-	uint8_t address;
-	uint8_t value;
-} chip_settings[] = {
-	{ PWR_MGMT_1, 0x01 },    /* awake, clock from the gyro's PLL */
-	{ USER_CTRL, 0x10 },     /* SPI only */
+/* Written in this order behind the chip's own; the same numbers for all. */
+static const struct chip_setting chip_settings[] = {
 	{ PWR_MGMT_2, 0x00 },    /* all axes on */
 	{ SMPLRT_DIV, 0x00 },    /* every sample */
-	{ CONFIG, 0x00 },        /* DLPF_CFG 0: 8 kHz, bandwidth 250 Hz */
-	{ GYRO_CONFIG, 0x18 },   /* +-2000 deg/s, FCHOICE_B 0 */
-	{ ACCEL_CONFIG, 0x18 },  /* +-16 g */
+	{ CONFIG, 0x00 },        /* DLPF_CFG 0: 8 kHz, bandwidth 250 Hz; an ICM-20602 starts with 0x80 */
 	{ ACCEL_CONFIG2, 0x02 }, /* 1 kHz, bandwidth about 95 Hz: attitude needs gravity, not vibration */
 	{ INT_PIN_CFG, 0x00 },   /* active high, push-pull, 50 us pulse */
 	{ INT_ENABLE, 0x01 },    /* data ready */
@@ -75,6 +98,13 @@ static const struct chip_setting {
 static DMA_BUFFER_SLOW uint8_t gyro_request[TRANSFER_BYTES];
 static DMA_BUFFER uint8_t gyro_response[TRANSFER_BYTES];
 
+/* A sample whose handler takes longer than its period is followed by the next one at once, and nothing below runs in
+ * between: no background, and nobody feeds the watchdog. What runs below is owed a cycle for each 8 that samples take,
+ * and while it is owed more than a millisecond samples are left out, which counts as lost ones. A single slow sample
+ * costs none. */
+#define CYCLES_A_CYCLE 8u
+#define OWED_MAX (CLOCK_CORE_HZ / 1000u)
+
 /* Between gyro_run, the edge handler, the sample handler and the tick. */
 static struct {
 	const struct chip *chip; /* NULL: none that we know */
@@ -84,6 +114,8 @@ static struct {
 	volatile uint32_t due;   /* reads since gyro_run, made or not; the edge handler's alone */
 	volatile uint32_t read;  /* `due` of the read that is under way; likewise */
 	uint32_t taken;          /* `due` of the last sample; sample handler and tick */
+	uint32_t ended;          /* the last sample [cycle]; the sample handler's alone */
+	uint32_t owed;           /* to what runs below [cycles]; likewise */
 	uint32_t silent_ms;      /* since the last sample; sample handler and tick, which share a priority */
 	volatile uint32_t samples; /* taken; written by the sample handler alone */
 	volatile bool reading;   /* a transfer was started and not yet taken */
@@ -113,33 +145,45 @@ static bool gyro_write_register(uint8_t address, uint8_t value)
 	return gyro_transfer(bytes, sizeof bytes);
 }
 
-/* The chip that answers; NULL: none, or one that this driver does not know. */
-static const struct chip *gyro_identify(void)
+/* The chip of that identity; NULL: this driver does not know it. */
+static const struct chip *gyro_find(uint8_t identity)
 {
-	uint8_t identity;
-
-	if (!gyro_read_register(WHO_AM_I, &identity))
-		return NULL;
 	for (size_t i = 0; i < sizeof chips / sizeof chips[0]; ++i)
 		if (chips[i].identity == identity)
 			return &chips[i];
 	return NULL;
 }
 
-static bool gyro_configure(void)
+/* Writes a register and reads it back. */
+static bool gyro_set(struct chip_setting setting)
 {
-	for (size_t i = 0; i < sizeof chip_settings / sizeof chip_settings[0]; ++i) {
-		uint8_t kept;
+	uint8_t kept;
 
-		if (!gyro_write_register(chip_settings[i].address, chip_settings[i].value) ||
-		    !gyro_read_register(chip_settings[i].address, &kept) || kept != chip_settings[i].value)
+	return gyro_write_register(setting.address, setting.value) && gyro_read_register(setting.address, &kept) &&
+	       kept == setting.value;
+}
+
+/* First the bus, so that no level on its lines makes the chip take it for I2C; then awake, as signal paths of a chip that
+ * sleeps need not be there to be reset. */
+static bool gyro_wake(const struct chip *chip)
+{
+	return gyro_set(chip->spi_only) && gyro_set((struct chip_setting){ PWR_MGMT_1, AWAKE }) &&
+	       gyro_write_register(SIGNAL_PATH_RESET, chip->reset_paths);
+}
+
+static bool gyro_configure(const struct chip *chip)
+{
+	if (!gyro_set((struct chip_setting){ GYRO_CONFIG, chip->full_scale }) ||
+	    !gyro_set((struct chip_setting){ ACCEL_CONFIG, chip->full_scale }))
+		return false;
+	for (size_t i = 0; i < sizeof chip_settings / sizeof chip_settings[0]; ++i)
+		if (!gyro_set(chip_settings[i]))
 			return false;
-	}
 	return true;
 }
 
 /* Runs once: small rather than quick, unlike the transfers. */
-__attribute__((cold)) bool gyro_start(enum board_alignment *alignment, enum gyro_chip *kind)
+__attribute__((cold)) bool gyro_start(struct gyro_found *found)
 {
 	gpio_output(BOARD_GYRO_CS, true);
 	gpio_input(BOARD_GYRO_READY, GPIO_PULL_DOWN);
@@ -154,15 +198,17 @@ __attribute__((cold)) bool gyro_start(enum board_alignment *alignment, enum gyro
 	if (!gyro_write_register(PWR_MGMT_1, DEVICE_RESET))
 		return false;
 	time_delay_ms(RESET_MS);
-	const struct chip *const chip = gyro_identify();
-	if (chip == NULL || !gyro_write_register(SIGNAL_PATH_RESET, chip->reset_paths))
+	if (!gyro_read_register(WHO_AM_I, &found->identity))
 		return false;
-	time_delay_ms(RESET_MS);
-	if (!gyro_configure())
+	const struct chip *const chip = gyro_find(found->identity);
+	if (chip == NULL || !gyro_wake(chip))
+		return false;
+	time_delay_ms(RESET_MS); /* an ICM-20602's gyro takes 35 ms from sleep, and its kin no longer */
+	if (!gyro_configure(chip))
 		return false;
 	gyro.chip = chip;
-	*alignment = chip->alignment;
-	*kind = chip->kind;
+	found->alignment = chip->alignment;
+	found->kind = chip->kind;
 	return true;
 }
 
@@ -172,6 +218,7 @@ void gyro_run(const struct hal_handlers *handlers, unsigned rate_hz)
 	gyro.divider = NF_GYRO_EDGE_RATE_HZ / rate_hz;
 	gyro.until_read = 1;
 	gyro.reading = false;
+	gyro.ended = time_cycles();
 	gyro_request[0] = ACCEL_XOUT_H | READ;
 	barrier();
 	gyro.handlers = handlers; /* from here on the tick watches */
@@ -241,12 +288,28 @@ static int16_t gyro_big_endian(const volatile uint8_t *bytes)
 	return (int16_t)(uint16_t)(bytes[0] << 8 | bytes[1]);
 }
 
+/* Has what runs below had its share up to now? */
+static bool gyro_share(uint32_t now)
+{
+	const uint32_t had = now - gyro.ended;
+
+	gyro.owed -= had < gyro.owed ? had : gyro.owed;
+	gyro.ended = now;
+	return gyro.owed <= OWED_MAX;
+}
+
 void gyro_sample_handler(void)
 {
 	struct imu_sample sample;
+	const uint32_t begun = time_cycles();
 
 	/* The edge handler may not come between: it would take the half-ended transfer for a stuck one. */
 	interrupts_disable();
+	if (!gyro_share(begun)) {
+		gyro_end_transfer();
+		interrupts_enable();
+		return;
+	}
 	sample.valid = dma_complete(DMA_GYRO_RX); /* or it ended in an error of the bus */
 	const uint32_t lost = gyro.read - gyro.taken - 1u;
 
@@ -263,4 +326,6 @@ void gyro_sample_handler(void)
 	gyro.silent_ms = 0;
 	++gyro.samples;
 	gyro.handlers->sample(gyro.handlers->context, &sample);
+	gyro.ended = time_cycles();
+	gyro.owed += (gyro.ended - begun) / CYCLES_A_CYCLE;
 }

@@ -1,4 +1,4 @@
-/* The gyro chip on SPI1, an MPU6500 or an ICM20689: data-ready at 8 kHz, every n-th edge read by DMA. */
+/* The gyro chip on SPI1, an ICM20602 or one of its kin: data-ready at 8 kHz, every n-th edge read by DMA. */
 #ifndef STM32F7_GYRO_CHIP_H
 #define STM32F7_GYRO_CHIP_H
 
@@ -7,10 +7,15 @@
 
 #include "hal/hal.h"
 
-/* Identifies and configures the chip (takes 0.3 s) and says how it is turned on this board, and which one it is.
- * False: absent, unknown, or it does not keep what is written to it; both are then left alone. Needs the clocks at
- * full speed. */
-bool gyro_start(enum board_alignment *alignment, enum gyro_chip *kind);
+struct gyro_found {
+	enum board_alignment alignment; /* how it is turned on this board */
+	enum gyro_chip kind;
+	uint8_t identity; /* WHO_AM_I, as it was read: also of a chip that is not known; 0xFF where none answers */
+};
+
+/* Identifies and configures the chip (takes 0.3 s). False: absent, unknown, or it does not keep what is written to it;
+ * `found` is then left alone but for the identity that was read. Needs the clocks at full speed. */
+bool gyro_start(struct gyro_found *found);
 
 /* From now on `handlers->sample` gets `rate_hz` samples a second (one of NF_GYRO_RATES_HZ), from interrupts, and
  * `handlers->gyro_silent` is called whenever NF_GYRO_BAD_MS pass without one: also where gyro_start failed. */

@@ -65,7 +65,7 @@ struct gyro {
 	int16_t measured[GYRO_VALUES];
 	uint8_t data[GYRO_BYTES];
 	uint8_t shadow[GYRO_BYTES]; /* data as the transaction sees them */
-	uint8_t gyro_shift, accel_shift; /* full scale above the one that is set, as a power of two */
+	int8_t gyro_shift, accel_shift; /* full scale above the one that is set, as a power of two; negative: below */
 	uint8_t interrupt, reads;
 	uint8_t silent;         /* no data-ready pulses, as injected by a fault campaign */
 };

@@ -11,8 +11,8 @@ enum { DATA = 0x3B, READ = 0x80 };
 /* What is measured at +-2000 deg/s and +-16 g, as the full scale that is set shows it. */
 static int16_t gyro_value(const struct gyro *g, uint32_t i)
 {
-	const uint32_t shift = i < 3u ? g->accel_shift : i > 3u ? g->gyro_shift : 0u;
-	const int32_t value = g->measured[i] * (1 << shift);
+	const int shift = i < 3u ? g->accel_shift : i > 3u ? g->gyro_shift : 0;
+	const int32_t value = shift >= 0 ? g->measured[i] * (1 << shift) : g->measured[i] >> -shift;
 
 	return (int16_t)(value < INT16_MIN ? INT16_MIN : value > INT16_MAX ? INT16_MAX : value);
 }

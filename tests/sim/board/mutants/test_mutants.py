@@ -51,6 +51,22 @@ def test_firmware_flies_when_it_is_built_and_flown_as_mutants_are(fly_mutant: Fl
     assert min(flight.values) >= DSHOT_MIN
 
 
+@pytest.mark.parametrize("controller", ["CONTROLLER_POLICY", "CONTROLLER_PID"])
+def test_firmware_does_not_arm_when_a_controller_takes_longer_than_a_sample(
+    fly_mutant: Fly, controller: str
+) -> None:
+    """Before arming none runs: what they take is measured at boot."""
+    begin = "\tcontrol_mix(control, input->throttle, output);\n\tcontrol_hand_over("
+    slow = (
+        f"\tfor (volatile unsigned i = 0; control->flying == {controller} && i < 12000u; ++i)\n\t\t;\n{begin}"
+    )
+    flight = fly_mutant(
+        replace(UNCHANGED, file="src/control/control.c", old=begin, new=slow, seconds=3.8, flown=True)
+    )
+    assert flight.report.resets == ("power",)
+    assert not any(flight.values)
+
+
 def test_firmware_saves_its_settings_when_it_is_built_and_asked_as_mutants_are(fly_mutant: Fly) -> None:
     report = fly_mutant(replace(UNCHANGED, seconds=0.8, saves=0.5, boots=2)).report
     assert report.resets == ("power", "power")

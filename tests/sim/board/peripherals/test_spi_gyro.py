@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from contextlib import nullcontext
 from typing import TYPE_CHECKING
 
@@ -9,13 +10,15 @@ import pytest
 
 from sim.board.core.context import BoardError
 from sim.board.devices import gyro_chip
-from sim.board.devices.gyro_chip import ICM20689, MPU6500
+from sim.board.devices.gyro_chip import ICM20601, ICM20602, ICM20689, MPU6500
 from sim.board.devices.gyro_mount import Alignment, accel_counts, gyro_counts
+from sim.board.matekf722 import GYROS
 
 if TYPE_CHECKING:
     from tests.sim.board.conftest import Bench
 
 
+CHIPS = [gyro.chip for gyro in GYROS.values()]
 TX, RX = 0x20011000, 0x20002000
 SLOW, FAST = 6, 2  # BR: 0.84 and 13.5 MHz
 CR2 = 7 << 8 | 1 << 12  # DS, FRXTH
@@ -54,12 +57,14 @@ def start_chip(bench: Bench, speed: int = SLOW) -> None:
     """The chip awake at 8 kHz, data-ready on."""
     configure(bench)
     bench.context.run(110_000)
+    kind = bench.hardware.gyro.kind
     exchange(bench, gyro_chip.PWR_MGMT_1, 0x80)
     bench.context.run(100_001)
     for address, value in (
+        kind.spi_only,
         (gyro_chip.PWR_MGMT_1, 1),
-        (gyro_chip.GYRO_CONFIG, 0x18),
-        (gyro_chip.ACCEL_CONFIG, 0x18),
+        (gyro_chip.GYRO_CONFIG, kind.full_scale << 3),
+        (gyro_chip.ACCEL_CONFIG, kind.full_scale << 3),
         (gyro_chip.INT_ENABLE, 1),
     ):
         exchange(bench, address, value)
@@ -83,7 +88,7 @@ def start_dma(bench: Bench, count: int = 15, rx_channel: int = 3) -> None:
     bench.set("SPI1_CR1", SPE=1)
 
 
-@pytest.mark.parametrize("chip", [MPU6500, ICM20689])
+@pytest.mark.parametrize("chip", CHIPS)
 def test_chip_says_who_it_is_when_asked(make_bench: type[Bench], chip: gyro_chip.GyroKind) -> None:
     bench = make_bench(chip=chip)
     bench.full_speed()
@@ -106,7 +111,101 @@ def test_an_icm20689_sleeps_when_it_is_reset_and_its_gyro_path_is_refused(make_b
         exchange(bench, gyro_chip.SIGNAL_PATH_RESET, 0x07)
 
 
-@pytest.mark.parametrize(("chip", "counts"), [(MPU6500, 3005), (ICM20689, 1634)])
+def idle_icm20602(make_bench: type[Bench]) -> Bench:
+    """An ICM20602 that answers, and nothing was written to."""
+    bench = make_bench(chip=ICM20602)
+    bench.full_speed()
+    configure(bench)
+    bench.context.run(100_000)
+    return bench
+
+
+def test_an_icm20602_has_the_registers_of_its_data_sheet_after_reset(make_bench: type[Bench]) -> None:
+    bench = idle_icm20602(make_bench)
+    told = {address: exchange(bench, address | 0x80, 0)[1] for address, _ in ICM20602.writable}
+    assert {address: value for address, value in told.items() if value} == {
+        gyro_chip.CONFIG: 0x80,
+        gyro_chip.PWR_MGMT_1: 0x41,
+    }
+
+
+@pytest.mark.parametrize(
+    ("address", "value"),
+    [
+        (gyro_chip.USER_CTRL, 0x10),  # I2C_IF_DIS of its kin
+        (gyro_chip.CONFIG, 0x80),
+        (gyro_chip.I2C_IF, 0x41),
+        (gyro_chip.SIGNAL_PATH_RESET, 0x07),
+        (gyro_chip.GYRO_CONFIG, 0x1C),
+    ],
+)
+def test_an_icm20602_refuses_bits_that_it_has_not(make_bench: type[Bench], address: int, value: int) -> None:
+    bench = idle_icm20602(make_bench)
+    with pytest.raises(
+        BoardError, match=rf"register 0x{address:02X} of the ICM20602 = 0x{value:02X}: the model"
+    ):
+        exchange(bench, address, value)
+
+
+@pytest.mark.parametrize(
+    ("address", "value", "message"),
+    [
+        (gyro_chip.I2C_IF, 0, "while it may take its bus for I2C, expected register 0x70 with bit 0x40"),
+        (gyro_chip.PWR_MGMT_1, 0, "samples with CLKSEL 0, expected 1"),
+    ],
+)
+def test_an_icm20602_is_refused_when_it_samples_without_what_it_asks_for(
+    make_bench: type[Bench], address: int, value: int, message: str
+) -> None:
+    bench = make_bench(chip=ICM20602)
+    bench.full_speed()
+    start_chip(bench)
+    with pytest.raises(BoardError, match=message):
+        exchange(bench, address, value)
+
+
+def test_an_icm20602_samples_at_another_rate_and_scale_when_it_is_set_up_so(make_bench: type[Bench]) -> None:
+    bench = make_bench(chip=ICM20602)
+    bench.full_speed()
+    start_chip(bench)
+    chip = bench.hardware.gyro
+    chip.measure((0, 0, 0), 0, (100, -300, 20_000))
+    for written, rate_hz, counts in (
+        ((gyro_chip.GYRO_CONFIG, 0x1A), 32_000, (100, -300, 20_000)),  # FCHOICE_B past the low-pass
+        ((gyro_chip.GYRO_CONFIG, 0x10), 8_000, (200, -600, 32_767)),  # +-1000 deg/s
+        ((gyro_chip.CONFIG, 0x01), 1_000, (200, -600, 32_767)),
+        ((gyro_chip.SMPLRT_DIV, 4), 200, (200, -600, 32_767)),
+    ):
+        exchange(bench, *written)
+        bench.context.run(6_000)
+        before = chip.samples
+        bench.context.run(50_000)
+        assert chip.samples - before == rate_hz // 20
+        data = bytes(exchange(bench, gyro_chip.DATA + 8 | 0x80, *[0] * 6)[1:])
+        assert struct.unpack(">3h", data) == counts
+
+
+def test_an_icm20601_halves_the_counts_when_it_is_set_up_like_its_kin(make_bench: type[Bench]) -> None:
+    bench = make_bench(chip=ICM20601)
+    bench.full_speed()
+    start_chip(bench)
+    bench.hardware.gyro.measure((2048, 0, 0), 0, (1000, -1001, 0))
+    for register in (gyro_chip.GYRO_CONFIG, gyro_chip.ACCEL_CONFIG):
+        exchange(bench, register, 0x18)  # +-4000 deg/s, +-32 g
+    bench.context.run(500)
+    data = bytes(exchange(bench, gyro_chip.DATA | 0x80, *[0] * 14)[1:])
+    assert struct.unpack(">7h", data) == (1024, 0, 0, 0, 500, -501, 0)
+
+
+def test_an_icm20602_is_refused_when_it_is_read_above_10_mhz(make_bench: type[Bench]) -> None:
+    bench = make_bench(chip=ICM20602)
+    bench.full_speed()
+    start_chip(bench, FAST)
+    with pytest.raises(BoardError, match=r"data of the ICM20602 at 13.5 MHz, expected 10 MHz at most"):
+        exchange(bench, gyro_chip.DATA | 0x80, 0)
+
+
+@pytest.mark.parametrize(("chip", "counts"), [(MPU6500, 3005), (ICM20689, 1634), (ICM20602, 1634)])
 def test_the_thermometer_counts_by_its_data_sheet(chip: gyro_chip.GyroKind, counts: int) -> None:
     assert chip.temperature(30.0) == counts
 
