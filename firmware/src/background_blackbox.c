@@ -2,6 +2,8 @@
 #include "background.h"
 #include "firmware_layout.h"
 
+static const uint16_t held[] = FIRMWARE_HELD;
+
 static uint32_t background_layout(void)
 {
 	return FIRMWARE_LAYOUT;
@@ -38,6 +40,8 @@ void background_init_blackbox(struct background *background)
 			.bytes = fw,
 			.size = sizeof *fw,
 			.layout = background_layout(),
+			.held = held,
+			.held_count = sizeof held / sizeof held[0],
 			.samples = &fw->samples,
 			.window = &fw->window,
 			.control_steps = &fw->control_steps,

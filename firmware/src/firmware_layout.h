@@ -38,4 +38,11 @@
 	 LAYOUT_OF(68u, mean) + LAYOUT_OF(69u, control.estimator) + LAYOUT_OF(70u, control.estimator.speed) +          \
 	 LAYOUT_OF(71u, control.motors))
 
+/* Where its pointers lie (held.h), 8 bytes each: they mean nothing to anybody else. */
+#define FIRMWARE_HELD                                                                                                 \
+	{ offsetof(struct firmware, control.policy.weights),   offsetof(struct firmware, control.weights),            \
+	  offsetof(struct firmware, control.pid.gains),        offsetof(struct firmware, control.observation.blocks), \
+	  offsetof(struct firmware, control.observation.ages), offsetof(struct firmware, control.observation.gains),  \
+	  offsetof(struct firmware, dshot_command.outputs) }
+
 #endif

@@ -6,6 +6,8 @@
 
 _Static_assert(LOG_SUBSAMPLES_MAX <= REPLAY_SAMPLES_MAX, "a record fits into a step");
 
+static const uint16_t held[] = FIRMWARE_HELD;
+
 uint32_t firmware_layout(void)
 {
 	return FIRMWARE_LAYOUT;
@@ -15,17 +17,13 @@ bool firmware_restore(struct firmware *fw, const uint8_t *bytes, size_t count, u
 {
 	if (count != sizeof *fw || layout != FIRMWARE_LAYOUT)
 		return false;
-	const struct control own = fw->control;
-	const uint8_t *const outputs = fw->dshot_command.outputs;
+	uint64_t own[sizeof held / sizeof held[0]];
 
+	for (size_t i = 0; i < sizeof held / sizeof held[0]; ++i)
+		memcpy(&own[i], (const uint8_t *)fw + held[i], sizeof own[i]);
 	memcpy(fw, bytes, count);
-	fw->control.policy.weights = own.policy.weights;
-	fw->control.weights = own.weights;
-	fw->control.pid.gains = own.pid.gains;
-	fw->control.observation.blocks = own.observation.blocks;
-	fw->control.observation.ages = own.observation.ages;
-	fw->control.observation.gains = own.observation.gains;
-	fw->dshot_command.outputs = outputs;
+	for (size_t i = 0; i < sizeof held / sizeof held[0]; ++i)
+		memcpy((uint8_t *)fw + held[i], &own[i], sizeof own[i]);
 	return true;
 }
 

@@ -16,6 +16,8 @@ static void log_snapshot_take(struct log_snapshot *snapshot)
 	fence();
 	for (size_t left = state->size; left > 0; left -= 8u, from += 8u, to += 8u)
 		words_copy(to, from, 8u);
+	for (size_t i = 0; i < state->held_count; ++i)
+		words_copy((uint8_t *)snapshot->bytes + state->held[i], &(const uint64_t){ 0 }, 8u);
 	snapshot->step = *state->control_steps;
 	fence();
 	snapshot->taken = *state->samples == before;

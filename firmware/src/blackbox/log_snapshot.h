@@ -19,6 +19,8 @@ struct log_state {
 	const volatile uint32_t *samples; /* gyro samples since boot, that change with each change of the state */
 	const volatile uint32_t *window; /* what they were when the last control step had ended */
 	const volatile uint32_t *control_steps; /* the number of the next one */
+	const uint16_t *held; /* where pointers lie, 8 bytes each: 0 in the copy, as they tell no flight from another */
+	size_t held_count;
 };
 
 struct log_snapshot {

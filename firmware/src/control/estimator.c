@@ -32,7 +32,6 @@ void estimator_reset(struct estimator *estimator)
 {
 	memset(estimator->commands, 0, sizeof estimator->commands);
 	memset(estimator->speed, 0, sizeof estimator->speed);
-	memset(estimator->gained, 0, sizeof estimator->gained);
 	estimator->oldest = 0;
 }
 

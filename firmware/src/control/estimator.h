@@ -27,7 +27,7 @@ struct estimator {
 	float commands[NF_ESTIMATOR_DELAY_MAX + 1][POLICY_ACTION_COUNT]; /* a ring of model.delay + 1 steps */
 	uint32_t oldest;                     /* of them */
 	float speed[POLICY_ACTION_COUNT];    /* rad/s */
-	float gained[POLICY_ACTION_COUNT];   /* rad/s, in this control step */
+	float gained[POLICY_ACTION_COUNT];   /* rad/s, in this control step; known once it has begun */
 	float rotor[POLICY_ACTION_COUNT];    /* rad/s, speed less that at rest under the throttle */
 	float rate[3];                       /* rad/s, body */
 	float error[3]; /* rad/s, setpoint less that */

@@ -70,7 +70,7 @@ def _overload(board: Board, seconds: float) -> None:
 
 
 def _stop_timer(board: Board) -> None:
-    """TIM8 stops: what DMA is given for motors 1 to 4 from here on is not asked for, and its stream never ends."""
+    """TIM8 stops: it asks DMA for nothing more, so that the stream of motors 1 to 4 never ends."""
     block = load_table().blocks["TIM8"]
     address = block.base + block.registers["CR1"].offset
     board.engine.store(address, 4, board.engine.load(address, 4) & ~1)  # CEN

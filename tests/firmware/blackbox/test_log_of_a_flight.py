@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 
@@ -13,6 +15,7 @@ from sim.blackbox.export import save_csv
 from sim.blackbox.log import Log, floats, read_log
 from sim.ports.library import Reference
 from tests.firmware.blackbox.flights import ARMED_S, Flown, fly
+from tests.firmware.blackbox.test_layout import POINTERS, layout
 from tests.firmware.conftest import Core
 from toolchain.contract import (
     CHANNEL_ARM,
@@ -77,6 +80,21 @@ def assert_the_same(flown: Flown, log: Log) -> None:
     assert np.array_equal(matrix(log, "accRaw"), flown.forces[rows])
     degrees = np.degrees(flown.gyro[rows].astype(float))
     assert np.abs(matrix(log, "gyroADC") - degrees).max() <= 0.501
+
+
+def test_logs_of_equal_flights_are_equal_bytes_and_hold_no_pointer(
+    flown: Flown, reference_library: Path, tmp_path: Path
+) -> None:
+    """Of two firmwares in one process, whose memory lies elsewhere; other processes: tests/cli."""
+    assert fly(reference_library).data == flown.data
+    header = flown.log(tmp_path).header
+    state = bytes.fromhex("".join(header[name] for name in sorted(header) if re.match(r"nf_state_\d", name)))
+    assert int(header["nf_state_crc"], 16) == zlib.crc32(state)
+    places = {path: at for path, at in layout(reference_library, "firmware").items() if "pointer" in path}
+    assert len(places) == POINTERS and len(state) == layout(reference_library, "firmware")["whole"][1]
+    assert {path: state[at : at + size].hex() for path, (at, size) in places.items()} == dict.fromkeys(
+        places, "00" * 8
+    )
 
 
 def after_uptime(core: Core, samples: int) -> Callable[[Reference], None]:

@@ -57,6 +57,17 @@ def test_a_flight_always_finds_a_snapshot_that_is_some_steps_old(reference_core:
     assert sorted(seen) == list(range(1, 1001, 64))
 
 
+def test_a_snapshot_has_zeros_where_the_state_has_pointers(reference_core: Any) -> None:
+    state = State(reference_core)
+    held = reference_core.new("uint16_t[]", [8 * 3, 8 * 24])
+    state.snapshot.state.held, state.snapshot.state.held_count = held, 2
+    state.step()
+    assert [state.kept[index] for index in range(25)] == [
+        0 if index in (3, 24) else 4 + index for index in range(25)
+    ]
+    assert state.bytes[3] == 4 + 3, "its own stay"
+
+
 @pytest.mark.parametrize("partial", [1, 2, 3])
 def test_none_is_taken_where_samples_of_the_next_step_have_come(reference_core: Any, partial: int) -> None:
     state = State(reference_core)

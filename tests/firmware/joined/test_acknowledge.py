@@ -155,6 +155,21 @@ def test_a_policy_that_fell_back_is_told_and_refused_until_the_pilot_acknowledge
     assert not f.safety.pid_flies
 
 
+def test_a_take_over_is_told_only_while_it_flies(field: Callable[..., Field]) -> None:
+    """Its flicker is dark for a slot of 50 ms, and what tells of a refused policy for two and more."""
+    pause = "." * 101
+    f = field()
+    f.boot()
+    f.take_off()
+    f.fall_back()
+    f.run(1000)
+    assert pause not in f.light
+    f.land()
+    f.run(1000)
+    assert f.ms < 4000 + 550 + TOLD_MS, "it would still be told in flight"
+    assert pause in f.light and "#" in f.light
+
+
 def test_a_refused_policy_is_told_otherwise_than_a_fault_when_disarmed(field: Callable[..., Field]) -> None:
     refused, faulted = field(), field(fault=FaultKind.WATCHDOG)
     refused.boot()

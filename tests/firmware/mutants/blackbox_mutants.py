@@ -23,6 +23,13 @@ BLACKBOX_MUTANTS: tuple[Mutant, ...] = (
         tests=(OF_RING,),
     ),
     Mutant(
+        name="a snapshot keeps the last pointer",
+        file="blackbox/log_snapshot.c",
+        old="i < state->held_count;",
+        new="i + 1u < state->held_count;",
+        tests=(OF_RING,),
+    ),
+    Mutant(
         name="a snapshot is renewed a step late",
         file="blackbox/log_snapshot.c",
         old="snapshot->step >= LOG_SNAPSHOT_STEPS",

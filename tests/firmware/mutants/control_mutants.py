@@ -383,4 +383,18 @@ CONTROL_MUTANTS = (
         new="\t\ttest->given[i] |= NF_DSHOT_STOP;\n\ttest->most",
         tests=(OF_BENCH,),
     ),
+    Mutant(
+        name="the model takes standing motors for turning ones",
+        file="control/estimator.c",
+        old="standing ? 0.0f : output[i]",
+        new="standing && i < 0 ? 0.0f : output[i]",
+        tests=("control/test_estimator.py",),
+    ),
+    Mutant(
+        name="the model keeps the speed of its rotors",
+        file="control/estimator.c",
+        old="\tmemset(estimator->speed, 0, sizeof estimator->speed);\n",
+        new="",
+        tests=("control/test_estimator.py",),
+    ),
 )

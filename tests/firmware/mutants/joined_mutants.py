@@ -496,4 +496,11 @@ JOINED_MUTANTS = (
         new="if (now >= program->fed_at) {",
         tests=(OF_LOST,),
     ),
+    Mutant(
+        name="a take-over is told of motors that have stopped",
+        file="background.c",
+        old="background->refused && status->trace.armed &&",
+        new="background->refused &&",
+        tests=("joined/test_acknowledge.py",),
+    ),
 )

@@ -231,4 +231,11 @@ SENSING_MUTANTS = (
         new="memory->low = low;",
         tests=(OF_FILTERS,),
     ),
+    Mutant(
+        name="thousandths of a filter are cut off",
+        file="sensing/filters.c",
+        old="(uint32_t)(value * 1000.0f + 0.5f)",
+        new="(uint32_t)(value * 1000.0f)",
+        tests=("sensing/test_filters.py",),
+    ),
 )

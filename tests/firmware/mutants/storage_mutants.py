@@ -268,4 +268,25 @@ STORAGE_MUTANTS = (
         new="msp_put_u8(w, status->refused_cause & 0u);",
         tests=(OF_MSP, "joined/test_acknowledge.py"),
     ),
+    Mutant(
+        name="an estimated rate's error needs no model",
+        file="storage/policy_blob.c",
+        old=" ||\n\t\t    block == NF_OBSERVATION_RATE_ESTIMATE_ERROR)",
+        new=")",
+        tests=("storage/test_policy_blob.py",),
+    ),
+    Mutant(
+        name="the mean delays nothing",
+        file="storage/settings.c",
+        old="if (settings->gyro_mean == NF_GYRO_MEAN_ON) /*",
+        new="if (settings->gyro_mean > NF_GYRO_MEAN_ON) /*",
+        tests=("storage/test_settings.py",),
+    ),
+    Mutant(
+        name="a mean that is off delays",
+        file="storage/settings.c",
+        old="if (settings->gyro_mean == NF_GYRO_MEAN_ON) /*",
+        new="if (settings->gyro_mean != NF_GYRO_MEAN_POLICY) /*",
+        tests=("storage/test_settings.py",),
+    ),
 )

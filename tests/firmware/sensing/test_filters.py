@@ -332,6 +332,8 @@ def test_the_hash_is_that_of_no_filter_when_nothing_is_set(make: Make) -> None:
         (stage(1, FilterKind.PT1, 100.0), [["pt1", 100000]]),
         (stage(3, FilterKind.PT3, 80.5), [["pt3", 80500]]),
         (stage(4, FilterKind.BIQUAD, 4000.0, 0.707), [["biquad", 4000000, 707]]),
+        # A thousand times the float32 next to 1.004 is below 1004.
+        (stage(2, FilterKind.BIQUAD, 300.0, 1.004), [["biquad", 300000, 1004]]),
         (
             stage(1, FilterKind.NOTCH, 180.0, 3.0) | stage(2, FilterKind.PT2, 90.0),
             [["notch", 180000, 3000], ["pt2", 90000]],

@@ -14,10 +14,12 @@ import pytest
 from toolchain import contract
 from toolchain.errors import PolicyError
 from toolchain.policy.blob import PolicyBlob, blob_terms, pack, parse
+from toolchain.policy.model_constants import ModelConstants
 from toolchain.rendering.contract_header import blob_header_fields
 
 Check = Callable[..., int]
 SUCCESS, SHORT, MAGIC, LAYOUT, SIZE, CRC, RATE, FILTERS, ARCHITECTURE, IDLE = 0, *range(-6, -15, -1)
+NO_MODEL = -26
 HEADER_BYTES = 576
 
 BLOB = PolicyBlob(
@@ -227,3 +229,33 @@ def test_c_and_python_agree_when_sizes_lie(check: Check) -> None:
             with pytest.raises(PolicyError):
                 parse(lie)
     assert taken > 50, "flips of the sequence number are no lies"
+
+
+# --- The model of an aircraft ----------------------------------------------------------------
+MODEL = ModelConstants(
+    delay_steps=3,
+    speed_curve=(-900.0, 4000.0, 150.0),
+    rise=0.0625,
+    fall=0.03125,
+    gain_max=1e9,
+    loss_max=40.0,
+    correction=0.0625,
+    turn=((1.0, -1.0, 2.0, -2.0),) * 3,
+    reaction=((0.5, 0.0, 0.25, 0.0),) * 3,
+)
+
+
+@pytest.mark.parametrize("block", contract.MODEL_BLOCKS)
+def test_a_blob_without_a_model_is_refused_when_one_term_comes_from_it(check: Check, block: str) -> None:
+    terms = contract.observation_blocks(f"throttle,{block}")
+    count = contract.observation_count(terms, 4)
+    shape = {"selftest_observation": np.zeros((4, count), np.float32)}
+    data = pack(replace(BLOB, terms=blob_terms(terms, 1000), model=MODEL, **shape))
+    assert check(data, observation_count=count) == SUCCESS
+    begin = at("model_delay")
+    without = sealed(data[:begin] + bytes(4) + data[begin + 4 :])
+    assert check(without, observation_count=count) == NO_MODEL
+
+
+def test_a_blob_with_a_model_is_refused_when_no_term_comes_from_it(check: Check) -> None:
+    assert check(pack(replace(BLOB, model=MODEL))) == NO_MODEL

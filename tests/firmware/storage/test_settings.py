@@ -210,6 +210,11 @@ CONFLICTS = {
         "filter1_kind",
         {"filter1_kind", "filter3_kind", "dynamic_notch_low_hz"},
     ),
+    "the mean behind a filter that is fast enough alone": (
+        {"gyro_mean": 2, "filter2_kind": 1, "filter2_hz": 46.5},
+        "filter1_kind",
+        {"gyro_mean", "filter2_kind", "filter2_hz"},
+    ),
     "a low-pass that rings": (
         {"filter4_kind": 4, "filter4_q": 1.11},
         "filter1_kind",
@@ -266,6 +271,8 @@ def test_later_rules_see_the_mended_gyro_rate_when_several_are_broken(
         {"filter1_kind": 1, "filter1_hz": 1999.0},
         {"dynamic_notch_high_hz": 2000.0},  # none is flown
         {"filter2_kind": 1, "filter2_hz": 46.0},
+        {"filter2_kind": 1, "filter2_hz": 46.5, "gyro_mean": 1},
+        {"filter2_kind": 1, "filter2_hz": 51.0, "gyro_mean": 2},
         {"filter2_kind": 2, "filter2_hz": 59.0},
         {"filter2_kind": 3, "filter2_hz": 70.0},
         {"filter4_kind": 4, "filter4_q": 1.09},

@@ -106,6 +106,19 @@ def larger_than_the_card(path: Path) -> None:
     patch(path, 32, struct.pack("<I", SIZE // BLOCK + 1))
 
 
+def counted_in_16_bits(path: Path) -> None:
+    patch(path, 19, struct.pack("<H", 0x7FFF))
+
+
+def of_a_later_version(path: Path) -> None:
+    patch(path, 42, struct.pack("<H", 1))
+
+
+def one_table_in_use(path: Path) -> None:
+    """The tables are no copies of each other: the first may be the old one."""
+    patch(path, 40, struct.pack("<H", 0x81))
+
+
 def no_clusters(path: Path) -> None:
     patch(path, 13, b"\0")
 
@@ -127,6 +140,9 @@ def short_tables(path: Path) -> None:
         (unformatted, LogError.FILE_SYSTEM),
         (without_end, LogError.FILE_SYSTEM),
         (larger_than_the_card, LogError.FILE_SYSTEM),
+        (counted_in_16_bits, LogError.FILE_SYSTEM),
+        (of_a_later_version, LogError.FILE_SYSTEM),
+        (one_table_in_use, LogError.FILE_SYSTEM),
         (no_clusters, LogError.FILE_SYSTEM),
         (tables_everywhere, LogError.FILE_SYSTEM),
         (short_tables, LogError.FILE_SYSTEM),

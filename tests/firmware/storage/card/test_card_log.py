@@ -5,10 +5,11 @@ from __future__ import annotations
 import binascii
 import random
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from sim.board.devices.sd_card import CardFault, CardTiming
+from sim.board.devices.sd_card import CardFault, CardTiming, registers
 from sim.board.devices.sd_card.registers import crc7
 from tests.firmware.conftest import Core
 from tests.firmware.storage.card.conftest import FILE_BYTES, LOGS, MakeRecorder
@@ -18,6 +19,8 @@ from toolchain.contract import LogError, LogState
 
 RING = 16384
 BLOCK = 512
+SD_PENDING, SD_DONE = 0, 1  # enum sd_outcome
+SD_NO_BLOCK = 0xFFFFFFFF
 
 
 def some(count: int, seed: int = 1) -> bytes:
@@ -253,3 +256,48 @@ def test_reading_ends_where_the_log_does_when_more_is_asked_for(slot: MakeRecord
     assert recorder.read_at(0, 1000) == b""
     assert recorder.read_at(0, 0xFFFFFFFF) == b""
     assert recorder.read_at(0, 500) == data[500:512], "up to the sector's end"
+
+
+def job(recorder: Recorder, card: Any) -> None:
+    """Until the card has done what it was asked."""
+    recorder.until(lambda: card.outcome != SD_PENDING)
+    assert card.outcome == SD_DONE
+
+
+def test_a_block_that_was_read_is_not_taken_for_the_cards_when_it_was_written_since(
+    slot: MakeRecorder, empty_card: Path
+) -> None:
+    recorder = slot()
+    recorder.known()
+    lib, card = recorder.lib, recorder.core.ffi.addressof(recorder.log, "card")
+    places_of_logs = sorted(places(empty_card, LOGS))
+    block, other = places_of_logs[0], places_of_logs[1]
+    written = recorder.core.new("uint8_t[512]", some(512))
+    recorder.until(lambda: lib.sd_card_free(card))
+    lib.sd_card_read(card, block)
+    job(recorder, card)
+    assert card.held == block and bytes(card.data[0:512]) == bytes(512)
+    for target, held in ((other, block), (block, SD_NO_BLOCK)):
+        lib.sd_card_write(card, target, written)
+        job(recorder, card)
+        assert card.held == held
+        lib.sd_card_finish(card)
+        job(recorder, card)
+    lib.sd_card_read(card, block)
+    job(recorder, card)
+    assert card.held == block and bytes(card.data[0:512]) == some(512)
+
+
+@pytest.mark.parametrize(
+    ("blocks", "known"),
+    [(0x3FFFFF << 10, 0x3FFFFF << 10), (0x400000 << 10, SD_NO_BLOCK)],
+    ids=["below", "2TiB"],
+)
+def test_a_card_of_2_tib_has_as_many_blocks_as_a_word_can_say(
+    slot: MakeRecorder, monkeypatch: pytest.MonkeyPatch, blocks: int, known: int
+) -> None:
+    told = registers.csd(blocks)
+    monkeypatch.setattr(registers, "csd", lambda _: told)
+    recorder = slot()
+    recorder.until(lambda: recorder.log.card.blocks != 0)
+    assert recorder.log.card.blocks == known
