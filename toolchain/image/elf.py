@@ -38,7 +38,7 @@ RAM = (
 # The boot part has a sector of its own.
 BOOT = Region("boot part", FLASH_BOOT.address, FLASH_BOOT.size)
 BANK = Region("bank", FLASH_BANK_A.address, FLASH_BANK_A.size - IMAGE_TAIL_BYTES)
-RAM_USED, RAM_LIMIT = "ram_bytes", "RAM_LIMIT"  # image.ld's names: of all RAM but the policy's weights
+RAM_USED, RAM_LIMIT = "ram_bytes", "RAM_LIMIT"  # image.ld's names: of RAM beside weights and log
 
 VFP_REGISTERS = 1  # Tag_ABI_VFP_args: floats are passed in VFP registers (ARM IHI 0045, section 3.3.5.3)
 
@@ -139,14 +139,14 @@ def memory_use(image: Image) -> tuple[MemoryUse, ...]:
 
 
 def image_budgets(image: Image) -> tuple[MemoryUse, ...]:
-    """How much of its limits an image takes: boot part, bank, RAM without the policy's weights.
+    """How much of its limits an image takes: boot part, bank, RAM beside weights and log.
 
     Raises BuildError.
     """
     parts = _place(((s.address, s.size, "segment") for s in image.segments), (BOOT, BANK))
     if missing := {RAM_USED, RAM_LIMIT} - image.symbols.keys():
         raise BuildError(f"the image does not tell {missing.pop()}, expected one that image.ld has linked")
-    return *parts, MemoryUse("RAM but weights", image.symbols[RAM_USED], image.symbols[RAM_LIMIT])
+    return *parts, MemoryUse("RAM beside weights and log", image.symbols[RAM_USED], image.symbols[RAM_LIMIT])
 
 
 def _place(spans: Iterable[tuple[int, int, str]], regions: Sequence[Region]) -> tuple[MemoryUse, ...]:
