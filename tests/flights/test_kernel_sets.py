@@ -207,9 +207,7 @@ def test_every_kernel_is_in_one_of_the_sets_and_each_limit_is_reached() -> None:
 def test_the_most_weights_are_refused_while_they_lie_in_the_bank(tmp_path: Path) -> None:
     path = tmp_path / "policy.onnx"
     path.write_bytes(file_of(weights()))
-    with pytest.raises(
-        PolicyError, match=r"54,\d+ bytes in flash, the bank has room for 27,000: 27,\d+"
-    ):
+    with pytest.raises(PolicyError, match=r"54,\d+ bytes in flash, the bank has room for 27,000: 27,\d+"):
         build_beside("MATEKF722", path, tmp_path / "build")
 
 
