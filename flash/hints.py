@@ -35,7 +35,10 @@ FAULTS = {  # by the names of records.FaultKind
     "WATCHDOG": "the firmware stood still",
     "BROWN_OUT": "the supply fell too low",
     "CLOCK": "the crystal failed",
+    "RESET": "the board was reset while armed: by its reset line, or a debugger",
 }
+# Below these each level resets the chip (RM0431, option bytes; comments of the STM32F7 HAL).
+BROWN_OUT_V = (None, 2.1, 2.4, 2.7)
 BETAFLIGHT = (  # that firmware's reasons in the order of their bits, under the names that its app shows
     *("NO_GYRO", "FAILSAFE", "RX_FAILSAFE", "NOT_DISARMED", "BOXFAILSAFE", "RUNAWAY_TAKEOFF"),
     *("CRASH_DETECTED", "THROTTLE", "ANGLE", "BOOT_GRACE_TIME", "NOPREARM", "LOAD", "CALIBRATING", "CLI"),
@@ -51,6 +54,14 @@ def betaflight_reasons(flags: int, count: int) -> tuple[str, ...]:
     if count > 0:
         known[f"BIT_{count - 1}"] = BETAFLIGHT_LAST
     return tuple(known.get(bit, bit) for bit in bit_names(flags))
+
+
+def brown_out(level: int) -> str:
+    """What the supply's detector does, in words."""
+    volts = BROWN_OUT_V[level] if level < len(BROWN_OUT_V) else None
+    if volts is None:
+        return "off, as chips are delivered: docs/board-bring-up.md says how to set it"
+    return f"level {level}: resets the processor when its supply falls below about {volts} V"
 
 
 def words(name: str) -> str:

@@ -24,6 +24,7 @@ class Flight:
     gyro_chip: str  # name and identity of the chip; "" where there is none, as on a host
     gyro_health: str
     gyro_temperature_deg_c: float
+    brown_out_level: int | None  # of the supply's detector, 0: it is off; None: not told
     policy: str
     policy_good: bool
     boots: int
@@ -89,6 +90,7 @@ def _flight(client: Client, safety: records.Safety) -> Flight:
         gyro_chip=safety.gyro_chip,
         gyro_health=safety.gyro_health.name,
         gyro_temperature_deg_c=safety.temperature_deg_c,
+        brown_out_level=safety.brown_out_level,
         policy=policy.name,
         policy_good=safety.policy_good,
         boots=faults.boots,

@@ -31,6 +31,7 @@ class Safety:
     idle: float  # motor fraction at zero thrust, of the controller that flies
     refused_cause: FallbackCause  # why the policy must not fly until it is acknowledged; NONE: it may
     gyro_identity: int | None  # WHO_AM_I of its chip; None: no chip was read, or the firmware tells none
+    brown_out_level: int | None  # of the supply's detector, 0: it is off; None: the firmware tells none
 
     @property
     def gyro_known(self) -> bool:
@@ -84,6 +85,7 @@ class FaultKind(IntEnum):
     WATCHDOG = 3
     BROWN_OUT = 4
     CLOCK = 5
+    RESET = 6
 
 
 @dataclass(frozen=True)
@@ -113,7 +115,8 @@ def safety(payload: bytes) -> Safety:
     fallback, health = reader.one_of(FallbackCause), reader.one_of(GyroHealth)
     reasons, policy_good, pid_built_in, pid_flies, percent, centidegrees, idle = reader.fields("I3?Bhf")
     refused = reader.one_of(FallbackCause)
-    (identity,) = reader.fields("B") if reader.at < len(payload) else (0,)  # a firmware of before tells none
+    later = iter((*payload[reader.at :], 0, 0))  # a firmware of before tells none of these
+    identity, brown_out = next(later), next(later)
     return Safety(
         state=state,
         stop_cause=stop,
@@ -128,6 +131,7 @@ def safety(payload: bytes) -> Safety:
         idle=idle,
         refused_cause=refused,
         gyro_identity=identity or None,
+        brown_out_level=brown_out - 1 if brown_out else None,
     )
 
 

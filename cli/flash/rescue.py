@@ -106,6 +106,7 @@ def run_rom(args: argparse.Namespace) -> int:
         print(f"done   {plan.bytes:,} bytes written and read back equal", end="")
         print(f", {client.repeated} commands repeated" if client.repeated else "")
         _tell_start(start(client))
+        _offer_brown_out()
     return 0
 
 
@@ -133,6 +134,14 @@ def _tell_start(started: bool) -> None:
         print("start  the image runs; let BOOT go, and plug the board out and in once")
     else:
         print("start  let BOOT go, and plug the board out and in: the image starts then")
+
+
+def _offer_brown_out() -> None:
+    """An option byte, which this tool does not write: what else is in its word locks the chip for ever."""
+    print(
+        "option brown-out detector: `neuroflight msp status` tells its level; read docs/board-bring-up.md,\n"
+        "       hold BOOT again, plug in by USB: STM32_Programmer_CLI -c port=usb1 -ob BOR_LEV=0 sets level 3"
+    )
 
 
 def _purpose(number: int) -> str:

@@ -100,7 +100,7 @@ def status(args: argparse.Namespace) -> int:
 
 
 def _status_rows(told: Overview) -> list[tuple[str, str]]:
-    from flash.hints import words
+    from flash.hints import brown_out, words
 
     flight, battery, attitude = told.flight, told.battery, told.attitude
     rows = [("armed", "yes" if told.armed else "no")]
@@ -110,6 +110,7 @@ def _status_rows(told: Overview) -> list[tuple[str, str]]:
             ("flies", flight.flies),
             ("policy", f"{flight.policy}, {'good' if flight.policy_good else 'BAD: it does not fly'}"),
         ]
+        level = flight.brown_out_level
         warmth = f"{flight.gyro_temperature_deg_c:.1f} deg C"
     held = [f"{name}: {hint}" if hint else name for name, hint in told.arming_reasons.items()]
     rows += [("arming held by" if i == 0 else "", line) for i, line in enumerate(held or ["nothing"])]
@@ -120,6 +121,7 @@ def _status_rows(told: Overview) -> list[tuple[str, str]]:
             ("policy refused", "no" if flight.refused_cause == "NONE" else words(flight.refused_cause)),
             ("faults pending", "none" if flight.fault is None else f"{words(flight.fault)}; see `faults`"),
             ("boots", str(flight.boots)),
+            *([] if level is None else [("brown-out", brown_out(level))]),
             ("gyro", ", ".join(filter(None, (flight.gyro_chip, words(flight.gyro_health), warmth)))),
         ]
     cells = f"{battery.cells} cells" if battery.cells else "cells not known"

@@ -63,8 +63,8 @@ def add_emulator_arguments(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="NAME[=VALUE]@SECONDS",
-        help="let something go wrong: gyro-silent, spi-bit-errors, brown-out, flash-cut, crystal, hang, "
-        "processor-fault, motors-stuck, overload or receiver-broken; with --card also card-stall, "
+        help="let something go wrong: gyro-silent, spi-bit-errors, brown-out, reset, flash-cut, crystal, "
+        "hang, processor-fault, motors-stuck, overload or receiver-broken; with --card also card-stall, "
         "card-removed, card-errors, card-worn or card-slow; @boot: from power on. "
         f"Exit code {STOPPED} if the motors stop before the end",
     )

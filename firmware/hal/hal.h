@@ -71,6 +71,7 @@ struct hal_info {
 	enum board_alignment alignment; /* of the gyro chip found, where the settings say "board" */
 	enum gyro_chip gyro_chip; /* which one that is */
 	uint8_t gyro_identity; /* what the chip says it is (WHO_AM_I), known or not; 0: nothing was read */
+	uint8_t brown_out; /* the detector's level + 1, 1: it is off; 0: this chip tells of none */
 	unsigned gyro_rate_hz; /* 0: as set; else the rate of this start, which overrides the settings */
 	const struct setting_change *changes; /* to the stored settings, of this start; they live as long */
 	size_t change_count;

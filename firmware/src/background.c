@@ -605,6 +605,7 @@ void background_status(const struct background *background, struct firmware_stat
 	status->cells = (uint8_t)battery->cells;
 	status->battery_level = (uint8_t)battery_level(battery);
 	status->gyro_identity = background->config.gyro_identity;
+	status->brown_out = background->config.brown_out;
 }
 
 size_t background_link(struct background *background, unsigned port, const uint8_t *bytes, size_t count, uint8_t *reply,

@@ -34,7 +34,7 @@ struct background_config {
 	struct task_stats *stats; /* [TASK_COUNT], by enum nf_task */
 	enum board_alignment alignment; /* of the gyro chip, where the settings say "board" */
 	enum gyro_chip gyro_chip;
-	uint8_t gyro_identity; /* as in struct hal_info */
+	uint8_t gyro_identity, brown_out; /* as in struct hal_info */
 	const struct pid_gains *pid;
 	const struct msp_identity *identity;
 	unsigned bank; /* of images, that this one runs from */

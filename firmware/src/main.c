@@ -29,6 +29,7 @@ static enum nf_err boot(void)
 		.alignment = info.alignment,
 		.gyro_chip = info.gyro_chip,
 		.gyro_identity = info.gyro_identity,
+		.brown_out = info.brown_out,
 		.pid = &pid_gains_built_in,
 		.identity = &info.identity,
 		.bank = info.bank,

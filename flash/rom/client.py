@@ -14,7 +14,7 @@ from functools import reduce
 from operator import xor
 
 from flash.transport import Transport
-from toolchain.contract import FLASH_SECTORS
+from toolchain.contract import FLASH_BASE, FLASH_BYTES, FLASH_SECTORS
 from toolchain.errors import LinkError
 
 SYNC, ACK, NACK = 0x7F, 0x79, 0x1F
@@ -113,7 +113,13 @@ class RomClient:
         return self._try(f"read {size} bytes at 0x{address:08X}", self._read, address, size)
 
     def write(self, address: int, data: bytes) -> None:
-        """At most 256 bytes to erased flash or to RAM. Whoever needs certainty reads them back."""
+        """At most 256 bytes to erased flash. Whoever needs certainty reads them back.
+
+        Raises ValueError for any other place: the ROM would write option bytes, too, and with them a read
+        protection that nothing takes back.
+        """
+        if not FLASH_BASE <= address <= FLASH_BASE + FLASH_BYTES - len(data):
+            raise ValueError(f"{len(data)} bytes at 0x{address:08X}, expected flash")
         self._try(f"write {len(data)} bytes at 0x{address:08X}", self._write, address, data)
 
     def erase(self, sector: int) -> None:

@@ -166,6 +166,18 @@ def test_it_boots_disarmed_and_remembers_when_the_supply_dips(
     assert {"FAULT", "SWITCH_NOT_CYCLED"} <= set(started[0].port.arming_reasons())
 
 
+def test_a_pull_at_the_reset_line_in_flight_is_recorded(drill: Drill, started: tuple[Still, Any]) -> None:
+    replies, (reset, *_) = drill("reset@0.06", seconds=0.45)
+    assert reset == Event(0.06, "reset: pin", stops=True)
+    assert turning(replies) <= reset.at_s - START_S + STOP_FRAMES_S
+    assert {"FAULT", "SWITCH_NOT_CYCLED"} <= set(started[0].port.arming_reasons())
+    board = started[0].port.board
+    line = LineTransport(UartLine(board), board.run_to)
+    fault = records.faults(Client(line, line.clock).request(Msp.FAULTS)).pending
+    assert fault is not None and fault.kind is records.FaultKind.RESET
+    assert fault.uptime_steps > 1000
+
+
 def acknowledge(still: Still) -> None:
     """By sticks."""
     both_down_and_apart = (1000.0, -1000.0, 1000.0)  # roll right, pitch back, yaw left
@@ -224,6 +236,20 @@ def test_it_starts_anew_without_its_crystal_and_does_not_arm_when_the_crystal_fa
     assert turning(replies) <= 0.06 - START_S + STOP_FRAMES_S
     assert 0.2 < boot.at_s - reset.at_s < 0.4
     assert {"CLOCK", "FAULT"} <= set(started[0].port.arming_reasons())
+
+
+def test_no_fault_is_told_when_the_reset_line_is_pulled_with_the_motors_stopped(
+    started: tuple[Still, Any],
+) -> None:
+    still, moment = started
+    still.restore(moment, "reset@0.3")
+    still.fly(0.2, armed=False)
+    still.fly(0.5, armed=False)
+    assert [event.what for event in still.port.events if "reset" in event.what] == [
+        "fault reset@0.3",
+        "reset: pin",
+    ]
+    assert "FAULT" not in still.port.arming_reasons()
 
 
 def test_no_fault_is_told_when_the_supply_dips_with_the_motors_stopped(started: tuple[Still, Any]) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,6 +12,7 @@ import pytest
 
 from flash import requests
 from flash.client import Client
+from flash.hints import brown_out
 from flash.messages import arming_reasons
 from flash.overview import read_overview
 from flash.records import safety
@@ -19,6 +21,7 @@ from sim.board.board import Board
 from sim.board.devices.gyro_chip import ICM20602, MPU6500, GyroKind
 from sim.board.devices.gyro_mount import accel_counts
 from sim.board.matekf722 import FULL_VOLTS, GYRO, GYROS
+from sim.board.peripherals.option_bytes import OptionBytes
 from sim.board.serial.bridge import LineTransport, UartLine
 from sim.board.serial.idle_board import configured
 from sim.control import sticks
@@ -90,6 +93,20 @@ def test_a_disputed_gyro_arms_only_when_the_pilot_has_said_how_it_is_turned(
         assert told is not None and told.gyro_chip == f"{chip.name} (0x{chip.who_am_i:02X})"
         known = said or chip in (ICM20602, MPU6500)
         assert held == (set() if known else {"GYRO_ALIGNMENT"})
+
+
+@pytest.mark.parametrize("level", range(4))
+def test_the_level_of_the_brown_out_detector_is_told(board_image: Path, level: int) -> None:
+    options = OptionBytes()
+    options = replace(options, optcr=options.optcr & ~0xC | (3 - level) << 2)  # BOR_LEV, 3: off
+    flash = read_flashable(board_image.with_suffix(".bin"))
+    with closing(Board(flash, elf=board_image, options=options)) as board:
+        assert board.hardware.flash.options.detects_brown_out is (level > 0)
+        line = LineTransport(UartLine(board), board.run_to)
+        board.run(0.5)
+        told = read_overview(Client(line, line.clock)).flight
+    assert told is not None and told.brown_out_level == level
+    assert ("off" in brown_out(level)) is (level == 0)
 
 
 @pytest.mark.parametrize(

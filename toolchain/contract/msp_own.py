@@ -44,7 +44,12 @@ OWN_LAYOUTS = (
         number("u32", "boots", "", "the present one included"),
         number("u8", "pending", "", "1: the newest fault follows, which nobody acknowledged"),
         number("u32", "boot", "", "that found it"),
-        number("u32", "fault", "", "1 processor fault, 2 assertion, 3 watchdog, 4 brown-out, 5 crystal"),
+        number(
+            "u32",
+            "fault",
+            "",
+            "1 processor fault, 2 assertion, 3 watchdog, 4 brown-out, 5 crystal, 6 reset line",
+        ),
         MspField("registers", "u32", "", _FAULT_REGISTERS, _FAULT_REGISTER_COUNT),
         number("u32", "line", "", "of the assertion, else the exception's number"),
         MspField("file", "text", "", "end of its path", _FAULT_FILE_BYTES),

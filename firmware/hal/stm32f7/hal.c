@@ -26,6 +26,7 @@
 _Static_assert(POLICY_ACTION_COUNT <= BOARD_MOTOR_COUNT, "this board drives six motors");
 
 #define CONTROL_CYCLES (CLOCK_CORE_HZ / POLICY_CONTROL_RATE_HZ)
+#define BROWN_OUT_OFF 3u /* FLASH_OPTCR BOR_LEV; 2, 1, 0: levels 1 to 3 (RM0431, option bytes) */
 #define RESET_WAIT_MS 2500u /* the two buffers of a line take 2.2 s at 9600 baud */
 
 extern const char bank_start[]; /* linker script */
@@ -175,6 +176,7 @@ int hal_init(int argc, char **argv, struct hal_info *info)
 	info->alignment = found.alignment;
 	info->gyro_chip = found.kind;
 	info->gyro_identity = found.identity;
+	info->brown_out = (uint8_t)(1u + BROWN_OUT_OFF - VALUE(FLASH_OPTCR_BOR_LEV, FLASH_OPTCR));
 
 	info->hal = &functions;
 	info->bank = (uint32_t)bank_start == NF_FLASH_BANK_B_ADDRESS;

@@ -26,8 +26,8 @@ static const struct {
 } gyros[] = { NF_GYRO_IDENTITIES(GYRO) };
 static const char *const levels[] = { "not known", "good", "warning", "low" };
 _Static_assert(BATTERY_LOW == sizeof levels / sizeof levels[0] - 1, "a word each");
-static const char *const faults[] = { "none", "hard", "assert", "watchdog", "brown-out", "clock" };
-_Static_assert(FAULT_CLOCK == sizeof faults / sizeof faults[0] - 1, "a word each");
+static const char *const faults[] = { "none", "hard", "assert", "watchdog", "brown-out", "clock", "reset line" };
+_Static_assert(FAULT_RESET == sizeof faults / sizeof faults[0] - 1, "a word each");
 
 static void report_name(struct printer *out, const char *label, const char *const names[], size_t count, unsigned index)
 {

@@ -387,6 +387,7 @@ static void reply_safety(struct msp_writer *w, const struct msp_facts *s)
 	msp_put_float(w, status->idle);
 	msp_put_u8(w, status->refused_cause);
 	msp_put_u8(w, status->gyro_identity);
+	msp_put_u8(w, status->brown_out);
 }
 
 static const struct command {

@@ -11,6 +11,7 @@ enum fault_kind {
 	FAULT_WATCHDOG, /* nobody fed it; where is not known */
 	FAULT_BROWN_OUT,
 	FAULT_CLOCK,    /* the crystal failed */
+	FAULT_RESET,    /* armed, and none of the above: the reset line was pulled, or a debugger reset the chip */
 };
 
 #define FAULT_FILE_BYTES 24

@@ -113,6 +113,10 @@ FAULTS = {
     "brown-out": FaultKind(
         "the supply dips: processor and gyro chip start anew", begin=lambda board, value: board.brown_out()
     ),
+    "reset": FaultKind(
+        "the reset line is pulled: the processor starts anew",
+        begin=lambda board, value: board.engine.system_reset("pin"),
+    ),
     "flash-cut": FaultKind(
         "the power goes in the middle of a flash operation, and comes back",
         "which one, counted from then on; default 1, the next",

@@ -13,13 +13,15 @@ from sim.board.registers.core_registers import Register
 from toolchain.contract import DTCM
 
 SCRATCH = 0x2000F000  # DTCM that the image does not use
-HARD, ASSERT, WATCHDOG, BROWN_OUT, CLOCK = range(1, 6)
+HARD, ASSERT, WATCHDOG, BROWN_OUT, CLOCK, RESET = range(1, 7)
 RECORD = "<15I24sI"
 FRAME = (0xA0, 0xA1, 0xA2, 0xA3, 0xA12, 0xA14, 0x08021234, 0x61000000)  # r0..r3, r12, lr, pc, psr
 STEPS_TO_STOP = 200_000
 BOR_LEVEL = 3  # of the option bytes as they leave the factory
 # RCC_CSR: BORRSTF 25, PADRSTF 26, PORRSTF 27, SFTRSTF 28, WDGRSTF 29.
-POWER_ON, BROWNED_OUT, SOFTWARE, BITTEN = 0x0E000000, 0x06000000, 0x14000000, 0x24000000
+POWER_ON, BROWNED_OUT, SOFTWARE, BITTEN, PULLED = (
+    *(0x0E000000, 0x06000000, 0x14000000, 0x24000000, 0x04000000),
+)
 
 
 @dataclass(frozen=True)
@@ -185,6 +187,22 @@ def test_a_dip_of_the_supply_is_told_when_memory_says_that_the_motors_were_armed
     board.boot(POWER_ON)
     assert board.take() is None, "told once"
     assert board.sketch.peek(place) == 0
+
+
+@pytest.mark.parametrize("flags", [PULLED, SOFTWARE])
+@pytest.mark.parametrize("armed", [1, 0])
+def test_any_reset_is_told_when_memory_says_that_the_motors_were_armed(
+    armed: int, flags: int, board: Board
+) -> None:
+    board.sketch.uc.mem_write(SCRATCH, struct.pack(TRACE, 4711, *[0.0] * 7, armed, 4))
+    board.sketch.call_with(board.symbols["hal_trace_write"], 0, SCRATCH)
+    for _ in range(2):  # a line that bounces: the first boot does not come to its record
+        board.boot(flags)
+    record = board.take()
+    assert (record and (record.kind, record.uptime_steps)) == ((RESET, 4711) if armed else None)
+    board.sketch.call_with(board.symbols["hal_fault_clear"])
+    board.boot(flags)
+    assert board.take() is None, "told once"
 
 
 @pytest.mark.parametrize("bit", [0, 13, 31, 32, 47, 63])

@@ -395,6 +395,7 @@ def test_safety_tells_state_and_causes_when_asked(server: Callable[..., Server])
         idle=0.25,
         refused_cause=FallbackCause.POLICY_OUTPUT,
         gyro_identity=0x12,
+        brown_out=4,
     )
     assert records.safety(s.ask(Msp.SAFETY)) == records.Safety(
         state=FlightState.CRASHED,
@@ -410,6 +411,7 @@ def test_safety_tells_state_and_causes_when_asked(server: Callable[..., Server])
         idle=0.25,
         refused_cause=FallbackCause.POLICY_OUTPUT,
         gyro_identity=0x12,
+        brown_out_level=3,
     )
 
 

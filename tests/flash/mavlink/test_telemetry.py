@@ -32,6 +32,7 @@ SAFE = Safety(
     idle=0.2,
     refused_cause=FallbackCause.NONE,
     gyro_identity=None,
+    brown_out_level=None,
 )
 
 

@@ -204,6 +204,40 @@ def test_a_protected_sector_is_found_by_comparing(rig: Callable[..., Rig]) -> No
     assert f"first at 0x{FLASH_BANK_A.address:08X}" in line and "write-protected" in line
 
 
+OPTION_BYTES = 0x1FFF0000  # with the read protection in the second one
+
+
+@pytest.mark.parametrize(
+    ("address", "data"),
+    [
+        (OPTION_BYTES, b"\xfc\xcc\x03\x33"),  # RDP 0xCC: the chip is locked for ever
+        (OPTION_BYTES + 1, b"\xcc"),
+        (FLASH_BASE + FLASH_BYTES - 4, bytes(8)),
+        (FLASH_BASE - 4, bytes(8)),
+        (0x40023C14, bytes(4)),  # FLASH_OPTCR
+    ],
+)
+def test_nothing_but_flash_is_ever_written(rig: Callable[..., Rig], address: int, data: bytes) -> None:
+    chip = rig(bytes(FLASH_BYTES))
+    before = chip.idle.board.hardware.flash.options
+    client = chip.client()
+    client.connect()
+    with pytest.raises(ValueError, match="expected flash"):
+        client.write(address, data)
+    assert chip.idle.board.hardware.flash.options == before
+    assert chip.idle.board.hardware.flash.operations == 0
+
+
+def test_an_image_that_brings_option_bytes_is_refused(tmp_path: Path) -> None:
+    """As a chip's dump by another tool does."""
+    path = tmp_path / "dump.hex"
+    path.write_text(
+        ":020000040800F2\n:0400000000000000FC\n:020000041FFFDC\n:04000000FCCC0333FE\n:00000001FF\n"
+    )
+    with pytest.raises(LinkError, match="0x1FFF0000"):
+        read_segments(path)
+
+
 # --- A spoilt line -------------------------------------------------------------------------------
 @pytest.mark.parametrize("way", ["sent", "heard"])
 def test_flash_holds_the_image_when_any_one_byte_on_the_line_was_another(

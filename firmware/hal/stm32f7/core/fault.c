@@ -55,14 +55,21 @@ static bool fault_noted(void)
 	return note.magic == NOTE_MAGIC && note.checksum == fault_checksum(&note);
 }
 
+static void fault_forget_flight(void)
+{
+	kept.steps = 0;
+	kept.armed = 0;
+}
+
+/* The mark of a flight stays until its end is recorded, as a line that bounces resets the chip more than once. */
 void fault_start(void)
 {
 	reset_flags = RCC_CSR;
 	RCC_CSR |= RCC_CSR_RMVF;
 	steps_before_reset = kept.steps;
 	armed_before_reset = kept_armed();
-	kept.steps = 0;
-	kept.armed = 0;
+	if (!armed_before_reset)
+		fault_forget_flight();
 }
 
 void fault_note_steps(uint32_t steps, bool armed)
@@ -74,16 +81,17 @@ void fault_note_steps(uint32_t steps, bool armed)
 /* The cause of a reset that no software requested. BORRSTF without PORRSTF is the brown-out detector's, where the option
  * bytes have it on; as the chip is delivered it is off, and a dip sets both, as power-on does (RM0431, RCC_CSR; STM32F7
  * HAL: "POR/PDR or BOR reset"). Then memory tells a dip in flight: it still says that the motors were armed, which
- * an aircraft that was switched off would not. */
+ * an aircraft that was switched off would not. A pull at NRST leaves no flag of its own; the motors were armed then, and
+ * nothing of this program resets an armed board without a note. */
 static uint32_t fault_kind_of_reset(void)
 {
 	if ((reset_flags & RCC_CSR_WDGRSTF) != 0u)
 		return FAULT_WATCHDOG;
 	if ((reset_flags & (RCC_CSR_BORRSTF | RCC_CSR_PORRSTF)) == RCC_CSR_BORRSTF)
 		return FAULT_BROWN_OUT;
-	if ((reset_flags & RCC_CSR_PORRSTF) != 0u && armed_before_reset)
-		return FAULT_BROWN_OUT;
-	return FAULT_NONE;
+	if (!armed_before_reset)
+		return FAULT_NONE;
+	return (reset_flags & RCC_CSR_PORRSTF) != 0u ? FAULT_BROWN_OUT : FAULT_RESET;
 }
 
 bool fault_take(struct fault_record *record)
@@ -105,6 +113,8 @@ void fault_clear(void)
 {
 	note.magic = 0;
 	reset_flags = 0;
+	armed_before_reset = false;
+	fault_forget_flight();
 }
 
 static _Noreturn void fault_reset_chip(void)
