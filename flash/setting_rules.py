@@ -9,10 +9,24 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 
-from flash.setting_text import Value, shortest
-from toolchain.contract import FILTER_STAGES, GYRO_RATES_HZ, LOG_BAUDS, LOG_DIVIDERS, MSP_BAUDS, SETTINGS
+from flash.setting_text import STYLE, STYLE_BETAFLIGHT, Value, shortest
+from toolchain.contract import (
+    AXES,
+    FILTER_STAGES,
+    GYRO_RATES_HZ,
+    LOG_BAUDS,
+    LOG_DIVIDERS,
+    MSP_BAUDS,
+    RATE_MAX_DEG_S,
+    RC_RATE_DEG_S,
+    RC_RATE_STEEP,
+    RC_RATE_STEEPER,
+    SETTINGS,
+    SUPER_ROOM_MIN,
+)
 
 _GYRO_RATE = "gyro_rate_hz"
+FULL_STICK_ROUNDING_DEG_S = 0.5  # of numbers that pilots know with two decimals; as in settings.c
 
 
 @dataclass(frozen=True)
@@ -79,6 +93,29 @@ def _different(names: tuple[str, ...]) -> Rule:
     return Rule(names, broken)
 
 
+def steep_rc_rate(rate: float) -> float:
+    """What an RC rate of the style betaflight counts."""
+    return rate + RC_RATE_STEEPER * max(rate - RC_RATE_STEEP, 0.0)
+
+
+def _full_stick(axis: str) -> Rule:
+    """Of the style betaflight, whose two numbers together say it; in the other each has its limit."""
+    rate, top = f"{axis}_rate", f"{axis}_max"
+
+    def broken(values: Mapping[str, float]) -> str:
+        if values[STYLE] != STYLE_BETAFLIGHT:
+            return ""
+        full = RC_RATE_DEG_S * steep_rc_rate(values[rate]) / max(1 - values[top], SUPER_ROOM_MIN)
+        if full <= RATE_MAX_DEG_S + FULL_STICK_ROUNDING_DEG_S:
+            return ""
+        return (
+            f"settings {rate} {shortest(values[rate])} and {top} {shortest(values[top])} would ask for "
+            f"{full:.0f} deg/s at full stick, expected at most {RATE_MAX_DEG_S:g}; lower one of them"
+        )
+
+    return Rule((STYLE, rate, top), broken)
+
+
 RULES = (
     _one_of(_GYRO_RATE, tuple(GYRO_RATES_HZ)),
     _one_of("msp_baud", MSP_BAUDS),
@@ -94,4 +131,5 @@ RULES = (
     _different(tuple(setting.name for setting in SETTINGS if setting.name.startswith("map_"))),
     _below("battery_low_v", "battery_warn_v"),
     _below("failsafe_hold_ms", "failsafe_delay_ms"),
+    *(_full_stick(axis) for axis in AXES),
 )

@@ -19,6 +19,8 @@ from flash.setting_text import (
     as_stored,
     beside_style,
     check_text,
+    default_of,
+    known_setting,
     parse_change,
     same,
     shortest,
@@ -106,7 +108,14 @@ class Settings:
 
     def check_together(self, changes: Mapping[str, Value]) -> None:
         """Raise LinkError for changes that contradict each other or what stays, as far as that is known."""
-        for broken in broken_rules(changes, self.get):
+
+        def read(name: str) -> Value:
+            style = changes.get(STYLE)
+            if name in RATES and isinstance(style, float | int) and style != self.get(STYLE):
+                return default_of(beside_style(known_setting(name), style))
+            return self.get(name)
+
+        for broken in broken_rules(changes, read):
             raise LinkError(broken)
 
     def change(self, changes: Mapping[str, Value], *, save: bool = False) -> None:

@@ -12,6 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from flash.channels.layout import read_layout
+from flash.setting_rules import steep_rc_rate
 from flash.setting_text import STYLE, STYLE_BETAFLIGHT, Value
 from toolchain.contract import (
     CHANNEL_AUX1,
@@ -24,6 +25,8 @@ from toolchain.contract import (
     CHANNEL_UNTOLD_US,
     CHANNEL_YAW,
     RATE_MAX_DEG_S,
+    RC_RATE_DEG_S,
+    SUPER_ROOM_MIN,
     ModeRange,
 )
 
@@ -31,8 +34,6 @@ HALF_STICK_US = CHANNEL_MAX_US - CHANNEL_MID_US
 AXES = ("roll", "pitch", "yaw")
 CHANNELS = (CHANNEL_ROLL, CHANNEL_PITCH, CHANNEL_YAW)
 SIGNS = (1, 1, -1)  # of the rate about the house's axes, for the upper half of the channel
-# Of the style betaflight, as in rates.c.
-RC_RATE_DEG_S, RC_RATE_STEEP, RC_RATE_STEEPER, SUPER_ROOM_MIN = 200.0, 2.0, 14.54, 0.01
 ROUNDING = 1e-6  # relative: so far the firmware's float32 and this float64 may be apart
 
 
@@ -125,9 +126,8 @@ def _actual(x: float, rate: float, top: float, expo: float) -> float:
 
 
 def _betaflight(x: float, rate: float, top: float, expo: float) -> float:
-    rate += RC_RATE_STEEPER * max(rate - RC_RATE_STEEP, 0.0)
     command = x * (x**3 * expo + 1 - expo)
-    return RC_RATE_DEG_S * rate * command / max(1 - x * top, SUPER_ROOM_MIN)
+    return RC_RATE_DEG_S * steep_rc_rate(rate) * command / max(1 - x * top, SUPER_ROOM_MIN)
 
 
 def _channel(found: ModeRange) -> int:

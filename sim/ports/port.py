@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.aircraft.model import Aircraft
-from toolchain.contract import BOOT_GRACE_MS
+from toolchain.contract import AXES, BOOT_GRACE_MS, RATE_FULL_STICK_DEG_S
 from toolchain.errors import LinkError
 
 
@@ -136,12 +136,26 @@ def twin_settings(aircraft: Aircraft) -> dict[str, float]:
     return {} if any(aircraft.gyro.noise) else {"gyro_stuck_ms": 0}
 
 
-def flight_settings(settings: Mapping[str, float] | None) -> dict[str, float]:
-    """Settings of a simulated flight: as given, and no longer wait for arming than the firmware itself needs.
+# Scenarios are flown with sticks that are linear, so that the setpoint is what a scenario asks for, and the
+# same for every port (sim/control/sticks.py).
+FULL_STICK_DEG_S = float(RATE_FULL_STICK_DEG_S)
+FLIGHT_RATES = {
+    f"{axis}_{name}": value
+    for axis in AXES
+    for name, value in (("rate", FULL_STICK_DEG_S), ("max", FULL_STICK_DEG_S), ("expo", 0.0))
+}
 
-    Simulated ESCs play no start-up tune, which is what a board waits for.
+
+def flight_settings(settings: Mapping[str, float] | None) -> dict[str, float]:
+    """Settings of a simulated flight: as given, else with the rates of scenarios' sticks, and no longer wait
+    for arming than the firmware itself needs.
+
+    Simulated ESCs play no start-up tune, which is what a board waits for. In another style than scenarios'
+    rates are those that are given, or the style's defaults.
     """
-    return {"arming_delay_ms": BOOT_GRACE_MS, **(settings or {})}
+    given = dict(settings or {})
+    rates = {} if given.get("rates_style", 0) else FLIGHT_RATES
+    return {"arming_delay_ms": BOOT_GRACE_MS, **rates, **given}
 
 
 def setting_changes(settings: Mapping[str, float]) -> tuple[str, ...]:

@@ -23,6 +23,7 @@ import numpy as np
 import pytest
 from cffi import FFI
 
+from sim.ports.port import flight_settings
 from tests.conftest import Once
 from toolchain import contract
 from toolchain.contract import CHANNEL_ARM, CHANNEL_COUNT, CHANNEL_THROTTLE
@@ -293,13 +294,12 @@ class Bench:
         **settings: float,
     ) -> None:
         """pid: a struct pid_gains, none unless given; fw: where the firmware lies; settings: those that are
-        not at their default."""
+        not as in a simulated flight."""
         self.core, self.gyro_hz = core, gyro_hz
         self.fw = core.new("struct firmware *") if fw is None else fw
         self.settings = core.new("struct nf_settings *")
         core.lib.settings_default(self.settings)
-        self.settings.arming_delay_ms = contract.BOOT_GRACE_MS
-        for name, value in settings.items():
+        for name, value in flight_settings(settings).items():
             setattr(self.settings, name, value)
         self.pid = core.new("struct pid_gains *") if pid is None else pid
         weights = core.lib.policy_weights

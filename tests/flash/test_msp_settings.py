@@ -87,7 +87,11 @@ def test_the_style_of_rates_comes_first_when_set_or_dumped(msp: Run) -> None:
         ("battery_low_v=3.6", "battery_low_v would be 3.6, expected below battery_warn_v, which is 3.5"),
         ("map_roll=1", "settings map_roll and map_pitch would both be 1, expected different ones"),
         ("dynamic_notch_low_hz=700", "expected below dynamic_notch_high_hz, which is 600"),
-        ("roll_max=1999", "setting roll_max got 1999, expected 0 to 1998 deg/s"),
+        ("roll_max=1998", "setting roll_max got 1998, expected 0 to 1600 deg/s"),
+        (
+            "failsafe_delay_ms=300",
+            "failsafe_hold_ms would be 300, expected below failsafe_delay_ms, which is 300",
+        ),
     ],
 )
 def test_nothing_is_set_when_one_of_several_is_wrong(msp: Run, wrong: str, words: str) -> None:
@@ -100,9 +104,20 @@ def test_nothing_is_set_when_one_of_several_is_wrong(msp: Run, wrong: str, words
 def test_limits_are_those_of_the_new_style_when_it_is_set_with_its_rates(msp: Run) -> None:
     code, _, err = msp("set", "roll_rate=100", "rates_style=betaflight")
     assert code == 1
-    assert "setting roll_rate got 100, expected 0.01 to 2.55" in err
-    assert msp("set", "roll_rate=2.55", "rates_style=betaflight")[0] == 0
-    assert lines(msp("diff")[1]) == ["set rates_style = betaflight", "set roll_rate = 2.55"]
+    assert "setting roll_rate got 100, expected 0.01 to 2.38" in err
+    assert msp("set", "roll_rate=1.5", "rates_style=betaflight")[0] == 0
+    assert lines(msp("diff")[1]) == ["set rates_style = betaflight", "set roll_rate = 1.5"]
+
+
+def test_rates_that_ask_for_more_than_is_flown_are_refused_with_the_line(msp: Run) -> None:
+    told = "would ask for 2000 deg/s at full stick, expected at most 1600; lower one of them"
+    code, out, err = msp("set", "roll_rate=2", "roll_max=0.8", "rates_style=betaflight", "--save")
+    assert (code, out) == (1, "")
+    assert f"settings roll_rate 2 and roll_max 0.8 {told}" in err
+    assert lines(msp("diff")[1]) == []
+    assert msp("set", "roll_rate=2", "rates_style=betaflight")[0] == 0
+    code, _, err = msp("set", "roll_max=0.8")
+    assert code == 1 and f"settings roll_rate 2 and roll_max 0.8 {told}" in err
 
 
 def test_a_filter_is_refused_when_the_gyro_is_too_slow_for_it_as_both_are_set(msp: Run) -> None:
@@ -177,7 +192,7 @@ def test_rates_are_those_of_the_style_when_only_the_style_is_in_the_file(msp: Ru
         ("set yaw_expo = 0.5\nset roll_exp = 0\n", ":2: setting 'roll_exp' is unknown"),
         (
             "set roll_rate = 100\nset rates_style = betaflight\n",
-            ":1: setting roll_rate got 100, expected 0.01 to 2.55",
+            ":1: setting roll_rate got 100, expected 0.01 to 2.38",
         ),
         ("set map_roll = 1\n", "settings map_roll and map_pitch would both be 1"),
     ],
@@ -331,7 +346,7 @@ def test_a_setting_is_shown_with_its_limits_when_asked_for(msp: Run) -> None:
     assert code == 0
     words = " ".join(out.split())
     for shown in (
-        "roll_rate 1000 1000 0.01 to 1000 deg/s",
+        "roll_rate 70 70 0.01 to 1000 deg/s",
         "mode1 arm aux1 1700 2100 arm aux1 1700 2100 MODE AUX LOW HIGH, or none",
         "craft_name - - 0 to 16 characters",
         "filter1_kind none none none, pt1, pt2, pt3, biquad, notch",

@@ -15,7 +15,10 @@ GESTURE_MS = 2000  # throttle low, yaw left, pitch back, roll right for so long,
 # of such a setpoint: a rate that the gyro cannot tell from a higher one cannot be held. At 1800 deg/s of
 # pitch with the throttle closed, the body's coupling of axes is more than the rotors can hold.
 RATE_MAX_DEG_S = 1600.0
-RATE_FULL_STICK_DEG_S = 1000  # as set by default: linear, no deadband, expo or interpolation
+RATE_FULL_STICK_DEG_S = 1000  # of scenarios' sticks: linear, no deadband, expo or interpolation
+# Of the style betaflight: at full stick for an RC rate of 1; what an RC rate has above RC_RATE_STEEP counts
+# RC_RATE_STEEPER times more; the divisor that a super rate leaves at full stick, at least.
+RC_RATE_DEG_S, RC_RATE_STEEP, RC_RATE_STEEPER, SUPER_ROOM_MIN = 200.0, 2.0, 14.54, 0.01
 
 # SBUS: 25 bytes, 16 channels of 11 bits. microseconds = 880 + (5 value + 4) / 8, in integers.
 SBUS_FRAME_BYTES = 25

@@ -10,12 +10,12 @@ ARMING_DELAY_MS = 3000  # as set by default; ESCs have played their start-up tun
 CALIBRATION_MS = 1000  # length of the still gyro average
 CALIBRATION_MOTION_DEG_S = 5.0  # a standard deviation above this is motion: start again
 CALIBRATION_BIAS_DEG_S = 20.0  # a mean above this is motion: start again
-# Without a good frame for so long the sticks are taken as centred, throttle kept; as set by default, and as long as
-# Betaflight flies the last sticks on.
+# Without a good frame for so long the sticks are taken as centred, throttle kept; as set by default, and as
+# long as Betaflight flies the last sticks on.
 RECEIVER_HOLD_MS = 300
 RECEIVER_LOST_MS = 1000  # the same until the configured failsafe stage begins, as set by default
 RECEIVER_RECOVERY_MS = 200  # frames must come this long before a lost link counts as good again
-RECEIVER_PAUSE_MS = 100  # from frame to frame at most: no recovery goes on, and no ramp is drawn, over a longer one
+RECEIVER_PAUSE_MS = 100  # between two frames at most: over a longer one no recovery goes on, and no ramp
 RECEIVER_OFF_FRAMES = 2  # in a row must say that the switch is off
 # A receiver's word that it has lost its transmitter counts for so long, unless it takes it back: receivers of
 # CRSF tell their link's quality several times a second. Not less than the longest hold.

@@ -30,6 +30,7 @@ from toolchain.contract.receiver import (
     CHANNEL_ROLL,
     CHANNEL_THROTTLE,
     CHANNEL_YAW,
+    RATE_MAX_DEG_S,
 )
 from toolchain.contract.safety import (
     ARMING_DELAY_MS,
@@ -130,6 +131,9 @@ _GROUPS_MEANING = "fields left out: " + ", ".join(
 _MEAN_MEANING = "controllers see the mean of a control period's samples; policy: where it was trained so"
 _CHIRP_END_MEANING = f"where it ends; at most {CHIRP_RATE_PART:g} of the control rate"
 _STYLE_MEANING = "what the nine numbers below mean; changing it sets them to the new style's defaults"
+# Betaflight's, so that an aircraft turns as its pilot knows it (src/main/pg/rates.c, 2025.12).
+_RATE_DEFAULT_DEG_S, _MAX_DEFAULT_DEG_S = 70.0, 670.0
+_RC_RATE_MAX = 2.38  # without a super rate 1582 deg/s; more is more than RATE_MAX_DEG_S
 _RATE_MEANING = "actual: slope at the centre; betaflight: RC rate"
 _MAX_MEANING = "actual: at full stick; betaflight: super rate"
 _HOLD_MEANING = "without a good frame of the receiver until rates are centred, the throttle kept"
@@ -192,11 +196,11 @@ SETTINGS = (
         for axis in AXES
         for setting in (
             replace(
-                _number(f"{axis}_rate", 0.01, 1000.0, 1000.0, "deg/s", _RATE_MEANING),
-                betaflight=Span(0.01, 2.55, 1.0, "1"),
+                _number(f"{axis}_rate", 0.01, 1000.0, _RATE_DEFAULT_DEG_S, "deg/s", _RATE_MEANING),
+                betaflight=Span(0.01, _RC_RATE_MAX, 1.0, "1"),
             ),
             replace(
-                _number(f"{axis}_max", 0.0, 1998.0, 1000.0, "deg/s", _MAX_MEANING),
+                _number(f"{axis}_max", 0.0, RATE_MAX_DEG_S, _MAX_DEFAULT_DEG_S, "deg/s", _MAX_MEANING),
                 betaflight=Span(0.0, 1.0, 0.7, "1"),
             ),
             replace(

@@ -2,6 +2,7 @@
 
 #include "common/limit.h"
 #include "common/nf_math.h"
+#include "storage/settings.h"
 
 #define HALF_STICK_US 500u /* from the centre to an end */
 #define THROTTLE_PER_US 0.001f
@@ -11,12 +12,6 @@ _Static_assert(NF_CHANNEL_MAX_US - NF_CHANNEL_MIN_US == 1000, "THROTTLE_PER_US s
 
 #define RATE_MAX (NF_RATE_MAX_DEG_S * NF_RAD_PER_DEG) /* rad/s */
 _Static_assert(NF_RATE_MAX_DEG_S + NF_CALIBRATION_BIAS_DEG_S < (float)NF_GYRO_FULL_SCALE_DEG_S, "the gyro can say it");
-
-/* Of style betaflight. */
-#define RC_RATE_DEG_S 200.0f  /* at full stick, for an RC rate of 1 */
-#define RC_RATE_STEEP 2.0f    /* above it an RC rate counts more, */
-#define RC_RATE_STEEPER 14.54f/* by so much */
-#define SUPER_ROOM_MIN 0.01f  /* of 1 - x s */
 
 static const struct stick {
 	uint8_t channel;
@@ -43,10 +38,7 @@ static void rates_init_actual(struct rates_axis *axis, const struct numbers *num
 
 static void rates_init_betaflight(struct rates_axis *axis, const struct numbers *numbers)
 {
-	const float steep = numbers->rate - RC_RATE_STEEP;
-	const float rate = steep > 0.0f ? numbers->rate + RC_RATE_STEEPER * steep : numbers->rate;
-
-	axis->slope = rate * (RC_RATE_DEG_S * NF_RAD_PER_DEG);
+	axis->slope = settings_rc_rate(numbers->rate) * (NF_RC_RATE_DEG_S * NF_RAD_PER_DEG);
 	axis->rise = numbers->max;
 }
 
@@ -62,7 +54,7 @@ static float rates_betaflight(const struct rates_axis *axis, float x)
 {
 	const float command = x * (x * x * x * axis->expo + (1.0f - axis->expo));
 
-	return axis->slope * command / limit(1.0f - x * axis->rise, SUPER_ROOM_MIN, 1.0f);
+	return axis->slope * command / limit(1.0f - x * axis->rise, NF_SUPER_ROOM_MIN, 1.0f);
 }
 
 static const struct style {

@@ -6,7 +6,7 @@
 
 #include "nf_contract.h"
 
-/* One stick. By default linear to 1000 deg/s, without deadband. */
+/* One stick. */
 struct rates_axis {
 	float deadband;    /* us to either side of the centre that count as the centre */
 	float per_us;      /* from the edge of the deadband to the end of the stick is 1 */

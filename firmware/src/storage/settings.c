@@ -33,7 +33,7 @@ const struct setting *settings_info(unsigned index)
 
 const struct setting *settings_info_beside(const struct nf_settings *settings, unsigned index)
 {
-	if (settings->rates_style == NF_RATES_STYLE_BETAFLIGHT && index >= RATES_FIRST && index <= RATES_LAST)
+	if (index >= RATES_FIRST && index <= RATES_LAST && settings->rates_style == NF_RATES_STYLE_BETAFLIGHT)
 		return &betaflight[index - RATES_FIRST];
 	return settings_info(index);
 }
@@ -111,7 +111,7 @@ static void settings_put_default(struct nf_settings *settings, unsigned index, c
 static void settings_put_defaults(struct nf_settings *settings, unsigned first, unsigned last)
 {
 	for (unsigned index = first; index <= last; ++index)
-		settings_put_default(settings, index, &table[index]);
+		settings_put_default(settings, index, settings_info_beside(settings, index));
 }
 
 void settings_default(struct nf_settings *settings)
@@ -341,6 +341,28 @@ static bool settings_rates_fit(const struct nf_settings *settings, unsigned firs
 	return true;
 }
 
+float settings_rc_rate(float rate)
+{
+	const float steep = rate - NF_RC_RATE_STEEP;
+
+	return steep > 0.0f ? rate + NF_RC_RATE_STEEPER * steep : rate;
+}
+
+/* Does a full stick ask for no more than is flown? `first`: the rate of an axis, behind which its max stands. Half a degree
+ * is the rounding of numbers that pilots know with two decimals. */
+static bool settings_full_stick_fits(const struct nf_settings *settings, unsigned first)
+{
+	union setting_value rate, super;
+
+	if (settings->rates_style != NF_RATES_STYLE_BETAFLIGHT)
+		return true; /* each number has its limit */
+	settings_get(settings, first, &rate);
+	settings_get(settings, first + 1, &super);
+	const float room = 1.0f - super.as_float;
+	return NF_RC_RATE_DEG_S * settings_rc_rate(rate.as_float) <=
+	       (NF_RATE_MAX_DEG_S + 0.5f) * (room > NF_SUPER_ROOM_MIN ? room : NF_SUPER_ROOM_MIN);
+}
+
 static bool settings_battery_fits(const struct nf_settings *settings, unsigned first)
 {
 	(void)first;
@@ -381,6 +403,9 @@ static const struct rule {
 	{ settings_pid_fits, SETTING_AT_pid_roll_p, SETTING_AT_pid_yaw_d },
 	{ settings_map_fits, SETTING_AT_map_roll, SETTING_AT_map_aux4 },
 	{ settings_rates_fit, SETTING_AT_rates_style, RATES_LAST },
+	{ settings_full_stick_fits, SETTING_AT_roll_rate, SETTING_AT_roll_expo },
+	{ settings_full_stick_fits, SETTING_AT_pitch_rate, SETTING_AT_pitch_expo },
+	{ settings_full_stick_fits, SETTING_AT_yaw_rate, SETTING_AT_yaw_expo },
 	{ settings_battery_fits, SETTING_AT_battery_warn_v, SETTING_AT_battery_low_v },
 	{ settings_failsafe_fits, SETTING_AT_failsafe_hold_ms, SETTING_AT_failsafe_delay_ms },
 	{ settings_msp_baud_fits, SETTING_AT_msp_baud, SETTING_AT_msp_baud },

@@ -50,6 +50,9 @@ struct setting_change {
 	union setting_value value;
 };
 
+/* What an RC rate of the style betaflight counts. */
+float settings_rc_rate(float rate);
+
 /* Every setting at its default. */
 void settings_default(struct nf_settings *settings);
 

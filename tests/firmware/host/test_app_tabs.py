@@ -93,6 +93,21 @@ def test_what_this_firmware_has_not_is_refused_when_asked(app: App) -> None:
         assert app.refused(command), command
 
 
+def test_the_tab_of_rates_shows_betaflights_own_when_nothing_is_set(app: App) -> None:
+    rates = app.get(111)
+    assert rates["type"] == 3, "actual: in tens of deg/s"
+    for axis in ("roll", "pitch", "yaw"):
+        assert [rates[f"{axis}_{what}"] for what in ("rate", "max", "expo")] == [7, 67, 0]
+        assert rates[f"{axis}_rate_limit"] == 1600
+
+
+def test_rates_that_ask_for_more_than_is_flown_are_refused_to_the_app(app: App) -> None:
+    before = app.settings()
+    assert app.refused(204, app.payload(204, roll_max=161))
+    assert app.refused(204, app.payload(204, type=0, roll_rate=200, roll_max=80)), "2000 deg/s"
+    assert app.settings() == before
+
+
 def test_tabs_show_the_settings_when_these_are_not_the_defaults(app: App) -> None:
     app.change(failsafe_delay_ms=2500, failsafe_throttle=0.35, failsafe_stage=1, receiver_protocol=1)
     app.change(motor_stop=1, level_limit_deg=60, motor_protocol=0, battery_low_v=3.25, battery_warn_v=3.6)

@@ -16,6 +16,7 @@ from flash.client import Client
 from flash.settings import Settings
 from sim.control import sticks
 from sim.ports.library import Reference
+from sim.ports.port import flight_settings
 from toolchain.contract import (
     ARMING_DELAY_MS,
     BOOT_GRACE_MS,
@@ -38,7 +39,7 @@ class Board:
     """The whole firmware as a library, a millisecond a step."""
 
     def __init__(self, library: Path, **settings: float) -> None:
-        self.core = Reference(library, 1000, {"arming_delay_ms": BOOT_GRACE_MS, **settings})
+        self.core = Reference(library, 1000, flight_settings(settings))
         self.client = Client(self.core)
         self.ms, self.arm, self.heard, self.values = 0, False, True, b""
 
@@ -246,6 +247,7 @@ def setpoint_deg_s(b: Board, us: int) -> float:
         ({"rates_style": 1}, 0.40056, 666.667),
         ({"rates_style": 1, "roll_rate": 2.0}, 0.80112, 1333.33),
         ({"roll_rate": 2.0, "rates_style": 1}, 0.80112, 1333.33),  # the order of changes does not matter
+        ({"roll_rate": 70.0, "roll_max": 670.0}, 0.1424, 670.0),
         ({}, 2.0, 1000.0),
     ],
 )
@@ -272,7 +274,7 @@ def test_limits_are_those_of_the_style_when_settings_are_changed_by_name(board: 
     settings.set("roll_rate", 1.5)
     settings.set("rates_style", 1.0)
     assert settings.get("roll_rate") == 1.5
-    with pytest.raises(LinkError, match=r"roll_rate got 500, expected 0\.01 to 2\.55"):
+    with pytest.raises(LinkError, match=r"roll_rate got 500, expected 0\.01 to 2\.38"):
         settings.set("roll_rate", 500.0)
     settings.save()
     settings.set("rates_style", 0.0)

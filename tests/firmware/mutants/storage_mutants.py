@@ -21,6 +21,27 @@ OF_MSP, OF_COMMANDS, OF_PAYLOAD = "msp/test_msp.py", "msp/test_msp_commands.py",
 
 STORAGE_MUTANTS = (
     Mutant(
+        name="a full stick may ask for more than is flown",
+        file="storage/settings.c",
+        old="if (settings->rates_style != NF_RATES_STYLE_BETAFLIGHT)\n\t\treturn true; /* each",
+        new="if (settings->rates_style <= NF_RATES_STYLE_BETAFLIGHT)\n\t\treturn true; /* each",
+        tests=("storage/test_settings.py",),
+    ),
+    Mutant(
+        name="a mended rate is the other style's",
+        file="storage/settings.c",
+        old="settings_put_default(settings, index, settings_info_beside(settings, index));\n}",
+        new="settings_put_default(settings, index, &table[index]);\n}",
+        tests=("storage/test_settings.py",),
+    ),
+    Mutant(
+        name="the hold may last longer than until the drop",
+        file="storage/settings.c",
+        old="return settings->failsafe_hold_ms < settings->failsafe_delay_ms;",
+        new="return settings->failsafe_hold_ms < 2 * settings->failsafe_delay_ms;",
+        tests=("storage/test_settings.py",),
+    ),
+    Mutant(
         name="weights are compared with the first ones in flash",
         file=SLOTS,
         old="blob + NF_POLICY_BLOB_HEADER_BYTES + first * sizeof weights[0];",

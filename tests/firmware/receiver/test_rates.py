@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from sim.ports.port import FLIGHT_RATES
 from toolchain.contract import CHANNEL_PITCH, CHANNEL_ROLL, CHANNEL_THROTTLE, CHANNEL_YAW, RATE_MAX_DEG_S
 
 CHANNELS = (CHANNEL_ROLL, CHANNEL_PITCH, CHANNEL_YAW)
@@ -62,10 +63,18 @@ def betaflight(x: float, rc_rate: float, super_rate: float, expo: float) -> floa
 FORMULAS = {ACTUAL: actual, BETAFLIGHT: betaflight}
 
 
-# --- As set by default ------------------------------------------------------------------------
-def test_setpoint_has_the_bits_of_one_product_when_nothing_is_set(scripted: Any) -> None:
-    """offset 0.002 clamped, times full stick: what every flight before the styles was flown with."""
+# --- As set by default, and for simulated flights -----------------------------------------------
+def test_the_aircraft_turns_as_under_betaflight_when_nothing_is_set(scripted: Any) -> None:
     rates = Rates(scripted)
+    for us in range(1000, 2001):
+        x = (us - 1500) / 500
+        expected = [math.radians(actual(x, 70.0, 670.0, 0.0))] * 3
+        np.testing.assert_allclose(rates.at(us), expected, rtol=1e-5, atol=1e-7)
+
+
+def test_setpoint_has_the_bits_of_one_product_when_rates_are_those_of_flights(scripted: Any) -> None:
+    """offset 0.002 clamped, times full stick: what every flight before the styles was flown with."""
+    rates = Rates(scripted, **FLIGHT_RATES)
     full_stick = np.float32(17.453292519943297)
     for us in [*range(800, 2300), 0, 65535]:
         x = np.clip(np.float32(us - 1500) * np.float32(0.002), np.float32(-1), np.float32(1))
@@ -75,7 +84,7 @@ def test_setpoint_has_the_bits_of_one_product_when_nothing_is_set(scripted: Any)
 
 @pytest.mark.parametrize("axis", range(3))
 def test_one_axis_turns_when_one_stick_moves(scripted: Any, axis: int) -> None:
-    rates = Rates(scripted)
+    rates = Rates(scripted, **FLIGHT_RATES)
     for us in range(1000, 2001):
         channels = [1500] * 16
         channels[CHANNELS[axis]] = us
@@ -154,7 +163,7 @@ def test_the_curve_is_odd_and_never_falls_when_the_stick_goes_out(scripted: Any,
 
 @pytest.mark.parametrize("us", [0, 880, 999, 2001, 2159, 65535])
 def test_setpoint_is_at_its_end_when_the_stick_is_beyond_it(scripted: Any, us: int) -> None:
-    rates = Rates(scripted)
+    rates = Rates(scripted, **FLIGHT_RATES)
     end = 1000 if us < 1500 else 2000
     assert rates.setpoint([us] * 16) == rates.setpoint([end] * 16)
     assert abs(rates.setpoint([us] * 16)[0]) == pytest.approx(math.radians(1000), rel=1e-7)

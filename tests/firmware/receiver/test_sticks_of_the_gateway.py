@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 
 from flash.mavlink.sticks import HALF_STICK_US, Sticks, nearest, sticks_of
+from sim.ports.port import FLIGHT_RATES
 from tests.firmware.receiver.test_modes import Modes
 from tests.firmware.receiver.test_rates import ACTUAL, BETAFLIGHT, Rates
 from toolchain.contract import (
@@ -26,7 +27,8 @@ STYLES: dict[str, dict[str, float]] = {
     "default": {},
     "actual": {"roll_rate": 70, "roll_max": 670, "roll_expo": 0.54, "pitch_rate": 200, "pitch_max": 0.0},
     "dead bands": {"deadband_us": 40, "yaw_deadband_us": 100, "yaw_expo": 1.0, "yaw_rate": 10},
-    "beyond the gyro": {"roll_max": 1998.0, "pitch_rate": 1000.0, "pitch_max": 1998.0, "pitch_expo": 1.0},
+    "linear": FLIGHT_RATES,
+    "as fast as it goes": {"roll_max": 1600.0, "pitch_rate": 1000.0, "pitch_max": 1600.0, "pitch_expo": 1.0},
     "betaflight": {
         **{f"{axis}_rate": rate for axis, rate in (("roll", 1.0), ("pitch", 2.55), ("yaw", 0.01))},
         **{f"{axis}_max": rate for axis, rate in (("roll", 0.7), ("pitch", 1.0), ("yaw", 0.0))},
@@ -86,7 +88,7 @@ def test_a_rate_beyond_full_stick_is_its_end_and_told_so(scripted: Any) -> None:
         assert beyond
         rates = Rates(scripted, roll_rate=200.0, roll_max=200.0)
         assert flown(rates, channels)[0] == pytest.approx(sign * math.radians(200))
-    _, beyond = ours.rate_channels((math.radians(200), math.radians(1000), math.radians(-1000)))
+    _, beyond = ours.rate_channels((math.radians(200), math.radians(670), math.radians(-670)))
     assert not beyond
 
 

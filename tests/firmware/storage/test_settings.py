@@ -234,6 +234,12 @@ CONFLICTS = {
     "map's ends": ({"map_aux4": 0}, "map_roll", {"map_aux4"}),
     "baud of no UART": ({"msp_baud": 100_000}, "msp_baud", {"msp_baud"}),
     "battery": ({"battery_low_v": 3.5}, "battery_warn_v", {"battery_low_v"}),
+    "hold": ({"failsafe_delay_ms": 300}, "failsafe_hold_ms", {"failsafe_delay_ms"}),
+    "hold's end": (
+        {"failsafe_hold_ms": 1000, "failsafe_delay_ms": 1000},
+        "failsafe_hold_ms",
+        {"failsafe_hold_ms"},
+    ),
 }
 
 
@@ -282,6 +288,8 @@ def test_later_rules_see_the_mended_gyro_rate_when_several_are_broken(
         {"dynamic_notch_low_hz": 30.0, "dynamic_notch_q": 0.5},  # none is flown
         {"map_roll": 7, "map_aux4": 0},
         {"battery_low_v": 3.4999},
+        {"failsafe_hold_ms": 199, "failsafe_delay_ms": 200},
+        {"failsafe_delay_ms": 301},
     ],
 )
 def test_no_conflict_is_found_when_settings_go_together(
@@ -363,8 +371,36 @@ def test_a_rate_keeps_to_the_limits_of_its_style_when_set(
 def test_rates_of_the_other_style_are_a_conflict_and_mended_when_they_were_put_there(
     scripted: Any, settings: Any
 ) -> None:
-    settings.rates_style = BETAFLIGHT  # and 1000 as RC rate and as super rate
+    settings.rates_style = BETAFLIGHT  # and 70 as RC rate, 670 as super rate
     assert scripted.lib.settings_conflict(settings) == INDEX["rates_style"]
     settings.deadband_us = 9
     scripted.lib.settings_mend(settings)
-    assert (settings.rates_style, settings.roll_rate, settings.deadband_us) == (ACTUAL, 1000.0, 9)
+    assert (settings.rates_style, settings.roll_rate, settings.deadband_us) == (ACTUAL, 70.0, 9)
+
+
+@pytest.mark.parametrize(
+    ("axis", "rate", "top", "flown"),
+    [
+        ("roll", 1.6, 0.8, True),  # 1600 deg/s
+        ("pitch", 1.62, 0.8, False),
+        ("yaw", 2.38, 0.0, True),  # 1582: what is above 2 counts 15.54 times
+        ("roll", 2.38, 0.02, False),
+        ("pitch", 0.07, 1.0, True),  # 1400: a hundredth is left of the divisor
+        ("yaw", 0.09, 1.0, False),
+    ],
+)
+def test_rates_that_ask_together_for_more_than_is_flown_are_a_conflict_of_their_axis(
+    scripted: Any, settings: Any, put: Put, axis: str, rate: float, top: float, flown: bool
+) -> None:
+    put(settings, "rates_style", BETAFLIGHT)
+    for name in ("roll", "pitch", "yaw"):
+        put(settings, f"{name}_expo", 0.5)
+    assert put(settings, f"{axis}_rate", rate) == Refusal.NONE
+    assert put(settings, f"{axis}_max", top) == Refusal.NONE
+    assert scripted.lib.settings_conflict(settings) == (COUNT if flown else INDEX[f"{axis}_rate"])
+    scripted.lib.settings_mend(settings)
+    assert settings.rates_style == BETAFLIGHT
+    for name in ("roll", "pitch", "yaw"):
+        numbers = [getattr(settings, f"{name}_{what}") for what in ("rate", "max", "expo")]
+        here = (1.0, 0.7, 0.0) if not flown else (rate, top, 0.5)
+        assert numbers == pytest.approx(here if name == axis else (1.0, 0.7, 0.5))

@@ -10,7 +10,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from toolchain.contract import FLASH_SETTINGS, SETTING_TEXT_BYTES, SETTINGS, Mode, ModeRange, Refusal, Setting
+from toolchain.contract import (
+    AXES,
+    FLASH_SETTINGS,
+    SETTING_TEXT_BYTES,
+    SETTINGS,
+    Mode,
+    ModeRange,
+    Refusal,
+    Setting,
+)
 
 MakeChip = Callable[..., Any]
 HEAD_WORDS = 4
@@ -138,6 +147,7 @@ def test_a_set_of_every_setting_comes_back_when_none_is_at_its_default(store: Ca
     changes = {setting.name: other(setting) for setting in SETTINGS}
     changes |= {"filter4_hz": 3000.0, "filter3_hz": 3000.0, "filter2_hz": 3000.0, "filter1_hz": 3000.0}
     changes |= {"battery_low_v": 2.5}
+    changes |= {f"{axis}_max": 0.0 for axis in AXES}  # beside the highest RC rate
     assert s.save(**changes) == Refusal.NONE
     found, loaded = s.load()
     assert found

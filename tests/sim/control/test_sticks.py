@@ -9,6 +9,7 @@ import pytest
 
 from sim.control import sticks
 from sim.ports.library import Reference
+from sim.ports.port import flight_settings
 from toolchain.contract import (
     CHANNEL_ARM,
     CHANNEL_COUNT,
@@ -27,7 +28,7 @@ def test_setpoint_and_throttle_are_the_cores_bits_when_every_stick_is_tried(refe
     channels = np.full((1001, CHANNEL_COUNT), 1500, np.uint16)
     for channel in (CHANNEL_ROLL, CHANNEL_PITCH, CHANNEL_YAW, CHANNEL_THROTTLE):
         channels[:, channel] = rng.permutation(np.arange(1000, 2001))
-    core = Reference(reference_library, gyro_rate_hz=1000)
+    core = Reference(reference_library, 1000, flight_settings({}))
     for _ in range(RECEIVER_RECOVERY_MS + 1):  # then the receiver is believed
         core.receiver([1500] * CHANNEL_COUNT)
         core.sample(np.zeros(3), np.zeros(3))
