@@ -30,8 +30,10 @@ from tests.firmware.board.banks import (
     read_build,
     with_bad_policy,
 )
-from tests.firmware.images import changed
+from tests.firmware.images import changed, stamped
 from toolchain.contract import (
+    DTCM,
+    FLASH_BANKS,
     IMAGE_NUMBER_ENTRIES,
     IMAGE_NUMBER_WORDS,
     IMAGE_PROBATION_MS,
@@ -95,6 +97,16 @@ def cut_short(build: Build) -> bytes:
     return build.images[B][: len(build.images[B]) // 2]
 
 
+def with_vectors(build: Build, stack: int | None = None, reset: int | None = None) -> bytes:
+    """Bank B's image, whole, whose first stack pointer or first instruction is another."""
+    image = build.images[B]
+    told = struct.unpack_from("<2I", image)
+    vectors = [known if new is None else new for known, new in zip(told, (stack, reset), strict=True)]
+    return stamped(struct.pack("<2I", *vectors) + image[8:])
+
+
+DTCM_END = DTCM.address + DTCM.size
+BANK_B_END = FLASH_BANKS[B].address + FLASH_BANKS[B].size
 NOT_STARTED: dict[str, Callable[[Build], bytes]] = {
     "erased": lambda build: b"",
     "wrong board": wrong_board,
@@ -103,6 +115,14 @@ NOT_STARTED: dict[str, Callable[[Build], bytes]] = {
     "the other bank's code": wrong_bank_but_for_its_header,
     "one wrong bit": one_wrong_bit,
     "cut short": cut_short,
+    "a stack below memory": lambda build: with_vectors(build, stack=DTCM.address),
+    "a stack beyond memory": lambda build: with_vectors(build, stack=DTCM_END + 8),
+    "a stack of half a double word": lambda build: with_vectors(build, stack=DTCM_END - 4),
+    "begins in the other bank": lambda build: with_vectors(build, reset=FLASH_BANKS[A].address + 0x401),
+    "begins behind its bank": lambda build: with_vectors(build, reset=BANK_B_END | 1),
+    "begins with an instruction of another set": lambda build: with_vectors(
+        build, reset=FLASH_BANKS[B].address + 0x400
+    ),
 }
 FAILS_EACH_START: dict[str, tuple[str, bytes]] = {
     "faults when memory is in place": ("main", UNDEFINED),

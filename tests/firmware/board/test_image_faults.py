@@ -120,6 +120,24 @@ def test_a_record_is_kept_when_the_stack_is_gone(deep: int, board: Board) -> Non
     assert record.frame == (FRAME if deep == DTCM.address + 8 else (0,) * 8)
 
 
+@pytest.mark.parametrize("words", [1, 7])
+def test_no_frame_is_read_that_reaches_beyond_the_stack(
+    words: int, board: Board, symbols: dict[str, int]
+) -> None:
+    deep = symbols["stack_top"] - 4 * words
+    board.fault(deep)
+    board.boot(SOFTWARE)
+    record = board.take()
+    assert record is not None and (record.sp, record.frame) == (deep, (0,) * 8)
+
+
+def test_a_frame_at_the_bottom_of_the_stack_is_read(board: Board) -> None:
+    board.fault(DTCM.address)
+    board.boot(SOFTWARE)
+    record = board.take()
+    assert record is not None and record.frame == FRAME
+
+
 def test_a_frame_at_the_top_of_the_stack_is_read_before_it_is_overwritten(
     board: Board, symbols: dict[str, int]
 ) -> None:

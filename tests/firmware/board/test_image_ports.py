@@ -177,6 +177,21 @@ def test_half_a_request_is_forgotten_when_its_sender_pauses_but_not_while_answer
     assert len(Decoder().feed(told)) == 400
 
 
+def test_a_pause_is_none_while_bytes_from_before_it_still_wait(
+    idle: IdleBoard, line: Callable[[str], UartLine]
+) -> None:
+    """Answers take 1.2 s; what comes after half of it does not void the request that is half read by then."""
+    peer = line(MSP_UART)
+    peer.send(
+        b"x" + STATUS * 400 + API[:3]
+    )  # 6 bytes a request and 1: one is half read whenever it is looked at
+    run(idle, 600)
+    peer.send(API[3:])
+    run(idle, 1200)
+    told = peer.take()
+    assert told.endswith(API_ANSWER) and len(Decoder().feed(told)) == 401
+
+
 def test_a_peer_that_says_nothing_is_told_nothing_when_the_board_lies_still(
     idle: IdleBoard, line: Callable[[str], UartLine]
 ) -> None:
@@ -190,3 +205,53 @@ def test_the_image_sleeps_between_samples_when_both_ports_are_open(idle: IdleBoa
     rounds = executions(idle, "program_background")
     run(idle, 100)
     assert executions(idle, "program_background") - rounds <= 100 * 5 * 1.05  # 4 samples and a tick each ms
+
+
+RESET_WAIT_MS = 2500  # of hal.c
+SLOW_BAUD = 9600
+
+
+@pytest.fixture(scope="module")
+def slow(board_image: Path) -> Iterator[tuple[IdleBoard, Snapshot]]:
+    """A board whose second port is as slow as can be, its buffers full, and which is asked to start anew."""
+    told = ("uart3_function=msp", f"uart3_baud={SLOW_BAUD}")
+    changes = dict(parse_change(text) for text in told)
+    flash = configured(read_flashable(board_image.with_suffix(".bin")), board_image, changes)
+    idle = IdleBoard(flash, elf=board_image)
+    idle.run_to(TIME_HZ)
+    UartLine(idle.board, UART3, Format(SLOW_BAUD)).send(STATUS * 90)
+    run(idle, 500)
+    UartLine(idle.board, MSP_UART, Format(BAUDS[MSP_UART])).send(encode(request(Msp.REBOOT)))
+    run(idle, 10)
+    yield idle, take_snapshot(idle.board.engine)
+    idle.close()
+
+
+def ms_to_reset(idle: IdleBoard) -> int:
+    """Milliseconds until the board starts anew."""
+    before = len(idle.board.report().resets)
+    for passed in range(2 * RESET_WAIT_MS):
+        if len(idle.board.report().resets) > before:
+            return passed
+        run(idle, 1)
+    raise AssertionError("no reset")
+
+
+def test_answers_are_sent_before_a_reset_also_on_the_slowest_line(slow: tuple[IdleBoard, Snapshot]) -> None:
+    idle, moment = slow
+    restore_snapshot(idle.board.engine, moment)
+    peer = UartLine(idle.board, UART3, Format(SLOW_BAUD))
+    waited = ms_to_reset(idle)
+    sent = len(peer.take())
+    assert sent > SEND_BYTES, "more than one buffer was full"
+    assert waited == pytest.approx(1e4 * sent / SLOW_BAUD, abs=20)
+    assert RESET_WAIT_MS > 2 * 1e7 * SEND_BYTES / SLOW_BAUD / 1000, "two whole buffers"
+
+
+def test_a_reset_does_not_wait_for_ever_for_a_line_that_hardly_sends(
+    slow: tuple[IdleBoard, Snapshot],
+) -> None:
+    idle, moment = slow
+    restore_snapshot(idle.board.engine, moment)
+    idle.board.hardware.usarts[UART3].words["BRR"] = 0xFFFF  # 824 baud
+    assert ms_to_reset(idle) == pytest.approx(RESET_WAIT_MS - 10, abs=5)

@@ -61,6 +61,7 @@ def test_the_receiver_line_is_inverted_8e2_when_set_up(board: Any) -> None:
     assert board.field("USART_CR2", "STOP", "USART2") == 2  # two stop bits
     assert board.field("USART_CR2", "RXINV", "USART2") == 1
     assert board.field("DMA_SCR", "CIRC", "DMA1", RECEIVER_STREAM) == 1
+    assert board.peek(0x4002000C) >> 6 & 3 == 2  # PA3 pulled down, where an inverted line rests
 
 
 def test_the_line_is_plain_and_fast_when_the_receiver_speaks_crsf(

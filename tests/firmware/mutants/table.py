@@ -6,6 +6,7 @@ from tests.firmware.mutants.blackbox_mutants import BLACKBOX_MUTANTS
 from tests.firmware.mutants.card_mutants import CARD_MUTANTS
 from tests.firmware.mutants.command_line_mutants import COMMAND_LINE_MUTANTS
 from tests.firmware.mutants.control_mutants import CONTROL_MUTANTS
+from tests.firmware.mutants.hal_mutants import HAL_MUTANTS
 from tests.firmware.mutants.image_mutants import IMAGE_MUTANTS
 from tests.firmware.mutants.joined_mutants import JOINED_MUTANTS
 from tests.firmware.mutants.mutant import Mutant
@@ -25,4 +26,5 @@ MUTANTS: tuple[Mutant, ...] = (
     *BLACKBOX_MUTANTS,
     *JOINED_MUTANTS,
     *COMMAND_LINE_MUTANTS,
+    *HAL_MUTANTS,
 )

@@ -77,6 +77,7 @@ class Workshop:
         # Those around us, if any, are for another run.
         told = {name: value for name, value in os.environ.items() if not name.startswith("PYTEST_")}
         told |= {"PYTHONPATH": str(self.folder), SCRIPTED_BUILD: str(self._scripted)}
+        told["PYTHON"] = sys.executable  # with which make stamps an image: the copy has no environment
         process = subprocess.Popen(
             command,
             cwd=self.folder,
@@ -105,7 +106,7 @@ class Workshop:
     def try_out(self, mutant: Mutant) -> Verdict:
         """What the mutant's tests say of it. Raises MutantError."""
         try:
-            with mutated(self.folder / "firmware" / "src" / mutant.file, mutant):
+            with mutated(mutant.source(self.folder / "firmware"), mutant):
                 self.build()
                 return Verdict(mutant, self.test(mutant.tests))
         except BuildError as error:

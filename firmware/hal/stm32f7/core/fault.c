@@ -170,7 +170,8 @@ static void fault_copy_frame(struct fault_record *record, const uint32_t *frame)
 	record->psr = frame[7];
 }
 
-/* `frame`: where the exception stacked its registers, anything at all after a stack overflow. */
+/* `frame`: where the exception stacked its registers; after a stack overflow anything at all, but a whole word's place, as the
+ * stack pointer has no other (ARMv7-M B1.4.1). */
 _Noreturn void fault_stop(const uint32_t *frame)
 {
 	motor_pins_force_low();
@@ -186,7 +187,7 @@ _Noreturn void fault_stop(const uint32_t *frame)
 		.line = exception,
 	};
 
-	if (at >= (uint32_t)dtcm_start && at <= (uint32_t)stack_top - FRAME_BYTES && at % sizeof(uint32_t) == 0u)
+	if (at >= (uint32_t)dtcm_start && at <= (uint32_t)stack_top - FRAME_BYTES)
 		fault_copy_frame(&record, frame);
 	fault_keep(&record);
 }
