@@ -17,6 +17,7 @@ from toolchain.contract import (
     MODE_LOW_US,
     MODE_STEP_US,
     MODE_STEPS,
+    SETTING_LEAST,
     SETTING_TEXT_BYTES,
     SETTINGS,
     Mode,
@@ -29,7 +30,6 @@ Value = float | str  # a text for a setting of kind text; a mode range packed
 
 STYLE = "rates_style"
 STYLE_BETAFLIGHT = 1
-PLAIN_LEAST = -5  # power of ten of the first digit, down to which numbers have no exponent
 UNUSED = "none"  # a mode range that is not set
 NO_TEXT, QUOTE = "-", '"'
 AND = "and"  # behind a mode range that holds only together with the mode's others
@@ -68,8 +68,8 @@ def as_stored(name: str, value: float) -> float:
 
 
 def as_float32(value: float) -> float:
-    """The float32 that is nearest to `value`, which none of them is beyond."""
-    return float(struct.unpack("<f", struct.pack("<f", value))[0])
+    """The float32 nearest to `value`, which none of them is beyond; 0 where a setting has 0 for it."""
+    return float(struct.unpack("<f", struct.pack("<f", value))[0]) if abs(value) >= SETTING_LEAST else 0.0
 
 
 # --- Text to value ---------------------------------------------------------------------------------
@@ -177,8 +177,7 @@ def value_text(name: str, value: Value) -> str:
 
 
 def shortest(value: float) -> str:
-    """The shortest decimal that is `value` as a float32, as the firmware writes it: with an exponent below
-    1e-5; whole numbers as they are."""
+    """The shortest decimal that is `value` as a float32, as the firmware writes it: without an exponent."""
     if value == int(value):
         return str(int(value))
     wanted = struct.pack("<f", value)
@@ -186,11 +185,7 @@ def shortest(value: float) -> str:
         text = f"{value:.{digits}g}"
         if struct.pack("<f", float(text)) == wanted:
             break
-    decimal = Decimal(text)
-    if decimal.adjusted() >= PLAIN_LEAST:
-        return format(decimal, "f")
-    mantissa = format(decimal.scaleb(-decimal.adjusted()).normalize(), "f")
-    return f"{mantissa}e{decimal.adjusted()}"
+    return format(Decimal(text), "f")
 
 
 def _mode_text(packed: int) -> str:

@@ -100,6 +100,7 @@ class FilterKind(IntEnum):
     NOTCH = 5
 
 
+SETTING_LEAST = 2.0**-16  # size of a number other than 0: smaller ones become 0
 SETTING_TEXT_BYTES = 16  # printable ASCII, then zeros
 MODE_RANGE_MAX = (1 << 25) - 1  # of a packed one
 _MAPPED_AUX = CHANNEL_MAPPED_COUNT - CHANNEL_AUX1

@@ -20,18 +20,16 @@ $(STARTUP)/startup.o $(STARTUP)/memory.o $(BOOT_OBJECTS): CFLAGS += -fno-tree-lo
 $(BOOT_OBJECTS): CFLAGS += -Os
 $(OBJ)/boot/hal/stm32f7/boot/boot_crc32.o: CFLAGS += -O2
 
-# ITCM is scarce, and most of a control step is the policy's: the core is small rather than quick, and so is what
-# waits for flash there; hal.c only joins the drivers.
-$(OBJ)/src/%.o $(OBJ)/hal/stm32f7/hal.o $(OBJ)/hal/stm32f7/peripherals/flash_memory.o: CFLAGS += -Os
+# ITCM is scarce, and most of a control step is the policy's: the core is small rather than quick.
+$(OBJ)/src/%.o: CFLAGS += -Os
 # But for what every step of a policy that observes much goes through number by number.
 $(addprefix $(OBJ)/src/control/,estimator.o mixer.o observation.o): CFLAGS += -O2
 # What only the background runs keeps less in registers, so that it saves and restores fewer.
 $(OBJ)/src/background.o $(OBJ)/src/blackbox/%.o $(OBJ)/src/command_line/%.o $(OBJ)/src/msp/%.o $(OBJ)/src/storage/%.o: \
 	CFLAGS += -fno-move-loop-invariants -fno-schedule-insns2
-# So is what runs once, or in the background.
-SMALL := core/gpio core/watchdog devices/card_spi devices/log_uart devices/msp_uart \
-	devices/power peripherals/uart_line startup/image_header
-$(SMALL:%=$(OBJ)/hal/stm32f7/%.o): CFLAGS += -Os
+# The drivers are small, too, but for those of the gyro's path and what delays the motors' first stop frame.
+QUICK := devices/gyro_chip devices/motors peripherals/spi startup/memory startup/startup
+$(patsubst %.c,$(OBJ)/%.o,$(filter-out $(QUICK:%=hal/stm32f7/%.c),$(HAL_SOURCES))): CFLAGS += -Os
 
 $(OBJ)/boot/%.o: %.c $(RECIPE)
 	@mkdir -p $(@D)

@@ -1,20 +1,21 @@
-/* Float32 as decimal text and back, exactly, with integers alone: no libm, the same bits on every target. Not for the
- * control step. */
+/* Float32 as decimal text and back, exactly, with integers of 64 bits alone: no libm, the same bits on every target. Not for
+ * the control step. */
 #ifndef NF_DECIMAL_H
 #define NF_DECIMAL_H
 
 #include <stdbool.h>
 #include <stddef.h>
 
-#define DECIMAL_BYTES 20     /* of the longest text of a float, its end included */
-#define DECIMAL_DIGITS_MAX 30 /* significant ones that are read */
+#define DECIMAL_BYTES 24 /* of the longest text of a float, its end included */
+#define DECIMAL_PLACES 12 /* behind the point, at most */
 
-/* Writes the decimal number with the fewest digits that reads back as `value`; of several, the nearest. "nan" and "inf"
- * for what is no number. Returns the characters before the 0 that ends them. */
+/* Writes `value`, whose size is below 2^24, with the fewest places behind the point that read back as it; of several such
+ * numbers the nearest. No float from 2^-16 on takes more than DECIMAL_PLACES; a smaller one is rounded to so many. Returns
+ * the characters before the 0 that ends them. */
 size_t decimal_format(float value, char text[DECIMAL_BYTES]);
 
-/* Reads a decimal number such as 12, -0.5 or 1.5e-7, rounded to the nearest float, ties to even; too large a one is
- * infinite. Returns false, *value unchanged, for anything else, and for more than DECIMAL_DIGITS_MAX digits that count. */
+/* Reads a decimal number such as 12, -0.5 or .25, rounded to the nearest float, ties to even. Places behind DECIMAL_PLACES
+ * do not count. Returns false, *value unchanged, for a number of 2^24 or more, and for what is none. */
 bool decimal_parse(const char *text, float *value);
 
 #endif

@@ -153,10 +153,15 @@ enum nf_refusal settings_set(struct nf_settings *settings, unsigned index, const
 {
 	if (index >= NF_SETTING_COUNT)
 		return NF_REFUSAL_INDEX;
-	if (!settings_within(settings_info_beside(settings, index), value))
+	const struct setting *setting = settings_info_beside(settings, index);
+	union setting_value kept = *value;
+
+	if (setting->kind == SETTING_float && kept.as_float < NF_SETTING_LEAST && kept.as_float > -NF_SETTING_LEAST)
+		kept.as_float = 0.0f; /* a smaller number has no text that reads back */
+	if (!settings_within(setting, &kept))
 		return NF_REFUSAL_RANGE;
 	const uint32_t style = settings->rates_style;
-	settings_put(settings, index, value);
+	settings_put(settings, index, &kept);
 	if (settings->rates_style == style)
 		return NF_REFUSAL_NONE;
 	/* The same numbers mean another thing in another style. */

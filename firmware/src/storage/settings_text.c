@@ -214,12 +214,6 @@ static enum settings_text_error settings_text_parse_text(const char *text, union
 }
 
 /* --- Both ways ------------------------------------------------------------------------------------------------ */
-/* A number that is too large for a float is read as infinite, for which there is no text. */
-static enum settings_text_error settings_text_parse_number(const char *text, float *value)
-{
-	return decimal_parse(text, value) && *value - *value == 0.0f ? SETTINGS_TEXT_GOOD : SETTINGS_TEXT_NO_NUMBER;
-}
-
 enum settings_text_error settings_text_parse(const struct setting *setting, const char *text,
 					     union setting_value *value)
 {
@@ -233,7 +227,7 @@ enum settings_text_error settings_text_parse(const struct setting *setting, cons
 	case SETTING_text:
 		return settings_text_parse_text(text, value);
 	case SETTING_float:
-		error = settings_text_parse_number(text, &read.as_float);
+		error = decimal_parse(text, &read.as_float) ? SETTINGS_TEXT_GOOD : SETTINGS_TEXT_NO_NUMBER;
 		break;
 	case SETTING_mode:
 		error = settings_text_parse_mode(text, &read.as_mode);

@@ -171,7 +171,7 @@ def test_the_motors_are_held_low_when_the_clock_does_not_come_up(
     sketch.run_for(STEPS_TO_STOP)
     assert symbols["stop"] & ~1 in sketch.seen
     assert symbols["clock_peripherals"] & ~1 not in sketch.seen
-    assert symbols["motor_pins_start"] & ~1 not in sketch.seen
+    assert symbols["gyro_start"] & ~1 not in sketch.seen
     assert sketch.peek(0x40020800) >> 12 & 0xFF == 0b01010101  # PC6..PC9 outputs
     assert sketch.sins == []
 

@@ -11,14 +11,14 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-DECIMAL_BYTES = 20
+DECIMAL_BYTES, PLACES = 24, 12
 LIBC = ctypes.CDLL(None)
 LIBC.strtof.restype = ctypes.c_float
 LIBC.strtof.argtypes = (ctypes.c_char_p, ctypes.c_void_p)
 
-LEAST, LEAST_NORMAL, LARGEST = 1, 0x00800000, 0x7F7FFFFF  # bits
-finite = st.integers(0, LARGEST) | st.integers(LEAST_NORMAL - 40, LEAST_NORMAL + 40) | st.integers(0, 40)
-powers_of_two = st.integers(1, 254).map(lambda exponent: exponent << 23)
+LEAST, LARGEST = 0x37800000, 0x4B7FFFFF  # bits of 2^-16 and of the last float below 2^24
+numbers = st.just(0) | st.integers(LEAST, LARGEST)
+powers_of_two = st.integers(LEAST >> 23, LARGEST >> 23).map(lambda exponent: exponent << 23)
 
 
 def of_bits(bits: int) -> float:
@@ -44,19 +44,13 @@ def parse(core: Any, text: str) -> float | None:
     return float(value[0]) if taken else None
 
 
-def digits(text: str) -> str:
-    """The digits that count."""
-    return text.lstrip("-").partition("e")[0].replace(".", "").strip("0")
-
-
 @settings(max_examples=3000, deadline=None)
-@given(bits=finite | powers_of_two, negative=st.booleans())
+@given(bits=numbers | powers_of_two, negative=st.booleans())
 @example(bits=LEAST, negative=False)
-@example(bits=LEAST_NORMAL - 1, negative=True)
-@example(bits=LEAST_NORMAL, negative=False)
+@example(bits=LEAST + 1, negative=False)
 @example(bits=LARGEST, negative=True)
 @example(bits=0, negative=True)
-def test_a_float_is_written_shortest_and_reads_back_when_it_is_finite(
+def test_a_float_is_written_with_the_fewest_places_and_reads_back_when_it_is_of_a_settings_size(
     scripted: Any, bits: int, negative: bool
 ) -> None:
     value = of_bits(bits | negative << 31)
@@ -64,9 +58,23 @@ def test_a_float_is_written_shortest_and_reads_back_when_it_is_finite(
     read = parse(scripted, text)
     assert read is not None
     assert bits_of(read) == bits_of(value) == bits_of(LIBC.strtof(text.encode(), None))
-    numpys = np.format_float_scientific(np.float32(value), unique=True, trim="-")
-    assert len(digits(text)) == len(digits(numpys))
-    assert abs(float(text) - value) <= abs(float(numpys) - value), "of the shortest, the nearest"
+    assert text == np.format_float_positional(np.float32(value), unique=True, trim="-")
+
+
+@settings(max_examples=1000, deadline=None)
+@given(bits=st.integers(0, LEAST - 1))
+@example(bits=1)
+@example(bits=LEAST - 1)
+def test_a_float_is_rounded_to_twelve_places_when_it_is_smaller(scripted: Any, bits: int) -> None:
+    value = of_bits(bits)
+    text = format_(scripted, value)
+    assert len(text.partition(".")[2]) <= PLACES
+    assert abs(float(text) - value) <= 0.5e-12
+
+
+@pytest.mark.parametrize("bits", [LARGEST + 1, 0x7F7FFFFF, 0x7F800000, 0x7FC00000, 0xFFFFFFFF])
+def test_some_text_is_written_when_a_float_is_no_settings(scripted: Any, bits: int) -> None:
+    assert format_(scripted, of_bits(bits)).lstrip("-").isdecimal()
 
 
 @pytest.mark.parametrize(
@@ -81,15 +89,9 @@ def test_a_float_is_written_shortest_and_reads_back_when_it_is_finite(
         (100.0, "100"),
         (-180.0, "-180"),
         (0.0001, "0.0001"),
-        (1e-06, "1e-6"),
-        (4000000000.0, "4000000000"),
-        (10000000000.0, "1e10"),
-        (of_bits(LEAST), "1e-45"),
-        (of_bits(LARGEST), "3.4028235e38"),
-        (float("inf"), "inf"),
-        (float("-inf"), "-inf"),
-        (float("nan"), "nan"),
-        (16777216.0, "16777216"),
+        (1024.53125, "1024.5312"),  # half way between two texts
+        (0.0000152587890625, "0.000015258789"),
+        (16777215.0, "16777215"),
     ],
 )
 def test_a_float_is_written_as_people_write_it(scripted: Any, value: float, text: str) -> None:
@@ -99,37 +101,34 @@ def test_a_float_is_written_as_people_write_it(scripted: Any, value: float, text
 @settings(max_examples=3000, deadline=None)
 @given(
     sign=st.sampled_from(["", "-", "+"]),
-    whole=st.text("0123456789", min_size=1, max_size=14),
-    fraction=st.none() | st.text("0123456789", max_size=16),
-    exponent=st.none() | st.integers(-60, 45),
+    whole=st.text("0123456789", min_size=1, max_size=6),
+    fraction=st.none() | st.text("0123456789", max_size=11),
 )
-@example(sign="", whole="16777217", fraction=None, exponent=None)  # half way: to even
-@example(sign="", whole="16777219", fraction=None, exponent=None)
-@example(sign="", whole="7", fraction="00649232162408535461864791644", exponent=-46)  # half the least float
-@example(sign="", whole="7", fraction="00649232162408535461864791645", exponent=-46)
-@example(sign="-", whole="3", fraction="4028235677973366", exponent=38)  # half way above the largest
-@example(sign="", whole="9", fraction=None, exponent=99999999999)
-@example(sign="", whole="9", fraction=None, exponent=-99999999999)
-@example(sign="", whole="0", fraction="0", exponent=99999999999)
-@example(sign="", whole="000000000000000000000000000000000001", fraction="5", exponent=None)
+@example(sign="", whole="8388609", fraction="5")  # half way: to even
+@example(sign="", whole="8388610", fraction="5")
+@example(sign="-", whole="000000000000000000000000000000000001", fraction="5")
+@example(sign="", whole="0", fraction="000000000001")
 def test_a_number_is_read_as_the_c_library_reads_it(
-    scripted: Any, sign: str, whole: str, fraction: str | None, exponent: int | None
+    scripted: Any, sign: str, whole: str, fraction: str | None
 ) -> None:
     text = sign + whole + ("" if fraction is None else f".{fraction}")
-    text += "" if exponent is None else f"e{exponent}"
     read = parse(scripted, text)
     assert read is not None
     assert bits_of(read) == bits_of(LIBC.strtof(text.encode(), None))
 
 
 @settings(max_examples=1000, deadline=None)
-@given(bits=st.integers(0, LARGEST - 1))
+@given(bits=st.integers(0x45800000, LARGEST - 1))  # from 4096 on twelve places say the middle exactly
 def test_half_way_between_two_floats_is_the_even_one(scripted: Any, bits: int) -> None:
-    # The sum is exact in float64; 26 digits of it are on the middle or near.
-    text = f"{(of_bits(bits) + of_bits(bits + 1)) / 2:.25e}"
+    text = f"{(of_bits(bits) + of_bits(bits + 1)) / 2:.{PLACES}f}"  # exact in float64
     read = parse(scripted, text)
     assert read is not None
     assert bits_of(read) == bits_of(LIBC.strtof(text.encode(), None))
+
+
+def test_places_do_not_count_when_they_stand_behind_the_twelfth(scripted: Any) -> None:
+    assert parse(scripted, "0." + "0" * 12 + "9") == 0.0
+    assert parse(scripted, "0.70710678118654752440") == of_bits(bits_of(0.70710678))
 
 
 @pytest.mark.parametrize(
@@ -153,8 +152,14 @@ def test_half_way_between_two_floats_is_the_even_one(scripted: Any, bits: int) -
         "1-",
         "nan",
         "inf",
-        "1" * 31,
-        "0." + "1" * 31,
+        "1e5",
+        "1E3",
+        "16777216",
+        "16777215.5",
+        "9" * 18,
+        "9" * 30,
+        "1" + "0" * 40,
+        "9" * 60 + ".5",
         "1f",
         "1e5x",
         "infinity",
@@ -165,7 +170,7 @@ def test_a_text_is_refused_when_it_is_no_number(scripted: Any, text: str) -> Non
     assert parse(scripted, text) is None
 
 
-@pytest.mark.parametrize("text", ["5.", ".5", "+5", "1E3", "1e+3", "0" * 60 + "1", "0." + "0" * 40 + "1"])
+@pytest.mark.parametrize("text", ["5.", ".5", "+5", "0" * 60 + "1", "00.50"])
 def test_a_text_is_read_when_it_is_an_unusual_number(scripted: Any, text: str) -> None:
     read = parse(scripted, text)
     assert read is not None

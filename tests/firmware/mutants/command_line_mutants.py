@@ -199,16 +199,23 @@ COMMAND_LINE_MUTANTS = (
     Mutant(
         name="a number half way between two floats is rounded up",
         file=DECIMAL,
-        old="fraction += order > 0 || (order == 0 && fraction % 2 == 1);",
-        new="fraction += order >= 0;",
+        old="fraction += count > unit || (count == unit && fraction % 2u == 1u);",
+        new="fraction += count >= unit;",
         tests=(OF_DECIMAL,),
     ),
     Mutant(
-        name="powers of two have the same room below as above",
+        name="a number ends one place early",
         file=DECIMAL,
-        old="const bool uneven = fraction == HIDDEN_BIT && exponent > EXPONENT_LEAST;",
-        new="const bool uneven = false;",
+        old="places == DECIMAL_PLACES || decimal_bits(count, places) == bits",
+        new="places + 1 == DECIMAL_PLACES || decimal_bits(count, places) == bits",
         tests=(OF_DECIMAL,),
+    ),
+    Mutant(
+        name="a number too small for a text is kept",
+        file="storage/settings.c",
+        old="kept.as_float = 0.0f; /*",
+        new="kept.as_float = value->as_float; /*",
+        tests=("storage/test_settings.py",),
     ),
     Mutant(
         name="a text that looks like none is written as it is",

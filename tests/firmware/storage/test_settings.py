@@ -7,13 +7,23 @@ import struct
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
 import pytest
 
-from toolchain.contract import SETTING_TEXT_BYTES, SETTINGS, Mode, ModeRange, Refusal, Setting, Span
+from toolchain.contract import (
+    SETTING_LEAST,
+    SETTING_TEXT_BYTES,
+    SETTINGS,
+    Mode,
+    ModeRange,
+    Refusal,
+    Setting,
+    Span,
+)
 
 COUNT = len(SETTINGS)
 INDEX = {setting.name: index for index, setting in enumerate(SETTINGS)}
-SMALLEST = 1e-45  # the float32 above 0
+SMALLEST = SETTING_LEAST  # number above 0
 
 
 @pytest.fixture
@@ -142,6 +152,18 @@ def test_limits_may_be_taken_and_not_passed_when_set(
     for value in past:
         assert put(settings, setting.name, value) == Refusal.RANGE, value
         assert bytes(scripted.ffi.buffer(settings)) == before
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_number_is_0_when_it_is_too_small_for_a_text(
+    scripted: Any, settings: Any, put: Put, sign: float
+) -> None:
+    below = float(np.nextafter(np.float32(SETTING_LEAST), np.float32(0)))
+    setting = next(setting for setting in SETTINGS if setting.name == "board_roll_deg")
+    for value, kept in ((SETTING_LEAST, SETTING_LEAST), (below, 0.0), (2.0**-149, 0.0)):
+        assert put(settings, setting.name, sign * value) == Refusal.NONE
+        assert held(scripted, settings, setting) == sign * kept
+    assert put(settings, "filter1_q", sign * below) == Refusal.RANGE
 
 
 def test_one_setting_alone_changes_when_set(scripted: Any, settings: Any, put: Put) -> None:

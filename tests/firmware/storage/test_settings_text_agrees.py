@@ -37,8 +37,8 @@ def mode_ranges(draw: st.DrawFn) -> int:
 
 
 def floats(span: Setting | Span) -> st.SearchStrategy[float]:
-    """Within the limits; 0 without a sign."""
-    return st.floats(as_float32(span.low), as_float32(span.high), width=32).map(lambda value: value + 0.0)
+    """Within the limits, as a setting holds them; 0 without a sign."""
+    return st.floats(as_float32(span.low), as_float32(span.high), width=32).map(as_float32)
 
 
 def legal(setting: Setting) -> st.SearchStrategy[Value]:
