@@ -32,7 +32,7 @@ static enum nf_err background_load_settings(struct background *background)
 {
 	const struct background_config *config = &background->config;
 
-	settings_load(&background->edited, &config->hal->flash);
+	background->mended = settings_load(&background->edited, &config->hal->flash) == SETTINGS_MENDED;
 	background->settings = background->edited;
 	if (!background_change_settings(&background->settings, config))
 		return NF_ERR_SETTINGS;
@@ -502,12 +502,13 @@ static const struct task tasks[] = {
 	{ NF_TASK_STORAGE, STORAGE_RATE_HZ, background_run_storage },
 };
 
-/* What of the board forbids arming until the next boot. */
+/* What of the board and its settings forbids arming until the next boot. */
 static void background_judge_board(const struct background *background)
 {
 	const struct background_config *config = &background->config;
 
 	firmware_forbid(config->firmware, NF_ARMING_REASON_CLOCK, config->clock_inexact);
+	firmware_forbid(config->firmware, NF_ARMING_REASON_SETTINGS, background->mended);
 	firmware_forbid(config->firmware, NF_ARMING_REASON_GYRO_ALIGNMENT,
 			config->alignment_disputed && background->settings.gyro_alignment == NF_GYRO_ALIGNMENT_BOARD);
 }

@@ -95,13 +95,14 @@ class ArmingReason(IntEnum):
     CLI = 19  # a command line is open
     PROBATION = 20  # the image is new and has not run well for long enough yet
     IMAGE_BAD = 21  # flash does not hold the image whole any more
+    SETTINGS = 22  # what flash has stored is not what is flown: this image does not take some of it
 
 
 ARMING_REASON_COUNT = max(ArmingReason) + 1  # bits that a field of reasons takes
 # Bit of each reason, by its number, in the flags of STATUS and STATUS_EX. Up to 24 they are the ecosystem's:
 # its programs show their names; an image on probation is in its boot grace. 25 no controller, 26 battery,
-# 27 fault, 28 storing, 29 gyro alignment, 30 clock.
-ARMING_FLAGS = (9, 12, 2, 7, 3, 25, 0, 8, 26, 27, 6, 16, 28, 25, 25, 29, 30, 11, 16, 13, 9, 27)
+# 27 fault, 28 storing, 29 a setting, 30 clock.
+ARMING_FLAGS = (9, 12, 2, 7, 3, 25, 0, 8, 26, 27, 6, 16, 28, 25, 25, 29, 30, 11, 16, 13, 9, 27, 29)
 ARMING_FLAG_FAILSAFE = 1  # in a state of the failsafe
 ARMING_FLAG_SWITCH = 31  # the last: the arm switch is on while something forbids
 ARMING_FLAG_COUNT = 32
