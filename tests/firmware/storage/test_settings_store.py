@@ -219,7 +219,7 @@ def test_a_set_is_never_flown_with_the_rates_of_another_style_when_loaded(
             {"mode1": ModeRange(Mode.ARM, 5, 1300, 1700).packed | 1 << 26},
             {"mode1": 0},
             False,
-        ),  # a kind to come
+        ),  # a kind
         ({"mode2": 13 << 8 | Mode.PID}, {"mode2": 0}, False),  # an AUX channel to come
         ({"mode1": 0}, {"mode1": 0}, True),
         ({"map_aux1": 9}, {}, False),
