@@ -33,7 +33,7 @@ static enum nf_err background_load_settings(struct background *background)
 {
 	const struct background_config *config = &background->config;
 
-	settings_load(&background->edited, &config->hal->flash);
+	background->mended = settings_load(&background->edited, &config->hal->flash) == SETTINGS_MENDED;
 	background->settings = background->edited;
 	if (!background_change_settings(&background->settings, config))
 		return NF_ERR_SETTINGS;
@@ -360,6 +360,16 @@ static uint32_t background_ms(const struct background *background)
 	       samples % rate_hz * 1000u / rate_hz; /* no product is lost: 8000 times 1000 */
 }
 
+/* Count of what keeps the pilot from arming who asks for it by the switch; 0: nothing, or a fault, which has a number of its
+ * own. */
+static unsigned background_not_arming(const struct background *background, const struct firmware_status *status)
+{
+	const bool asked = (status->modes & MODE_BIT(ARM)) != 0;
+	const bool fault = status->state == NF_FLIGHT_FAULT || background->faults.pending;
+
+	return asked && !fault ? alert_count(status->arming_reasons) : 0;
+}
+
 /* What beeper and LED are to tell. */
 static uint32_t background_alerts(const struct background *background, const struct firmware_status *status,
 				  uint32_t ms)
@@ -368,14 +378,16 @@ static uint32_t background_alerts(const struct background *background, const str
 	const bool find_me = (status->modes & MODE_BIT(BEEPER)) != 0;
 	const bool lost = background->heard && !status->receiver_good;
 	const bool stopped = status->state == NF_FLIGHT_FAULT || background->faults.pending;
-	const bool fault = stopped || status->gyro_health != NF_GYRO_HEALTH_GOOD;
+	const bool not_arming = background_not_arming(background, status) > 0;
+	const bool fault = stopped || (status->gyro_health != NF_GYRO_HEALTH_GOOD && !not_arming);
 	const bool took_over = background->refused && status->trace.armed &&
 			       ms - background->refused_since_ms < TOOK_OVER_MS;
 
-	return (uint32_t)took_over << ALERT_TOOK_OVER | (uint32_t)stopped << ALERT_FAULT_TOLD |
-	       (uint32_t)background->refused << ALERT_POLICY_REFUSED | (uint32_t)fault << ALERT_FAULT |
-	       (uint32_t)(status->state == NF_FLIGHT_CRASHED) << ALERT_CRASHED | (uint32_t)find_me << ALERT_FIND_ME |
-	       (uint32_t)lost << ALERT_RECEIVER_LOST | (uint32_t)(level == BATTERY_LOW) << ALERT_BATTERY_LOW |
+	return (uint32_t)not_arming << ALERT_NOT_ARMING | (uint32_t)took_over << ALERT_TOOK_OVER |
+	       (uint32_t)stopped << ALERT_FAULT_TOLD | (uint32_t)background->refused << ALERT_POLICY_REFUSED |
+	       (uint32_t)fault << ALERT_FAULT | (uint32_t)(status->state == NF_FLIGHT_CRASHED) << ALERT_CRASHED |
+	       (uint32_t)find_me << ALERT_FIND_ME | (uint32_t)lost << ALERT_RECEIVER_LOST |
+	       (uint32_t)(level == BATTERY_LOW) << ALERT_BATTERY_LOW |
 	       (uint32_t)(level == BATTERY_WARN) << ALERT_BATTERY_WARN |
 	       (uint32_t)(status->state == NF_FLIGHT_CALIBRATING) << ALERT_CALIBRATING |
 	       1u << (status->trace.armed ? ALERT_ARMED : ALERT_DISARMED);
@@ -394,9 +406,12 @@ static void background_run_alert(void *context)
 	if (!background->refused)
 		background->refused_since_ms = ms;
 	background->refused = status.refused_cause != NF_FALLBACK_NONE;
-	const unsigned flashes = status.state == NF_FLIGHT_FAULT ? status.stop_cause : background->faults.record.kind;
+	const struct alert_counts counts = {
+		.fault = status.state == NF_FLIGHT_FAULT ? status.stop_cause : background->faults.record.kind,
+		.not_arming = background_not_arming(background, &status),
+	};
 	const struct alert_state state = alert_step(&background->alert, background_alerts(background, &status, ms),
-						    flashes, ms);
+						    &counts, ms);
 	hal->beeper(hal->context, state.beeper);
 	hal->led(hal->context, state.led);
 }
@@ -537,12 +552,13 @@ static const struct task tasks[] = {
 	{ NF_TASK_STORAGE, STORAGE_RATE_HZ, background_run_storage },
 };
 
-/* What of the board forbids arming until the next boot. */
+/* What of the board and its settings forbids arming until the next boot. */
 static void background_judge_board(const struct background *background)
 {
 	const struct background_config *config = &background->config;
 
 	firmware_forbid(config->firmware, NF_ARMING_REASON_CLOCK, config->clock_inexact);
+	firmware_forbid(config->firmware, NF_ARMING_REASON_SETTINGS, background->mended);
 	firmware_forbid(config->firmware, NF_ARMING_REASON_GYRO_ALIGNMENT,
 			config->alignment_disputed && background->settings.gyro_alignment == NF_GYRO_ALIGNMENT_BOARD);
 }

@@ -50,6 +50,7 @@ struct background_config {
 struct background {
 	struct background_config config;
 	struct nf_settings settings; /* as flown: of this boot */
+	bool mended; /* some of what is stored is not flown */
 	struct nf_settings edited; /* as stored, with changes that may not be saved yet */
 	struct policy_slots slots;
 	size_t weights_checked; /* those before this one, since the check last began at the first */

@@ -95,13 +95,19 @@ class ArmingReason(IntEnum):
     CLI = 19  # a command line is open
     PROBATION = 20  # the image is new and has not run well for long enough yet
     IMAGE_BAD = 21  # flash does not hold the image whole any more
+    SETTINGS = 22  # what flash has stored is not what is flown: this image does not take some of it
 
 
 ARMING_REASON_COUNT = max(ArmingReason) + 1  # bits that a field of reasons takes
 # Bit of each reason, by its number, in the flags of STATUS and STATUS_EX. Up to 24 they are the ecosystem's:
 # its programs show their names; an image on probation is in its boot grace. 25 no controller, 26 battery,
-# 27 fault, 28 storing, 29 gyro alignment, 30 clock.
-ARMING_FLAGS = (9, 12, 2, 7, 3, 25, 0, 8, 26, 27, 6, 16, 28, 25, 25, 29, 30, 11, 16, 13, 9, 27)
+# 27 fault, 28 storing, 29 a setting, 30 clock.
+ARMING_FLAGS = (9, 12, 2, 7, 3, 25, 0, 8, 26, 27, 6, 16, 28, 25, 25, 29, 30, 11, 16, 13, 9, 27, 29)
+# What beeper and LED count while the arm switch is on and a reason holds, by its number: by what the pilot does
+# about it. The highest is told. 0: told otherwise, or no switch is heard then.
+# 1 switch off and on, 2 throttle down, 3 level and still, 4 wait, 5 a computer holds it, 6 the policy,
+# 7 the battery, 8 the board: connect a computer.
+ARMING_COUNTS = (4, 3, 0, 2, 1, 6, 8, 3, 7, 0, 0, 5, 4, 6, 6, 8, 8, 4, 5, 5, 4, 8, 8)
 ARMING_FLAG_FAILSAFE = 1  # in a state of the failsafe
 ARMING_FLAG_SWITCH = 31  # the last: the arm switch is on while something forbids
 ARMING_FLAG_COUNT = 32

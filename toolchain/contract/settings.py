@@ -147,6 +147,7 @@ _GAIN_FACTORS = (("p", 0.5, 1.25), ("i", 0.0, 3.0), ("d", 0.75, 2.0))
 _BEEPS = {
     "crashed": "after a crash",
     "receiver_lost": "the receiver is lost",
+    "not_arming": "the arm switch is on and something forbids arming: its count",
     "took_over": "the PID took over in flight",
     "battery_low": "the battery is low: land now",
     "fault": "a fault that nobody acknowledged",

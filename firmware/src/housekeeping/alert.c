@@ -4,6 +4,12 @@
 #define FLASH_PAUSE 16u /* slots between two rounds of a fault's flashes */
 #define BEEP_SLOTS 3u   /* a beep lasts as long as so many flashes: ears count more slowly */
 
+/* Of a count that says why it does not arm: a buzz, by which it is known, then beeps. */
+#define BUZZ_SLOTS 10u
+#define LEAD_SLOTS 18u  /* the buzz and a pause */
+#define COUNT_SLOTS 7u  /* from one beep to the next */
+#define COUNT_PAUSE 24u /* slots between two rounds */
+
 /* '#' is on, '.' is off, each for SLOT_MS. */
 struct rhythm {
 	const char *slots; /* NULL: this condition leaves the output to the next one */
@@ -19,6 +25,7 @@ static const struct rhythm rhythms[ALERT_CONDITION_COUNT][ALERT_OUTPUT_COUNT] = 
 	[ALERT_FAULT] = { NOTHING, REPEATED("#.") }, /* counted: see alert_flashing() */
 	[ALERT_CRASHED] = { REPEATED("######....######........"), REPEATED("##..") },
 	[ALERT_FIND_ME] = { REPEATED("#.#.#...#.#.#......."), REPEATED("#...") },
+	[ALERT_NOT_ARMING] = { REPEATED("#."), REPEATED("#.") }, /* counted */
 	[ALERT_RECEIVER_LOST] = { REPEATED("##..##.............."), REPEATED("##..##..............") },
 	[ALERT_TOOK_OVER] = { REPEATED("##.##.##.##........."), REPEATED("##.") },
 	[ALERT_BATTERY_LOW] = { REPEATED("########.."), REPEATED("########..") },
@@ -36,9 +43,10 @@ static const struct rhythm rhythms[ALERT_CONDITION_COUNT][ALERT_OUTPUT_COUNT] = 
 /* The pilot's own call cannot be muted. */
 static uint32_t alert_muted(const struct nf_settings *settings)
 {
-	return MUTED_IF_OFF(beep_crashed, ALERT_CRASHED) | MUTED_IF_OFF(beep_receiver_lost, ALERT_RECEIVER_LOST) |
-	       MUTED_IF_OFF(beep_took_over, ALERT_TOOK_OVER) | MUTED_IF_OFF(beep_battery_low, ALERT_BATTERY_LOW) |
-	       MUTED_IF_OFF(beep_fault, ALERT_FAULT_TOLD) | MUTED_IF_OFF(beep_policy_refused, ALERT_POLICY_REFUSED) |
+	return MUTED_IF_OFF(beep_not_arming, ALERT_NOT_ARMING) | MUTED_IF_OFF(beep_crashed, ALERT_CRASHED) |
+	       MUTED_IF_OFF(beep_receiver_lost, ALERT_RECEIVER_LOST) | MUTED_IF_OFF(beep_took_over, ALERT_TOOK_OVER) |
+	       MUTED_IF_OFF(beep_battery_low, ALERT_BATTERY_LOW) | MUTED_IF_OFF(beep_fault, ALERT_FAULT_TOLD) |
+	       MUTED_IF_OFF(beep_policy_refused, ALERT_POLICY_REFUSED) |
 	       MUTED_IF_OFF(beep_battery_warn, ALERT_BATTERY_WARN) | MUTED_IF_OFF(beep_armed, ALERT_ARMED) |
 	       MUTED_IF_OFF(beep_disarmed, ALERT_DISARMED);
 }
@@ -69,6 +77,28 @@ static bool alert_flashing(unsigned flashes, uint32_t slot)
 	return place < round && place % 2u == 0;
 }
 
+static bool alert_counting(unsigned count, uint32_t slot)
+{
+	const uint32_t round = LEAD_SLOTS + COUNT_SLOTS * count;
+	const uint32_t place = slot % (round + COUNT_PAUSE);
+
+	if (place < BUZZ_SLOTS)
+		return place % 2u == 0;
+	return place >= LEAD_SLOTS && place < round && (place - LEAD_SLOTS) % COUNT_SLOTS < BEEP_SLOTS;
+}
+
+unsigned alert_count(uint32_t reasons)
+{
+	static const uint8_t told[] = NF_ARMING_COUNTS;
+	unsigned count = 0;
+
+	_Static_assert(sizeof told == NF_ARMING_REASON_COUNT, "one for each reason");
+	for (unsigned reason = 0; reason < NF_ARMING_REASON_COUNT; ++reason)
+		if (reasons >> reason & 1u && told[reason] > count)
+			count = told[reason];
+	return count;
+}
+
 static bool alert_on(const struct rhythm *rhythm, uint32_t slot)
 {
 	if (rhythm->once && slot >= rhythm->count)
@@ -76,12 +106,13 @@ static bool alert_on(const struct rhythm *rhythm, uint32_t slot)
 	return rhythm->slots[slot % rhythm->count] == '#';
 }
 
-static bool alert_play(struct alert *alert, enum alert_output output, uint32_t conditions, unsigned flashes,
-		       uint32_t ms)
+static bool alert_play(struct alert *alert, enum alert_output output, uint32_t conditions,
+		       const struct alert_counts *counts, uint32_t ms)
 {
 	const uint8_t condition = alert_first(conditions, output);
 
-	if (condition != alert->playing[output]) {
+	if (condition != alert->playing[output] ||
+	    (condition == ALERT_NOT_ARMING && counts->not_arming != alert->counted)) {
 		alert->playing[output] = condition;
 		alert->since_ms[output] = ms;
 	}
@@ -89,16 +120,21 @@ static bool alert_play(struct alert *alert, enum alert_output output, uint32_t c
 	if (condition == ALERT_CONDITION_COUNT)
 		return false;
 	if (condition == ALERT_FAULT)
-		return alert_flashing(flashes, slot);
+		return alert_flashing(counts->fault, slot);
 	if (condition == ALERT_FAULT_TOLD)
-		return alert_flashing(flashes, slot / BEEP_SLOTS);
+		return alert_flashing(counts->fault, slot / BEEP_SLOTS);
+	if (condition == ALERT_NOT_ARMING)
+		return alert_counting(counts->not_arming, slot);
 	return alert_on(&rhythms[condition][output], slot);
 }
 
-struct alert_state alert_step(struct alert *alert, uint32_t conditions, unsigned flashes, uint32_t ms)
+struct alert_state alert_step(struct alert *alert, uint32_t conditions, const struct alert_counts *counts, uint32_t ms)
 {
-	return (struct alert_state){
-		.beeper = alert_play(alert, ALERT_BEEPER, conditions & ~alert->muted, flashes, ms),
-		.led = alert_play(alert, ALERT_LED, conditions, flashes, ms),
+	const struct alert_state state = {
+		.beeper = alert_play(alert, ALERT_BEEPER, conditions & ~alert->muted, counts, ms),
+		.led = alert_play(alert, ALERT_LED, conditions, counts, ms),
 	};
+
+	alert->counted = counts->not_arming;
+	return state;
 }

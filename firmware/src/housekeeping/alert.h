@@ -12,6 +12,7 @@ enum alert_condition {
 	ALERT_FAULT,         /* something is broken: the LED flashes as often as its number says */
 	ALERT_CRASHED,
 	ALERT_FIND_ME,       /* the pilot's beeper switch */
+	ALERT_NOT_ARMING,    /* the arm switch is on and a reason holds: its count (NF_ARMING_COUNTS) */
 	ALERT_RECEIVER_LOST, /* after it was heard */
 	ALERT_TOOK_OVER,     /* the PID, a moment ago and in flight */
 	ALERT_BATTERY_LOW,
@@ -33,6 +34,7 @@ enum alert_output {
 struct alert {
 	uint8_t playing[ALERT_OUTPUT_COUNT]; /* enum alert_condition, ALERT_CONDITION_COUNT: silence */
 	uint32_t since_ms[ALERT_OUTPUT_COUNT];
+	unsigned counted;                    /* by ALERT_NOT_ARMING, when last looked at */
 	uint32_t muted; /* bit field of enum alert_condition: those that the beeper does not tell */
 };
 
@@ -43,8 +45,17 @@ struct alert_state {
 /* Conditions whose setting beep_... is off are not for the beeper: it plays the next one that holds. */
 void alert_init(struct alert *alert, const struct nf_settings *settings);
 
-/* Beeper and LED at `ms` since any moment, wrapping. conditions: bit field of enum alert_condition; flashes: of a
- * fault, 0 counts as 1. A rhythm begins when its condition is the first to play. */
-struct alert_state alert_step(struct alert *alert, uint32_t conditions, unsigned flashes, uint32_t ms);
+/* What is counted out. */
+struct alert_counts {
+	unsigned fault;      /* 0 counts as 1 */
+	unsigned not_arming;
+};
+
+/* The count of the most urgent of these reasons, a bit field of enum nf_arming_reason; 0: none is counted. */
+unsigned alert_count(uint32_t reasons);
+
+/* Beeper and LED at `ms` since any moment, wrapping. conditions: bit field of enum alert_condition. A rhythm begins when its
+ * condition is the first to play, and the count of ALERT_NOT_ARMING anew when it changes. */
+struct alert_state alert_step(struct alert *alert, uint32_t conditions, const struct alert_counts *counts, uint32_t ms);
 
 #endif

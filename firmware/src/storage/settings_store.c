@@ -4,6 +4,7 @@
 
 #include "common/crc32.h"
 #include "common/serial_number.h"
+#include "storage/mode_range.h"
 
 #define SETTINGS_MAGIC 0x5350464Eu /* "NFPS" */
 #define SETTINGS_LAYOUT 1u
@@ -79,9 +80,19 @@ static const uint8_t *settings_store_newest(const struct flash *flash, struct he
 	return found;
 }
 
+/* `value` is none that the setting may have. Returns whether nothing is lost by that. */
+static bool settings_store_refuse(struct nf_settings *settings, unsigned index, const union setting_value *value)
+{
+	if (settings_info(index)->kind != SETTING_mode)
+		return false; /* the default stays */
+	(void)settings_set_whole(settings, index, 0);
+	return mode_range_index(mode_range_unpack(value->as_mode).mode) == MODE_COUNT;
+}
+
 /* Takes the stored value of the setting `index`, if there is one and it is allowed. *likely: the entry to look at first;
- * left behind the one that was found, where the next setting's stands in a set of the same version. */
-static void settings_store_take(struct nf_settings *settings, unsigned index, const uint8_t *entries, uint32_t count,
+ * left behind the one that was found, where the next setting's stands in a set of the same version. Returns whether nothing
+ * is lost of what was stored. */
+static bool settings_store_take(struct nf_settings *settings, unsigned index, const uint8_t *entries, uint32_t count,
 				uint32_t *likely)
 {
 	const struct setting *setting = settings_info(index);
@@ -99,24 +110,26 @@ static void settings_store_take(struct nf_settings *settings, unsigned index, co
 		memcpy((uint8_t *)&value + sizeof entry.word * found++, &entry.word, sizeof entry.word);
 		*likely = at + 1;
 	}
-	if (found == words)
-		(void)settings_set(settings, index, &value); /* refused: the default stays */
+	return found < words || settings_set(settings, index, &value) == NF_REFUSAL_NONE ||
+	       settings_store_refuse(settings, index, &value);
 }
 
-bool settings_load(struct nf_settings *settings, const struct flash *flash)
+enum settings_loaded settings_load(struct nf_settings *settings, const struct flash *flash)
 {
 	struct head head;
 	unsigned place;
 	uint32_t likely = 0;
+	bool whole = true;
 	const uint8_t *set = settings_store_newest(flash, &head, &place);
 
 	settings_default(settings);
 	if (!set)
-		return false;
+		return SETTINGS_NONE;
 	for (unsigned index = 0; index < NF_SETTING_COUNT; ++index)
-		settings_store_take(settings, index, set + sizeof head, head.count, &likely);
+		whole &= settings_store_take(settings, index, set + sizeof head, head.count, &likely);
+	whole &= settings_conflict(settings) == NF_SETTING_COUNT;
 	settings_mend(settings);
-	return true;
+	return whole ? SETTINGS_AS_STORED : SETTINGS_MENDED;
 }
 
 /* A place in flash that fills up, and the CRC of what it holds. */

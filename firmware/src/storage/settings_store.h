@@ -8,9 +8,17 @@
 #include "storage/flash.h"
 #include "storage/settings.h"
 
-/* Reads the newest valid set. A setting that the set does not have, or whose value is beyond today's limits, gets its
- * default; so do those that contradict each other. Returns false, all at their defaults, if there is no valid set. */
-bool settings_load(struct nf_settings *settings, const struct flash *flash);
+enum settings_loaded {
+	SETTINGS_NONE,      /* there is no valid set */
+	SETTINGS_AS_STORED,
+	SETTINGS_MENDED, /* something was stored that this version does not take: what is flown is not what was set */
+};
+
+/* Reads the newest valid set. A setting that the set does not have gets its default. So does one whose value is beyond today's
+ * limits, and so do those that contradict each other: SETTINGS_MENDED. A mode range that is none of today's is no range, so that
+ * the default of its place does not arm on a switch that means something else; for a mode of a newer version it is as good as
+ * stored. */
+enum settings_loaded settings_load(struct nf_settings *settings, const struct flash *flash);
 
 /* Writes `settings` as the newest set, over the older one. Waits for the flash. NF_REFUSAL_CONFLICT: settings_conflict
  * finds a conflict. NF_REFUSAL_FLASH: flash did not take it, the set from before is still the newest. */

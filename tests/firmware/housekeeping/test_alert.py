@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import re
 from itertools import groupby
+from pathlib import Path
 from typing import Any
 
 import pytest
 
-from toolchain.contract import SETTINGS
+from toolchain.contract import SETTINGS, ArmingReason
 
 SLOT_MS = 50
 NAMES = (
-    *("FAULT", "CRASHED", "FIND_ME", "RECEIVER_LOST", "TOOK_OVER", "BATTERY_LOW", "FAULT_TOLD"),
+    *("FAULT", "CRASHED", "FIND_ME", "NOT_ARMING", "RECEIVER_LOST", "TOOK_OVER", "BATTERY_LOW", "FAULT_TOLD"),
     *("POLICY_REFUSED", "BATTERY_WARN", "CALIBRATING", "ARMED", "DISARMED"),
 )
 SILENT, DARK = {"FAULT", "CALIBRATING"}, {"FAULT_TOLD", "BATTERY_WARN"}
@@ -29,23 +31,33 @@ BEEP_SETTINGS = [setting.name for setting in SETTINGS if setting.name.startswith
 class Alert:
     def __init__(self, core: Any, *muted: str) -> None:
         """muted: settings beep_... that are off."""
-        self.lib, self.self = core.lib, core.new("struct alert *")
+        self.core, self.lib, self.self = core, core.lib, core.new("struct alert *")
         self.settings = core.new("struct nf_settings *")
         self.lib.settings_default(self.settings)
         for name in muted:
             setattr(self.settings, name, 0)
         self.lib.alert_init(self.self, self.settings)
 
-    def step(self, ms: int, *names: str, flashes: int = 0) -> tuple[bool, bool]:
+    def step(self, ms: int, *names: str, flashes: int = 0, count: int = 2) -> tuple[bool, bool]:
         conditions = sum(1 << getattr(self.lib, f"ALERT_{name}") for name in names)
-        state = self.lib.alert_step(self.self, conditions, flashes, ms & 0xFFFFFFFF)
+        counts = self.core.new("struct alert_counts *", (flashes, count))
+        state = self.lib.alert_step(self.self, conditions, counts, ms & 0xFFFFFFFF)
         return state.beeper, state.led
 
     def play(
-        self, *names: str, start: int = 0, slots: int = 200, every_ms: int = SLOT_MS, flashes: int = 0
+        self,
+        *names: str,
+        start: int = 0,
+        slots: int = 200,
+        every_ms: int = SLOT_MS,
+        flashes: int = 0,
+        count: int = 2,
     ) -> tuple[str, str]:
         """Beeper and LED as texts, a character a step."""
-        seen = [self.step(start + every_ms * index, *names, flashes=flashes) for index in range(slots)]
+        seen = [
+            self.step(start + every_ms * index, *names, flashes=flashes, count=count)
+            for index in range(slots)
+        ]
         beeper, led = ("".join(".#"[state[output]] for state in seen) for output in range(2))
         return beeper, led
 
@@ -101,6 +113,40 @@ def test_a_fault_beeps_as_often_as_it_flashes_when_it_is_told(alert: Alert, flas
     seen = [text.count("#") for text in led.strip(".").split("." * 10) if text.strip(".")]
     assert set(beeps[:-1]) == set(seen[:-1]) == {max(flashes, 1)}
     assert {len(list(run)) for value, run in groupby(beeper) if value == "#"} == {3}, "long enough to count"
+
+
+# --- What keeps it from arming ----------------------------------------------------------------
+BUZZ = "#.#.#.#.#."
+
+
+@pytest.mark.parametrize("count", range(1, 9))
+def test_a_buzz_and_then_beeps_and_flashes_count_why_it_does_not_arm(alert: Alert, count: int) -> None:
+    beeper, led = alert.play("NOT_ARMING", "DISARMED", "BATTERY_WARN", count=count, slots=500)
+    assert beeper == led
+    rounds = [text.strip(".") for text in f"{beeper}!".split(BUZZ)][1:-1]
+    assert len(rounds) >= 4
+    assert set(rounds) == {"....".join(["###"] * count)}
+
+
+def test_the_count_begins_anew_when_another_reason_is_the_most_urgent(alert: Alert) -> None:
+    first, _ = alert.play("NOT_ARMING", count=6, slots=33)
+    second, light = alert.play("NOT_ARMING", count=2, start=33 * SLOT_MS, slots=100)
+    assert first.startswith(BUZZ) and second.startswith(BUZZ)
+    assert second == light == Alert(alert.core).play("NOT_ARMING", count=2, slots=100)[0]
+
+
+@pytest.mark.parametrize("reasons", [(), *((reason,) for reason in ArmingReason), tuple(ArmingReason)])
+def test_the_count_is_the_highest_of_the_table_that_pilots_have(
+    alert: Alert, reasons: tuple[ArmingReason, ...]
+) -> None:
+    page = (Path(__file__).resolve().parents[3] / "docs" / "safety.md").read_text()
+    rows = re.findall(r"^\| (\d) \| [^|]+ \| ([A-Z_`, ]+) \|$", page, re.MULTILINE)
+    counts = {name: int(count) for count, names in rows for name in re.findall(r"[A-Z_]+", names)}
+    assert {int(count) for count, _ in rows} == set(range(1, 9))
+    told_otherwise = {"RECEIVER_LOST", "FAULT", "CRASHED"}
+    assert set(counts) == {reason.name for reason in ArmingReason} - told_otherwise
+    expected = max((counts.get(reason.name, 0) for reason in reasons), default=0)
+    assert alert.lib.alert_count(sum(1 << reason for reason in reasons)) == expected
 
 
 @pytest.mark.parametrize("urgent", range(len(NAMES)))

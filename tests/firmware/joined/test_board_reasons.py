@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import pytest
 
 from tests.firmware.conftest import G_COUNTS
+from tests.firmware.storage.test_settings_store import as_set
 from toolchain.contract import (
     BOOT_GRACE_MS,
     FLASH_FAULT_RECORD,
+    FLASH_SETTINGS,
     LOAD_CALM_MS,
     MOTOR_TEST_MAGIC,
     MOTOR_TEST_TIMEOUT_MS,
@@ -104,8 +106,10 @@ class Board:
 def board(scripted: Any, chip: Callable[..., Any]) -> Make:
     scripted.lib.scripted_action = [0.0] * 4
 
-    def make(*, full_log: bool = False, **options: Any) -> Board:
+    def make(*, full_log: bool = False, stored: Mapping[str, float] | None = None, **options: Any) -> Board:
         made = chip()
+        if stored is not None:
+            made.fill(FLASH_SETTINGS[0].address, as_set(stored, 1))
         if full_log:
             made.fill(FLASH_FAULT_RECORD.address, b"\x55" * FLASH_FAULT_RECORD.size)
         built = Board(scripted, made.flash, **options)
@@ -128,6 +132,21 @@ def test_it_arms_with_a_disputed_alignment_only_when_the_pilot_has_said_it(
     board: Make, alignment: int, held: set[ArmingReason]
 ) -> None:
     assert board(alignment=alignment, alignment_disputed=True).run(1200) == held
+
+
+@pytest.mark.parametrize(
+    ("stored", "held"),
+    [
+        ({"deadband_us": 7}, set()),
+        ({"mode1": 99}, set()),  # a mode to come: no range, and what it was for is not here
+        ({"map_aux1": 9}, {ArmingReason.SETTINGS}),
+        ({"motor1_output": 4}, {ArmingReason.SETTINGS}),
+    ],
+)
+def test_it_does_not_arm_when_other_settings_are_flown_than_were_stored(
+    board: Make, stored: dict[str, float], held: set[ArmingReason]
+) -> None:
+    assert board(stored=stored).run(1200) == held
 
 
 def test_it_does_not_arm_until_a_second_has_passed_without_an_overload(board: Make) -> None:

@@ -115,6 +115,20 @@ JOINED_MUTANTS = (
         tests=(OF_TRIAL,),
     ),
     Mutant(
+        name="why it does not arm is counted though nobody asks",
+        file="background.c",
+        old="return asked && !fault ? alert_count",
+        new="return !fault ? alert_count",
+        tests=("joined/test_not_arming.py",),
+    ),
+    Mutant(
+        name="a count stands in for a fault's number",
+        file="background.c",
+        old="return asked && !fault ? alert_count",
+        new="return asked ? alert_count",
+        tests=("joined/test_not_arming.py",),
+    ),
+    Mutant(
         name="a saturated gyro forbids nothing",
         file=FIRMWARE,
         old="REASON_IF(fw->health != NF_GYRO_HEALTH_GOOD, GYRO_BAD)",

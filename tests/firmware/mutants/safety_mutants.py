@@ -281,8 +281,22 @@ SAFETY_MUTANTS = (
     Mutant(
         name="what mutes the beeper mutes the LED",
         file=ALERT,
-        old="alert_play(alert, ALERT_LED, conditions, flashes, ms)",
-        new="alert_play(alert, ALERT_LED, conditions & ~alert->muted, flashes, ms)",
+        old="alert_play(alert, ALERT_LED, conditions, counts, ms)",
+        new="alert_play(alert, ALERT_LED, conditions & ~alert->muted, counts, ms)",
+        tests=(OF_ALERT,),
+    ),
+    Mutant(
+        name="the lowest count is told",
+        file=ALERT,
+        old="told[reason] > count)",
+        new="told[reason] > 0 && (count == 0 || told[reason] < count))",
+        tests=(OF_ALERT,),
+    ),
+    Mutant(
+        name="a count goes on where another one stood",
+        file=ALERT,
+        old="(condition == ALERT_NOT_ARMING && counts->not_arming != alert->counted)",
+        new="(condition == ALERT_NOT_ARMING && counts->not_arming < alert->counted && ms == 0)",
         tests=(OF_ALERT,),
     ),
     Mutant(

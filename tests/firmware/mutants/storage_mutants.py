@@ -21,6 +21,34 @@ OF_MSP, OF_COMMANDS, OF_PAYLOAD = "msp/test_msp.py", "msp/test_msp_commands.py",
 
 STORAGE_MUTANTS = (
     Mutant(
+        name="a mode that is not known leaves its place's default",
+        file="storage/settings_store.c",
+        old="\t(void)settings_set_whole(settings, index, 0);\n",
+        new="\t(void)settings;\n",
+        tests=("storage/test_settings_store.py",),
+    ),
+    Mutant(
+        name="a known mode's strange range is nothing lost",
+        file="storage/settings_store.c",
+        old="return mode_range_index(mode_range_unpack(value->as_mode).mode) == MODE_COUNT;",
+        new="return value->as_mode > 0;",
+        tests=("storage/test_settings_store.py",),
+    ),
+    Mutant(
+        name="what is mended is not told",
+        file="storage/settings_store.c",
+        old="\twhole &= settings_conflict(settings) == NF_SETTING_COUNT;\n",
+        new="",
+        tests=("storage/test_settings_store.py", "joined/test_board_reasons.py"),
+    ),
+    Mutant(
+        name="mended settings forbid nothing",
+        file="background.c",
+        old="NF_ARMING_REASON_SETTINGS, background->mended);",
+        new="NF_ARMING_REASON_SETTINGS, false);",
+        tests=("joined/test_board_reasons.py",),
+    ),
+    Mutant(
         name="a full stick may ask for more than is flown",
         file="storage/settings.c",
         old="if (settings->rates_style != NF_RATES_STYLE_BETAFLIGHT)\n\t\treturn true; /* each",

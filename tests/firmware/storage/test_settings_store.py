@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import struct
 import zlib
 from collections.abc import Callable, Mapping
@@ -31,6 +32,8 @@ KINDS = range(5)  # of cuts: enum flash_cut
 class Store:
     """Settings over a chip."""
 
+    loaded = 0  # by the last load: of enum settings_loaded
+
     def __init__(self, chip: Any) -> None:
         self.chip, self.core = chip, chip.core
 
@@ -45,7 +48,8 @@ class Store:
     def load(self) -> tuple[bool, dict[str, float | bytes]]:
         """Whether a set was found, and what differs from the defaults."""
         made = self.core.new("struct nf_settings *")
-        found = bool(self.core.lib.settings_load(made, self.chip.flash))
+        self.loaded = self.core.lib.settings_load(made, self.chip.flash)
+        found = self.loaded != self.core.lib.SETTINGS_NONE
         default = self.core.new("struct nf_settings *")
         self.core.lib.settings_default(default)
         differ: dict[str, float | bytes] = {}
@@ -65,6 +69,7 @@ def store(chip: MakeChip) -> Callable[[], Store]:
     return lambda: Store(chip())
 
 
+MODES = [setting.name for setting in SETTINGS if setting.kind == "mode"]
 OLD: dict[str, float | bytes] = {
     "deadband_us": 7,
     "yaw_expo": 0.25,
@@ -202,6 +207,45 @@ def test_a_set_is_never_flown_with_the_rates_of_another_style_when_loaded(
     assert made.rates_style == 1
     assert {name: getattr(made, name) for name in flown} == pytest.approx(flown, rel=1e-7)
     assert (made.yaw_rate, made.yaw_max) == pytest.approx((1.0, 0.7))
+
+
+@pytest.mark.parametrize(
+    ("stored", "differ", "whole"),
+    [
+        ({"mode1": 0x64201 | 99}, {"mode1": 0}, True),  # a mode to come, where `arm` is by default
+        ({"mode1": 99, "mode2": 99, "mode3": 99, "mode4": 99}, dict.fromkeys(MODES[:4], 0), True),
+        ({"mode9": 77 | 5 << 12 | 30 << 18}, {}, True),
+        (
+            {"mode1": ModeRange(Mode.ARM, 5, 1300, 1700).packed | 1 << 26},
+            {"mode1": 0},
+            False,
+        ),  # a kind
+        ({"mode2": 13 << 8 | Mode.PID}, {"mode2": 0}, False),  # an AUX channel to come
+        ({"mode1": 0}, {"mode1": 0}, True),
+        ({"map_aux1": 9}, {}, False),
+        ({"map_aux1": 7}, {}, False),  # and AUX 4 there as well
+        ({"motor2_output": 3}, {}, False),
+        ({"gyro_alignment": 7}, {}, False),
+        ({"board_yaw_deg": math.nan}, {}, False),
+        ({"policy_trial": 2}, {}, False),
+        ({"failsafe_delay_ms": 250}, {}, False),  # as older versions took it
+        ({"roll_max": 1998.0, "deadband_us": 3}, {"deadband_us": 3}, False),
+        ({"to_come": 77, "deadband_us": 3}, {"deadband_us": 3}, True),
+        ({"craft_name": b"\x80"}, {}, False),
+    ],
+)
+def test_what_this_version_does_not_take_is_told_and_arms_on_no_other_switch(
+    store: Callable[[], Store], stored: dict[str, Any], differ: dict[str, float], whole: bool
+) -> None:
+    s = store()
+    s.chip.fill(FLASH_SETTINGS[0].address, as_set(stored, 3))
+    assert s.load() == (True, differ)
+    assert s.loaded == (s.core.lib.SETTINGS_AS_STORED if whole else s.core.lib.SETTINGS_MENDED)
+    made = s.core.new("struct nf_settings *")
+    s.core.lib.settings_load(made, s.chip.flash)
+    assert s.core.lib.settings_save(made, s.chip.flash) == Refusal.NONE
+    s.load()
+    assert s.loaded == s.core.lib.SETTINGS_AS_STORED, "once saved it is what the pilot has seen"
 
 
 def test_old_values_are_kept_when_the_firmware_has_more_settings(store: Callable[[], Store]) -> None:
