@@ -37,8 +37,8 @@ HAL_MUTANTS = (
     Mutant(
         name="an image is started on a stack below memory",
         file=BOOT,
-        old="head->stack > (uint32_t)dtcm_start",
-        new="head->stack > 0u",
+        old="board) && head->stack > (uint32_t)dtcm_start",
+        new="board) && head->stack > 0u",
         tests=(OF_BOOT,),
     ),
     Mutant(
@@ -51,8 +51,8 @@ HAL_MUTANTS = (
     Mutant(
         name="an image is started in another set of instructions",
         file=BOOT,
-        old=" && head->reset % 2u == 1u",
-        new="",
+        old="FLASH_BANK_A_SIZE && head->reset % 2u == 1u",
+        new="FLASH_BANK_A_SIZE",
         tests=(OF_BOOT,),
     ),
     Mutant(

@@ -406,8 +406,8 @@ JOINED_MUTANTS = (
     Mutant(
         name="a load of 101 % is none",
         file=BACKGROUND,
-        old="background_percent(background, stats->recent) > 100",
-        new="background_percent(background, stats->recent) > 200",
+        old="background_percent(background, stats->recent + more) > 100",
+        new="background_percent(background, stats->recent + more) > 200",
         tests=(OF_BOARD,),
     ),
     Mutant(
