@@ -177,7 +177,7 @@ def test_half_a_request_is_forgotten_when_its_sender_pauses_but_not_while_answer
     assert len(Decoder().feed(told)) == 400
 
 
-@pytest.mark.parametrize("before", range(len(STATUS)))
+@pytest.mark.parametrize("before", [0, 1, 3])
 def test_a_pause_is_none_while_bytes_from_before_it_still_wait(
     idle: IdleBoard, line: Callable[[str], UartLine], before: int
 ) -> None:

@@ -249,8 +249,8 @@ MODEL = ModelConstants(
 def test_a_blob_without_a_model_is_refused_when_one_term_comes_from_it(check: Check, block: str) -> None:
     terms = contract.observation_blocks(f"throttle,{block}")
     count = contract.observation_count(terms, 4)
-    shape = {"selftest_observation": np.zeros((4, count), np.float32)}
-    data = pack(replace(BLOB, terms=blob_terms(terms, 1000), model=MODEL, **shape))
+    tried = np.zeros((4, count), np.float32)
+    data = pack(replace(BLOB, terms=blob_terms(terms, 1000), model=MODEL, selftest_observation=tried))
     assert check(data, observation_count=count) == SUCCESS
     begin = at("model_delay")
     without = sealed(data[:begin] + bytes(4) + data[begin + 4 :])

@@ -112,8 +112,8 @@ __attribute__((cold)) void motors_run(uint32_t protocol, size_t count)
 	HAL_ASSERT(protocol < sizeof bits_a_second / sizeof bits_a_second[0] && count <= BOARD_MOTOR_COUNT);
 	uint32_t used = 0;
 
-	bits_hz = bits_a_second[protocol];
 	for (; used < BANK_COUNT && banks[used].first < count; ++used) {
+		bits_hz = bits_a_second[protocol];
 		const uint32_t ticks = banks[used].clock_hz / bits_hz;
 
 		pulses[used].zero = ticks * 3u / 8u;
