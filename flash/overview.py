@@ -17,6 +17,7 @@ class Flight:
     """What only this project's firmware tells."""
 
     state: str
+    airborne: bool | None  # it has taken off since it was armed; None: the firmware does not tell
     flies: str  # "policy" or "PID": who flies, or would if armed now
     stop_cause: str  # why the motors stopped last
     fallback_cause: str  # why the PID took over last
@@ -83,6 +84,7 @@ def _flight(client: Client, safety: records.Safety) -> Flight:
     policy = messages.policy_info(client.request(Msp.POLICY_INFO))
     return Flight(
         state=safety.state.name,
+        airborne=safety.airborne,
         flies="PID" if safety.pid_flies else "policy",
         stop_cause=safety.stop_cause.name,
         fallback_cause=safety.fallback_cause.name,

@@ -32,6 +32,7 @@ class Safety:
     refused_cause: FallbackCause  # why the policy must not fly until it is acknowledged; NONE: it may
     gyro_identity: int | None  # WHO_AM_I of its chip; None: no chip was read, or the firmware tells none
     brown_out_level: int | None  # of the supply's detector, 0: it is off; None: the firmware tells none
+    airborne: bool | None  # it has taken off since it was armed; None: the firmware does not tell
 
     @property
     def gyro_known(self) -> bool:
@@ -115,8 +116,8 @@ def safety(payload: bytes) -> Safety:
     fallback, health = reader.one_of(FallbackCause), reader.one_of(GyroHealth)
     reasons, policy_good, pid_built_in, pid_flies, percent, centidegrees, idle = reader.fields("I3?Bhf")
     refused = reader.one_of(FallbackCause)
-    later = iter((*payload[reader.at :], 0, 0))  # a firmware of before tells none of these
-    identity, brown_out = next(later), next(later)
+    later = payload[reader.at :]  # a firmware of before tells none of these
+    identity, brown_out = (*later, 0, 0)[:2]
     return Safety(
         state=state,
         stop_cause=stop,
@@ -132,6 +133,7 @@ def safety(payload: bytes) -> Safety:
         refused_cause=refused,
         gyro_identity=identity or None,
         brown_out_level=brown_out - 1 if brown_out else None,
+        airborne=bool(later[2]) if len(later) > 2 else None,
     )
 
 

@@ -144,6 +144,8 @@ def _state(told: Overview, room: int, width: int) -> Table:
     state = Text.assemble((f" {words(name)} ", style), no_wrap=True, overflow="ellipsis")
     rows: list[tuple[str, Text | str]] = [("state", state)]
     if flight is not None:
+        if told.armed and flight.airborne is not None:
+            state.append(" in the air," if flight.airborne else " on the ground,")
         state.append(f" {flight.flies} flies" if told.armed else f" {flight.flies} would fly")
         policy = f"{flight.policy}, {'good' if flight.policy_good else 'BAD'}"
         if flight.refused_cause != "NONE":

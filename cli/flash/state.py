@@ -105,6 +105,8 @@ def _status_rows(told: Overview) -> list[tuple[str, str]]:
     flight, battery, attitude = told.flight, told.battery, told.attitude
     rows = [("armed", "yes" if told.armed else "no")]
     if flight is not None:
+        if told.armed and flight.airborne is not None:
+            rows[0] = ("armed", "yes, in the air" if flight.airborne else "yes, on the ground")
         rows.insert(0, ("state", words(flight.state)))
         rows += [
             ("flies", flight.flies),

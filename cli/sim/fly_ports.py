@@ -69,7 +69,8 @@ def _open_firmware(args: argparse.Namespace, aircraft: Aircraft, log: FlightLog 
 
     if args.on == "betaflight":
         return _open_betaflight(args, aircraft)
-    settings = {**twin_settings(aircraft), **dict(parse_change(text) for text in args.set)}
+    settings = {**twin_settings(aircraft), "ground_detection": int(args.ground)}
+    settings |= dict(parse_change(text) for text in args.set)
     for name, option in BY_OPTION.items():
         if name in settings:
             raise NeuroflightError(f"--set {name}: has an option of its own; use {option}")

@@ -90,6 +90,7 @@ static void firmware_forget(struct firmware *fw)
 {
 	if (fw->rested)
 		return;
+	takeoff_reset(&fw->takeoff);
 	turning_reset(&fw->turning);
 	plausibility_reset(&fw->plausibility);
 	crash_reset(&fw->crash);
@@ -133,6 +134,7 @@ static void firmware_report(struct firmware *fw)
 	if (fw->gyro.last.temperature != 0)
 		status->temperature_deg_c = gyro_temperature_c(&fw->gyro, fw->gyro_chip);
 	status->attitude_known = attitude_known(&fw->attitude);
+	status->airborne = fw->takeoff.airborne;
 }
 
 /* The output that each motor's ESC is wired to; the settings' rules make them a permutation. */
@@ -190,6 +192,7 @@ enum nf_err firmware_init(struct firmware *fw, const struct firmware_config *con
 	rates_init(&fw->rates, settings);
 	chirp_init(&fw->chirp, settings, POLICY_CONTROL_RATE_HZ);
 	safety_init(&fw->safety, settings, POLICY_CONTROL_RATE_HZ);
+	takeoff_init(&fw->takeoff, settings, POLICY_CONTROL_RATE_HZ);
 	turning_init(&fw->turning, POLICY_CONTROL_RATE_HZ);
 	plausibility_init(&fw->plausibility, POLICY_CONTROL_RATE_HZ);
 	crash_init(&fw->crash, settings, POLICY_CONTROL_RATE_HZ);
@@ -328,11 +331,16 @@ static uint32_t firmware_fly(struct firmware *fw, float output[POLICY_ACTION_COU
 		[CRASH_RUNAWAY] = SAFETY_RUNAWAY,
 	};
 	const struct control_trace *trace = &fw->status.trace;
+
+	if (!fw->takeoff.airborne)
+		takeoff_step(&fw->takeoff, trace->gyro, trace->throttle);
+	const bool airborne = fw->takeoff.airborne;
 	const struct control_input input = {
 		.setpoint = trace->setpoint,
 		.rate = trace->gyro,
 		.throttle = trace->throttle,
 		.pid_wanted = fw->pid_wanted,
+		.standing = !airborne,
 	};
 
 	if (!control_step(&fw->control, &input, output))
@@ -343,7 +351,8 @@ static uint32_t firmware_fly(struct firmware *fw, float output[POLICY_ACTION_COU
 		.rate = trace->gyro,
 		.turning = &fw->turning,
 		.spread = control_spread(&fw->control),
-		.thrust = trace->throttle > THROTTLE_LOW,
+		.airborne = airborne,
+		.thrust = airborne && trace->throttle > THROTTLE_LOW,
 	};
 	float demand[3];
 	const struct plausibility_input outputs = {

@@ -24,6 +24,7 @@
 #include "safety/crash.h"
 #include "safety/plausibility.h"
 #include "safety/safety.h"
+#include "safety/takeoff.h"
 #include "safety/turning.h"
 #include "sensing/attitude.h"
 #include "sensing/filters.h"
@@ -65,6 +66,7 @@ struct firmware {
 	struct receiver receiver;
 	struct rates rates;
 	struct safety safety;
+	struct takeoff takeoff;
 	struct turning turning;
 	struct plausibility plausibility;
 	struct crash crash;
@@ -83,7 +85,7 @@ struct firmware {
 	uint32_t grace_left;            /* gyro samples until arming is allowed */
 	float level_cosine;             /* of the largest tilt that arms; below -1: any, known or not */
 	float failsafe_throttle;        /* 0..1 */
-	bool rested;                    /* turning, plausibility and crash know nothing of a flight */
+	bool rested;                    /* take-off, turning, plausibility and crash know nothing of a flight */
 	bool doubts;                    /* the policy's outputs must be plausible */
 	bool trial;                     /* the policy flies only while the switch of its trial is held */
 	bool pid_wanted;                /* by the switches, as last heard */

@@ -151,11 +151,12 @@ def flight_settings(settings: Mapping[str, float] | None) -> dict[str, float]:
     for arming than the firmware itself needs.
 
     Simulated ESCs play no start-up tune, which is what a board waits for. In another style than scenarios'
-    rates are those that are given, or the style's defaults.
+    rates are those that are given, or the style's defaults. And unless it is given, nothing is below: the
+    aircraft is in the air when it is armed, as the training's are. With ground, give ground_detection=1.
     """
     given = dict(settings or {})
     rates = {} if given.get("rates_style", 0) else FLIGHT_RATES
-    return {"arming_delay_ms": BOOT_GRACE_MS, **rates, **given}
+    return {"arming_delay_ms": BOOT_GRACE_MS, "ground_detection": 0, **rates, **given}
 
 
 def setting_changes(settings: Mapping[str, float]) -> tuple[str, ...]:

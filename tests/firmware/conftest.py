@@ -42,6 +42,7 @@ HEADERS = (
     "firmware.h",
     "safety/safety.h",
     "safety/crash.h",
+    "safety/takeoff.h",
     "control/pid.h",
     "control/control.h",
     "housekeeping/scheduler.h",

@@ -56,7 +56,7 @@ POLICY = (
 BATTERY = b"\x04" + b"\x14\x05" + b"\xa8" + b"\x7b\x00" + b"\x85\xff" + b"\x01" + b"\x8e\x06"
 SAFETY = (
     b"\x06" + b"\x07" + b"\x03" + b"\x02" + b"\x40\x04\x00\x00" + b"\x01\x01\x00" + b"\x57" + b"\x2e\xfb"
-    + b"\x00\x00\x00\x3e" + b"\x02" + b"\x12\x01"
+    + b"\x00\x00\x00\x3e" + b"\x02" + b"\x12\x01" + b"\x01"
 )  # fmt: skip
 TASKS = struct.pack("<IB", 216_000_000, 2) + struct.pack("<H5I", 3000, 9, 0, 500, 300, 400) + struct.pack(
     "<H5I", 1000, 3, 1, 16000, 15000, 15500
@@ -169,6 +169,7 @@ def test_every_command_has_a_decoder_when_the_contract_names_it() -> None:
                 refused_cause=FallbackCause.POLICY_OUTPUT,
                 gyro_identity=0x12,
                 brown_out_level=0,
+                airborne=True,
             ),
         ),
         (

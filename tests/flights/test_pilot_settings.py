@@ -72,7 +72,7 @@ def built(reference_library: Path) -> Built:
         noise: bool = True,
         ground: bool = False,
     ) -> tuple[Trace, records.Safety]:
-        port = ReferencePort(reference_library, GYRO_RATE_HZ, settings)
+        port = ReferencePort(reference_library, GYRO_RATE_HZ, {"ground_detection": int(ground), **settings})
         rng = np.random.default_rng((1, 1))
         twin = Twin(aircraft, rate_hz=GYRO_RATE_HZ, mount=scenario.mount, noise=noise, ground=ground, rng=rng)
         with closing(port), closing(twin):

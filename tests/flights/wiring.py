@@ -44,6 +44,25 @@ def board_axes(angles_deg: Sequence[float]) -> NDArray[np.float64]:
     return turned
 
 
+def drifting(port: Port, drift_deg_s: Sequence[float]) -> Port:
+    """The port, its gyro so far off from the moment on at which the aircraft is armed."""
+    seen = Sample(0.0, np.zeros(3), np.eye(3), *np.zeros((3, 3)))
+    drift, exchange = np.radians(drift_deg_s), port.exchange
+    armed = False
+
+    def drifted(sample: Sample, channels_us: Sequence[int] | None) -> Reply:
+        nonlocal armed
+        seen.time_s = sample.time_s
+        seen.gyro[:] = sample.gyro + drift * armed
+        seen.specific_force[:] = sample.specific_force
+        reply = exchange(seen, channels_us)
+        armed = reply.armed
+        return reply
+
+    port.exchange = drifted  # type: ignore[method-assign]
+    return port
+
+
 def on_turned_board(port: Port, angles_deg: Sequence[float]) -> Port:
     """The port, what its gyro chip sits on turned in the aircraft; its settings need not say the same."""
     to_board = board_axes(angles_deg).T

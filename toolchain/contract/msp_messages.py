@@ -250,6 +250,7 @@ _OWN = (
         number("u8", "refused_cause", "", "a fallback cause: why the policy must not fly"),
         number("u8", "gyro_identity", "", "WHO_AM_I of the gyro chip, known or not; 0: nothing was read"),
         number("u8", "brown_out", "", "the detector's level + 1, 1: it is off; 0: not told"),
+        number("u8", "airborne", "", "1: it has taken off since it was armed"),
         required=12,
     ),
     reply(

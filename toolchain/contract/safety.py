@@ -33,6 +33,15 @@ LOAD_CALM_MS = 1000  # no arming before all gyro samples have kept within their 
 TURNING_DEG_S2 = 250.0
 TURNING_NEAR_HZ, TURNING_FAR_HZ = 32.0, 16.0
 TURNING_LIMIT_DEG_S = 150.0  # as fast as this the asked way, but not turning faster: the axis is at its limit
+# Take-off: until one of these holds after arming, the aircraft is taken to stand on the ground. Integrals
+# stay at zero, for there they only wind up, and an axis that does not turn is neither a policy's fault nor a
+# crash. The throttle was above this for so long without a break: the NF1 hovers at 0.23 to 0.25, a blip ends
+# sooner.
+TAKEOFF_THROTTLE, TAKEOFF_MS = 0.2, 250
+# Or an axis has turned by so much lately: an aircraft that rocks on its battery does not, one that is thrown
+# or tips over does. Turns are forgotten with this time constant: a gyro that is 3 deg/s off makes 3 deg of
+# them.
+TAKEOFF_TURN_DEG, TAKEOFF_FORGETS_MS = 30.0, 1000
 # Implausible outputs (tests/flights/test_plausibility.py). In 1,000 pulses, 200 aircraft drawn at random,
 # roll, flip and Split-S a sound policy leaves a large error unanswered for 2 ms, and the error swings five
 # times in a row. Unwinding an integral after a stick that asks for more than an aircraft has takes 45 ms, or
@@ -52,7 +61,7 @@ CRASH_SPREAD = 0.5  # of the controller's answer, before the throttle
 CRASH_MS = 250
 # A runaway, as of a motor or propeller in the wrong place: for so long an axis is as far off, turns away from
 # what was asked for, and faster at the end. A pilot who turns round sees the rate fall within 30 ms.
-RUNAWAY_WINDOW_MS = 1000  # after the throttle was raised for the first time, and before
+RUNAWAY_WINDOW_MS = 1000  # after take-off, from the first raised throttle on, and before
 RUNAWAY_MS = 50
 HANDOVER_MS = 50  # in which a change of controller passes from the old outputs to the new
 

@@ -280,4 +280,5 @@ SETTINGS = (
     _choice("runaway_detection", "on", _SWITCH, "the same right after arming"),
     _choice("plausibility_detection", "on", _SWITCH, "the PID takes over from a policy that steers wrongly"),
     _choice("policy_trial", "off", _SWITCH, "the policy flies only while the mode TRIAL is on"),
+    _choice("ground_detection", "on", _SWITCH, "off: in the air as soon as it is armed, as on a rig"),
 )

@@ -49,6 +49,7 @@ struct firmware_status {
 	uint8_t gyro_health;                   /* enum nf_gyro_health */
 	uint8_t receiver_quality;              /* % */
 	bool attitude_known;
+	bool airborne;                         /* it has taken off since it was armed */
 	float attitude_deg[3];                 /* roll, pitch, yaw as attitude_euler_deg tells; 0 until known */
 	float accel_g[3];                      /* body axes */
 	float temperature_deg_c;               /* of the gyro */

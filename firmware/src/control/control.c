@@ -123,15 +123,18 @@ static bool control_within_range(const float action[POLICY_ACTION_COUNT])
 /* Steps the controller that flies. Returns whether its output may be flown. */
 static bool control_answer(struct control *control, const struct control_input *input)
 {
+	/* On the ground nothing moves by what the motors did: a policy that sees its own answers then adds to them. */
+	static const float none[POLICY_ACTION_COUNT];
 	const struct observation_input seen = {
 		.rate = input->rate,
 		.setpoint = input->setpoint,
-		.previous_action = control->action,
+		.previous_action = input->standing ? none : control->action,
 		.throttle = input->throttle,
-		.previous_motors = control->motors,
+		.previous_motors = input->standing ? none : control->motors,
 		.rotor_estimate = control->estimator.rotor,
 		.rate_estimate = control->estimator.rate,
 		.rate_estimate_error = control->estimator.error,
+		.standing = input->standing,
 	};
 
 	if (control->flying == CONTROLLER_PID) {
@@ -187,6 +190,7 @@ static bool control_fly(struct control *control, const struct control_input *inp
 	const enum controller chosen = control_choose(control, input->pid_wanted);
 
 	control->fresh = false;
+	control->pid.standing = input->standing;
 	if (chosen != before) {
 		control_begin(control, chosen);
 		if (!control->latched)

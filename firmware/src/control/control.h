@@ -35,6 +35,8 @@ struct control_input {
 	const float *rate;             /* [3] rad/s, body */
 	float throttle;                /* 0..1 */
 	bool pid_wanted;               /* the pilot's switch */
+	bool standing;                 /* on the ground: integrals do not grow, and the policy does not see what it
+					* has answered */
 };
 
 struct control {

@@ -84,10 +84,12 @@ void observation_reset(struct observation *o)
 
 static void observation_update(struct observation *o, const struct observation_input *input)
 {
+	const float gathers_s = input->standing ? 0.0f : o->period_s;
+
 	for (int i = 0; i < 3; ++i) {
 		const float error = input->setpoint[i] - input->rate[i];
 		o->delta[i] = o->first ? 0.0f : error - o->error[i];
-		o->integral[i] = limit(o->integral[i] + error * o->period_s, -NF_RATE_ERROR_INTEGRAL_LIMIT_RAD,
+		o->integral[i] = limit(o->integral[i] + error * gathers_s, -NF_RATE_ERROR_INTEGRAL_LIMIT_RAD,
 				       NF_RATE_ERROR_INTEGRAL_LIMIT_RAD);
 		o->error[i] = error;
 	}

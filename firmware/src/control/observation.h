@@ -22,6 +22,7 @@ struct observation_input {
 	const float *rotor_estimate; /* [motor_count] rad/s */
 	const float *rate_estimate; /* [3] rad/s */
 	const float *rate_estimate_error; /* [3] rad/s */
+	bool standing; /* on the ground: the integral does not grow */
 };
 
 /* The terms in the policy's order, `count` of each. */

@@ -56,7 +56,8 @@ static float pid_axis_step(struct pid *pid, int i, float setpoint, float rate, f
 
 	pid->slope[i] += g->smoothing * (slope - pid->slope[i]);
 	pid->rate[i] = rate;
-	pid->integral[i] = limit(pid->integral[i] + error * g->period_s, -pid->integral_max[i], pid->integral_max[i]);
+	const float gathered = pid->standing ? 0.0f : error * g->period_s;
+	pid->integral[i] = limit(pid->integral[i] + gathered, -pid->integral_max[i], pid->integral_max[i]);
 	return pid->p[i] * error + pid->i[i] * pid->integral[i] - attenuation * pid->d[i] * pid->slope[i];
 }
 

@@ -37,6 +37,7 @@ struct pid {
 	float p[3], i[3], d[3];    /* the gains times the pilot's factors */
 	float integral_max[3];     /* rad; 0 where there is no I */
 	float compensation;        /* of the pack's voltage, 1 to NF_PID_COMPENSATION_MAX: as pid_compensation says */
+	bool standing;             /* on the ground: the integral does not grow */
 	bool first;                /* no step since the reset: there is no derivative yet */
 	float integral[3];         /* rad */
 	float rate[3];             /* rad/s, of the last step */
@@ -46,7 +47,7 @@ struct pid {
 /* `gains` must outlive the PID; `settings`: within their limits, its factors are copied. */
 void pid_init(struct pid *pid, const struct pid_gains *gains, const struct nf_settings *settings);
 
-/* Forgets the past; the battery's voltage stays. */
+/* Forgets the past; the battery's voltage stays, and the ground. */
 void pid_reset(struct pid *pid);
 
 /* The compensation for the pack's voltage, filtered [V]; 0 or NaN where it is not known: none.

@@ -388,6 +388,7 @@ static void reply_safety(struct msp_writer *w, const struct msp_facts *s)
 	msp_put_u8(w, status->refused_cause);
 	msp_put_u8(w, status->gyro_identity);
 	msp_put_u8(w, status->brown_out);
+	msp_put_u8(w, status->airborne);
 }
 
 static const struct command {

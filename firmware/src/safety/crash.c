@@ -72,7 +72,7 @@ static bool crash_runs_away(struct crash *crash, const struct crash_input *input
 /* Does the controller act on the large error of `axis` in vain? */
 static bool crash_helpless(const struct crash_input *input, int axis, float error)
 {
-	return input->spread >= NF_CRASH_SPREAD && !turning_towards(input->turning, axis, error) &&
+	return input->airborne && input->spread >= NF_CRASH_SPREAD && !turning_towards(input->turning, axis, error) &&
 	       !turning_at_limit(input->rate[axis], error);
 }
 

@@ -10,14 +10,14 @@
 
 enum crash_verdict {
 	CRASH_NONE,
-	CRASH_HAPPENED, /* large error for NF_CRASH_MS that does not fall although the controller acts */
-	CRASH_RUNAWAY,  /* error that grows for NF_RUNAWAY_MS, until just after the throttle was first raised */
+	CRASH_HAPPENED, /* in the air: large error for NF_CRASH_MS that does not fall although the controller acts */
+	CRASH_RUNAWAY,  /* error that grows for NF_RUNAWAY_MS, until just after take-off */
 };
 
 /* All times in control steps; 0 as a limit: never. */
 struct crash {
 	uint32_t crash_after, runaway_after, window;
-	uint32_t flown;    /* since the throttle was first raised, at most window */
+	uint32_t flown;    /* since the throttle was first raised in the air, at most window */
 	uint32_t helpless; /* consecutive steps with a large error that does not fall although the controller acts */
 	uint32_t away;     /* consecutive steps in which the error grows */
 	int axis;          /* which one */
@@ -39,7 +39,8 @@ struct crash_input {
 	const float *setpoint, *rate;  /* [3] rad/s, body */
 	const struct turning *turning; /* after this control step */
 	float spread; /* between the largest and the smallest motor fraction of the controller's answer */
-	bool thrust; /* the throttle is raised */
+	bool airborne; /* it has taken off */
+	bool thrust; /* and the throttle is raised */
 };
 
 /* One control step. The axis with the largest error counts; an error is large above NF_CRASH_ERROR_DEG_S. An axis that turns

@@ -32,7 +32,10 @@ CYCLE_MS = 30  # in which two frames tell the arm switch
 
 @pytest.fixture
 def doubted(bench: Make, scripted: Any) -> Make:
-    """Makes benches whose PID answers roll errors a little, armed; the scripted policy answers rightly."""
+    """Makes benches whose PID answers roll errors a little, armed; the scripted policy answers rightly.
+
+    They are in the air as soon as they are armed, unless a test wants it otherwise.
+    """
 
     def make(p: float = 0.005, **settings: float) -> Any:
         scripted.lib.scripted_action = RIGHT
@@ -40,7 +43,7 @@ def doubted(bench: Make, scripted: Any) -> Make:
         pid.motor_count, pid.period_s, pid.smoothing = 4, 1e-3, 1.0
         pid.p = [p, 0.0, 0.0]
         pid.mixer = [[1.0, 0.0, 0.0]] * 2 + [[-1.0, 0.0, 0.0]] * 2
-        b = bench(1000, pid=pid, level_limit_deg=0, **settings)
+        b = bench(1000, pid=pid, **{"level_limit_deg": 0, "ground_detection": 0, **settings})
         b.arm()
         return b
 

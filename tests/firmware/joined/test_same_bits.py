@@ -193,7 +193,7 @@ class BoardObservation:
             bytes(term.age for term in terms),
             np.array([term.gain(1000) for term in terms], "<f4").tobytes(),
         )
-        self._self, self._input = core.allocate(OBSERVATION_BYTES), core.allocate(16)
+        self._self, self._input = core.allocate(OBSERVATION_BYTES), core.allocate(36)
         self._values, self._out = core.allocate(4 * 10), core.allocate(4 * 64)
         # struct observation up to its period: three lists of terms (held.h), their count, motors, seconds.
         head = b"".join(self._kept(data).to_bytes(8, "little") for data in lists)

@@ -396,6 +396,7 @@ def test_safety_tells_state_and_causes_when_asked(server: Callable[..., Server])
         refused_cause=FallbackCause.POLICY_OUTPUT,
         gyro_identity=0x12,
         brown_out=4,
+        airborne=True,
     )
     assert records.safety(s.ask(Msp.SAFETY)) == records.Safety(
         state=FlightState.CRASHED,
@@ -412,6 +413,7 @@ def test_safety_tells_state_and_causes_when_asked(server: Callable[..., Server])
         refused_cause=FallbackCause.POLICY_OUTPUT,
         gyro_identity=0x12,
         brown_out_level=3,
+        airborne=True,
     )
 
 

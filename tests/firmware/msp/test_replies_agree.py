@@ -80,6 +80,7 @@ def states(ground: Ground) -> Iterator[tuple[Any, np.random.Generator]]:
         status.channels_us = rng.integers(0, 2**16, CHANNEL_COUNT).tolist()
         status.arming_reasons = int(rng.integers(2**contract.ARMING_REASON_COUNT))
         status.attitude_known = bool(rng.integers(2))
+        status.airborne = bool(rng.integers(2))
         status.attitude_deg = [number(rng, -180, 180) for _ in range(3)]
         status.accel_g = [number(rng, -16, 16) for _ in range(3)]
         status.temperature_deg_c = number(rng, -40, 125)
@@ -128,7 +129,7 @@ def test_safety_is_told_as_it_is(ground: Ground) -> None:
         told: records.Safety = ask(ground, Msp.SAFETY)
         for name in ("state", "stop_cause", "fallback_cause", "refused_cause", "gyro_health"):
             assert getattr(told, name) == getattr(status, name)
-        for name in ("policy_good", "pid_built_in", "pid_flies"):
+        for name in ("policy_good", "pid_built_in", "pid_flies", "airborne"):
             assert getattr(told, name) is bool(getattr(status, name))
         assert told.arming_flags == status.arming_reasons
         assert told.receiver_percent == status.receiver_quality

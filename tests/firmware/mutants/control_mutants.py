@@ -9,11 +9,40 @@ OBSERVATION, COMMAND, BENCH = "control/observation.c", "motors/dshot_command.c",
 OF_CONTROL, OF_PID, OF_MIXER = "control/test_control.py", "control/test_pid.py", "control/test_mixer.py"
 OF_OBSERVATION, OF_DSHOT = "control/test_observation.py", "motors/test_dshot.py"
 OF_COMMAND, OF_BENCH = "motors/test_dshot_command.py", "motors/test_motor_test.py"
-OF_ORDER = "joined/test_motor_order.py"
+OF_ORDER, OF_TAKEOFF = "joined/test_motor_order.py", "joined/test_takeoff.py"
 
 CHIRP, OF_CHIRP = "control/chirp.c", "control/test_chirp.py"
 
 CONTROL_MUTANTS = (
+    Mutant(
+        name="the PID's integral winds up on the ground",
+        file=PID,
+        old="pid->standing ? 0.0f : error",
+        new="pid->standing ? error * g->period_s : error",
+        tests=(OF_TAKEOFF,),
+        slow=False,
+    ),
+    Mutant(
+        name="the observed integral winds up on the ground",
+        file=OBSERVATION,
+        old="input->standing ? 0.0f : o->period_s",
+        new="o->period_s",
+        tests=(OF_TAKEOFF,),
+    ),
+    Mutant(
+        name="a policy on the ground adds to its own answers",
+        file=CONTROL,
+        old="input->standing ? none : control->action",
+        new="control->action",
+        tests=(OF_TAKEOFF,),
+    ),
+    Mutant(
+        name="a policy on the ground adds to its own motors",
+        file=CONTROL,
+        old="input->standing ? none : control->motors",
+        new="control->motors",
+        tests=(OF_TAKEOFF,),
+    ),
     Mutant(
         name="every sweep excites the same axis",
         file=CHIRP,
@@ -181,8 +210,8 @@ CONTROL_MUTANTS = (
     Mutant(
         name="the observed integral has no lower end",
         file=OBSERVATION,
-        old="error * o->period_s, -NF_RATE_ERROR_INTEGRAL_LIMIT_RAD,",
-        new="error * o->period_s, -10.0f * NF_RATE_ERROR_INTEGRAL_LIMIT_RAD,",
+        old="error * gathers_s, -NF_RATE_ERROR_INTEGRAL_LIMIT_RAD,",
+        new="error * gathers_s, -10.0f * NF_RATE_ERROR_INTEGRAL_LIMIT_RAD,",
         tests=(OF_OBSERVATION,),
     ),
     Mutant(
@@ -266,8 +295,8 @@ CONTROL_MUTANTS = (
     Mutant(
         name="the PID's integral has no end",
         file=PID,
-        old="error * g->period_s, -pid->integral_max[i], pid->integral_max[i]);",
-        new="error * g->period_s, -pid->integral_max[i], 10.0f * pid->integral_max[i]);",
+        old="gathered, -pid->integral_max[i], pid->integral_max[i]);",
+        new="gathered, -pid->integral_max[i], 10.0f * pid->integral_max[i]);",
         tests=(OF_PID,),
     ),
     Mutant(

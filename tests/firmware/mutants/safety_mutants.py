@@ -8,6 +8,11 @@ CRASH, TURNING, PLAUSIBILITY = "safety/crash.c", "safety/turning.c", "safety/pla
 SAFETY, BATTERY, SCHEDULER = "safety/safety.c", "housekeeping/battery.c", "housekeeping/scheduler.c"
 ALERT = "housekeeping/alert.c"
 OF_CRASH, OF_PLAUSIBILITY = "safety/test_crash.py", "safety/test_plausibility.py"
+TAKEOFF, OF_TAKEOFF, OF_JOINED_TAKEOFF = (
+    "safety/takeoff.c",
+    "safety/test_takeoff.py",
+    "joined/test_takeoff.py",
+)
 OF_SAFETY, OF_BATTERY = "safety/test_safety.py", "housekeeping/test_battery.py"
 OF_ALERT, OF_SCHEDULER = "housekeeping/test_alert.py", "housekeeping/test_scheduler.py"
 
@@ -48,11 +53,67 @@ SAFETY_MUTANTS = (
         tests=(OF_CRASH,),
     ),
     Mutant(
+        name="an aircraft that stands on the ground has crashed",
+        file=CRASH,
+        old="return input->airborne && input->spread",
+        new="return input->spread",
+        tests=(OF_CRASH, OF_JOINED_TAKEOFF),
+    ),
+    Mutant(
+        name="a moment of throttle is a take-off",
+        file=TAKEOFF,
+        old="takeoff->raised + 1u : 0u;",
+        new="takeoff->raised + 1u : takeoff->raised;",
+        tests=(OF_TAKEOFF,),
+    ),
+    Mutant(
+        name="an aircraft that turns over on the ground has not moved",
+        file=TAKEOFF,
+        old="turned > TURN || turned < -TURN",
+        new="turned > TURN",
+        tests=(OF_TAKEOFF,),
+    ),
+    Mutant(
+        name="the gyro's drift is a turn at last",
+        file=TAKEOFF,
+        old="takeoff->kept * (",
+        new="1.0f * (",
+        tests=(OF_TAKEOFF,),
+    ),
+    Mutant(
+        name="a take-off that was broken off counts in the next flight",
+        file=TAKEOFF,
+        old="\ttakeoff->raised = 0;\n",
+        new="",
+        tests=(OF_TAKEOFF,),
+    ),
+    Mutant(
+        name="who was airborne once is so in each flight",
+        file=TAKEOFF,
+        old="\ttakeoff->airborne = false;\n",
+        new="",
+        tests=(OF_TAKEOFF, OF_JOINED_TAKEOFF),
+    ),
+    Mutant(
+        name="the ground is looked for although it is told not to be",
+        file=TAKEOFF,
+        old="settings->ground_detection ? ",
+        new="settings->ground_detection + 1u ? ",
+        tests=(OF_TAKEOFF,),
+    ),
+    Mutant(
         name="the runaway window stands still while the throttle is closed again",
         file=CRASH,
         old="(input->thrust || crash->flown > 0) && ",
         new="input->thrust && ",
         tests=(OF_CRASH,),
+    ),
+    Mutant(
+        name="the runaway window begins with a little throttle on the ground",
+        file="firmware.c",
+        old=".thrust = airborne && trace->throttle > THROTTLE_LOW",
+        new=".thrust = trace->throttle > THROTTLE_LOW",
+        tests=(OF_JOINED_TAKEOFF,),
     ),
     Mutant(
         name="the runaway window begins with arming",

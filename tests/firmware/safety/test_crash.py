@@ -37,7 +37,7 @@ class Watch:
         settings.crash_detection, settings.runaway_detection = crash, runaway
         self._core, self._crash = core, core.new("struct crash *")
         self._turning = core.new("struct turning *")
-        self.thrust = True
+        self.airborne = self.thrust = True
         core.lib.crash_init(self._crash, settings, rate_hz)
         core.lib.crash_reset(self._crash)
         core.lib.turning_init(self._turning, rate_hz)
@@ -57,7 +57,7 @@ class Watch:
         setpoints[axis], rates[axis] = setpoint, rate
         asked, turned = (self._core.new("float[3]", values) for values in (setpoints, rates))
         self._core.lib.turning_step(self._turning, turned)
-        seen = (asked, turned, self._turning, spread, self.thrust)
+        seen = (asked, turned, self._turning, spread, self.airborne, self.thrust)
         return int(self._core.lib.crash_step(self._crash, self._core.new("struct crash_input *", seen)))
 
     def held(self, steps: int, error: float = OFF, spread: float = FULL, axis: int = 0) -> list[int]:
@@ -100,7 +100,7 @@ def test_a_runaway_is_seen_when_it_turns_away_ever_faster_just_after_arming(
     assert set(late.spun(growing, axis)) == {NONE}
 
 
-def test_the_runaway_window_begins_with_the_first_throttle(scripted: Any) -> None:
+def test_the_runaway_window_begins_with_the_first_throttle_in_the_air(scripted: Any) -> None:
     growing = np.linspace(OFF, 2 * OFF, RUNAWAY_MS).tolist()
     watch = Watch(scripted)
     watch.thrust = False
@@ -111,6 +111,14 @@ def test_the_runaway_window_begins_with_the_first_throttle(scripted: Any) -> Non
     watch.thrust = False
     watch.fly(RUNAWAY_WINDOW_MS // 2)
     assert set(watch.spun(growing)) == {NONE}, "and runs on when the throttle is closed again"
+
+
+def test_nothing_is_a_crash_on_the_ground(scripted: Any) -> None:
+    watch = Watch(scripted)
+    watch.airborne = watch.thrust = False
+    assert set(watch.held(20 * CRASH_MS)) == {NONE}
+    watch.airborne = watch.thrust = True
+    assert watch.held(CRASH_MS) == [NONE] * (CRASH_MS - 1) + [HAPPENED], "what was before does not count"
 
 
 def test_nothing_of_a_flight_counts_in_the_next(scripted: Any) -> None:

@@ -33,6 +33,7 @@ SAFE = Safety(
     refused_cause=FallbackCause.NONE,
     gyro_identity=None,
     brown_out_level=None,
+    airborne=False,
 )
 
 
