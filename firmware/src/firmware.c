@@ -106,6 +106,7 @@ static void firmware_update_safety(struct firmware *fw, uint32_t found)
 		.inputs = firmware_inputs(fw) | found,
 	};
 	if (safety_update(&fw->safety, conditions)) {
+		fw->gyro.rests = false;
 		control_reset(&fw->control);
 		firmware_forget(fw); /* where frames disarm and arm within one control step, nothing has rested */
 	}
@@ -404,8 +405,11 @@ static __attribute__((noinline)) void firmware_rest(struct firmware *fw)
 {
 	if (fw->edges.flags & LOG_EDGE_ACKNOWLEDGED)
 		control_acknowledge(&fw->control);
-	if (fw->edges.flags & LOG_EDGE_CALIBRATE)
+	if (fw->edges.flags & LOG_EDGE_CALIBRATE) {
 		fw->gyro.calibrated = false; /* the old bias stays until there is a new one */
+		fw->gyro.rests = false; /* its window begins now */
+	}
+	gyro_rest(&fw->gyro, !motor_test_forbids(&fw->motor_test) && !dshot_command_busy(&fw->dshot_command));
 	control_rest(&fw->control);
 	firmware_forget(fw);
 }

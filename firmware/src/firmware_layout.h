@@ -36,7 +36,8 @@
 	 LAYOUT_OF(62u, control.action) + LAYOUT_OF(63u, control.output) + LAYOUT_OF(64u, control.offset) +            \
 	 LAYOUT_OF(65u, control.handover_left) + LAYOUT_OF(66u, status.trace) + LAYOUT_OF(67u, status.channels_us) +   \
 	 LAYOUT_OF(68u, mean) + LAYOUT_OF(69u, control.estimator) + LAYOUT_OF(70u, control.estimator.speed) +          \
-	 LAYOUT_OF(71u, control.motors) + LAYOUT_OF(72u, takeoff) + LAYOUT_OF(73u, control.pid.standing))
+	 LAYOUT_OF(71u, control.motors) + LAYOUT_OF(72u, takeoff) + LAYOUT_OF(73u, gyro.rests) +                       \
+	 LAYOUT_OF(74u, control.pid.standing))
 
 /* Where its pointers lie (held.h), 8 bytes each: they mean nothing to anybody else. */
 #define FIRMWARE_HELD                                                                                                 \

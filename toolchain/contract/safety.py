@@ -10,6 +10,10 @@ ARMING_DELAY_MS = 3000  # as set by default; ESCs have played their start-up tun
 CALIBRATION_MS = 1000  # length of the still gyro average
 CALIBRATION_MOTION_DEG_S = 5.0  # a standard deviation above this is motion: start again
 CALIBRATION_BIAS_DEG_S = 20.0  # a mean above this is motion: start again
+# While the motors stand the bias follows each such average that is calmer than this and no further from it
+# than that: a hand does not hold an aircraft so still, nor turn it so slowly. By so much a second at most: a
+# chip that warms up drifts less, and ten seconds on a slow turntable spoil half a degree a second.
+CALIBRATION_CALM_DEG_S, CALIBRATION_DRIFT_DEG_S, CALIBRATION_STEP_DEG_S = 2.5, 3.0, 0.05
 # Without a good frame for so long the sticks are taken as centred, throttle kept; as set by default, and as
 # long as Betaflight flies the last sticks on.
 RECEIVER_HOLD_MS = 300

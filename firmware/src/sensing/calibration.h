@@ -19,7 +19,8 @@ void calibration_init(struct calibration *calibration, unsigned gyro_rate_hz);
 void calibration_restart(struct calibration *calibration);
 
 /* One sample [counts]. The window that it completes is discarded if spread or mean exceed the stillness limits on any
- * axis; else returns true, once, with the means [counts]. Either way a new window begins. */
-bool calibration_step(struct calibration *calibration, const int16_t counts[3], float mean[3]);
+ * axis; else returns true, once, with the means [counts]. Either way a new window begins. calm: the limit of the spread is
+ * NF_CALIBRATION_CALM_DEG_S, not NF_CALIBRATION_MOTION_DEG_S. */
+bool calibration_step(struct calibration *calibration, const int16_t counts[3], bool calm, float mean[3]);
 
 #endif

@@ -1,11 +1,14 @@
 #include "sensing/gyro.h"
 
+#include "common/limit.h"
 #include "common/nf_math.h"
 
 /* rad/s of one count: 2000 deg/s over 32768 counts, pi/180. One constant, one rounding. */
 #define RATE_PER_COUNT 1.0652644360316954e-3f
 _Static_assert(NF_GYRO_FULL_SCALE_DEG_S == 2000 && NF_GYRO_COUNTS == 32768, "RATE_PER_COUNT says otherwise");
 #define ACCELERATION_PER_COUNT (NF_GRAVITY * (float)NF_ACCEL_FULL_SCALE_G / (float)NF_ACCEL_COUNTS) /* m/s^2 */
+#define DRIFT (NF_CALIBRATION_DRIFT_DEG_S * NF_RAD_PER_DEG)
+#define STEP (NF_CALIBRATION_STEP_DEG_S * NF_RAD_PER_DEG)
 #define FULL_SWING (2.0f * (float)NF_GYRO_COUNTS) /* counts */
 
 /* Body axis i is chip axis `axis[i]` times `sign[i]`. Turned clockwise, the chip's x points to the right. */
@@ -59,6 +62,7 @@ enum nf_err gyro_init(struct gyro *gyro, unsigned gyro_rate_hz, enum board_align
 		return NF_ERR_ALIGNMENT;
 	*gyro = (struct gyro){
 		.alignment = alignment,
+		.rests = true,
 		.bad_after = gyro_rate_hz * NF_GYRO_BAD_MS / 1000u,
 		.saturated_after = gyro_rate_hz * NF_GYRO_SATURATED_MS / 1000u,
 		.stuck_after = gyro_rate_hz * stuck_ms / 1000u,
@@ -96,19 +100,46 @@ void gyro_board_init(struct gyro *gyro, float roll_deg, float pitch_deg, float y
 			gyro->turn[i][j] = turn[i][j];
 }
 
+/* Moves the bias towards the mean of a still window, unless an axis is so far away that it must be turning. */
+static void gyro_follow(struct gyro *gyro, const float found[3])
+{
+	float away[3];
+
+	for (int i = 0; i < 3; ++i) {
+		away[i] = found[i] - gyro->bias[i];
+		if (away[i] > DRIFT || away[i] < -DRIFT)
+			return;
+	}
+	for (int i = 0; i < 3; ++i)
+		gyro->bias[i] += limit(away[i], -STEP, STEP);
+}
+
 /* Never in flight: that path does without it. */
 static __attribute__((noinline)) void gyro_calibrate(struct gyro *gyro, const int16_t counts[3], bool good)
 {
-	float mean[3];
+	float mean[3], found[3];
 
 	if (!good)
 		calibration_restart(&gyro->calibration);
-	if (!good || !calibration_step(&gyro->calibration, counts, mean))
+	if (!good || !calibration_step(&gyro->calibration, counts, gyro->calibrated, mean))
 		return;
 	for (int i = 0; i < 3; ++i)
 		mean[i] *= RATE_PER_COUNT;
-	gyro_to_body(gyro, mean, gyro->bias);
+	gyro_to_body(gyro, mean, found);
+	if (gyro->calibrated) {
+		gyro_follow(gyro, found);
+		return;
+	}
+	for (int i = 0; i < 3; ++i)
+		gyro->bias[i] = found[i];
 	gyro->calibrated = true;
+}
+
+void gyro_rest(struct gyro *gyro, bool rests)
+{
+	if (rests && !gyro->rests)
+		calibration_restart(&gyro->calibration);
+	gyro->rests = rests;
 }
 
 /* Classifies a sample. The longer ago the last good one, the larger the allowed change. */
@@ -174,7 +205,7 @@ enum nf_gyro_health gyro_step(struct gyro *gyro, const struct imu_sample *sample
 	else
 		gyro->health = gyro->saturated > 0 ? NF_GYRO_HEALTH_SATURATED : NF_GYRO_HEALTH_GOOD;
 
-	if (!gyro->calibrated)
+	if (gyro->rests)
 		gyro_calibrate(gyro, sample->gyro,
 			       judged == NF_GYRO_HEALTH_GOOD && gyro->health == NF_GYRO_HEALTH_GOOD);
 

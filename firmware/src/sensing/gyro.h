@@ -23,12 +23,13 @@ struct gyro {
 	uint32_t saturated; /* samples in a row at an end of the range, bad ones left out; at most saturated_after */
 	uint32_t saturated_after; /* number of them that no flight takes */
 	uint32_t same; /* good samples that repeated the one before, at most stuck_after */
+	bool rests;               /* the motors stand: the bias is found, or follows */
 	bool turned;              /* the board in the aircraft: by `turn` */
 	float turn[3][3];         /* from the board's axes to the body's */
 	uint32_t stuck_after; /* number of repetitions that a working chip does not produce; 0: no limit */
 };
 
-/* Starts uncalibrated and in good health. stuck_ms: the setting. NF_ERR_ALIGNMENT for an unknown alignment. */
+/* Starts uncalibrated, at rest and in good health. stuck_ms: the setting. NF_ERR_ALIGNMENT for an unknown alignment. */
 enum nf_err gyro_init(struct gyro *gyro, unsigned gyro_rate_hz, enum board_alignment alignment, unsigned stuck_ms);
 
 /* How the board is turned in the aircraft, -180 to 180 each: first by yaw (clockwise seen from above), then pitched (its
@@ -44,10 +45,14 @@ void gyro_board_init(struct gyro *gyro, float roll_deg, float pitch_deg, float y
  * sample is at the end of its range, and GOOD again with the first that is none of it. NF_GYRO_HEALTH_SILENT is not
  * this module's: there is no sample to say it.
  *
- * Until calibrated each good sample also enters the calibration. A window of NF_CALIBRATION_MS whose spread or mean
- * exceeds the stillness limits on any axis is discarded and a new one begins; so is one with a bad, saturated or stuck
- * sample. */
+ * At rest each good sample also enters the calibration. A window of NF_CALIBRATION_MS whose spread or mean exceeds the
+ * stillness limits on any axis is discarded and a new one begins; so is one with a bad, saturated or stuck sample. The
+ * first window that is not gives the bias. From then on each one whose mean is within NF_CALIBRATION_DRIFT_DEG_S of it
+ * moves it there, by NF_CALIBRATION_STEP_DEG_S at most. */
 enum nf_gyro_health gyro_step(struct gyro *gyro, const struct imu_sample *sample, float rate[3]);
+
+/* Do the motors stand? A window begins with their rest. */
+void gyro_rest(struct gyro *gyro, bool rests);
 
 /* Has an axis been at the end of its range for NF_GYRO_SATURATED_MS, without a good sample below it? */
 bool gyro_railed(const struct gyro *gyro);

@@ -12,6 +12,7 @@ from flash.msp import Direction, Message, Version, encode
 from flash.requests import set_raw_rc
 from toolchain.contract import (
     BOOT_GRACE_MS,
+    CALIBRATION_STEP_DEG_S,
     CHANNEL_ARM,
     CHANNEL_COUNT,
     CHANNEL_THROTTLE,
@@ -49,6 +50,7 @@ class Bench:
         self._channels = core.new(f"uint16_t[{CHANNEL_COUNT}]")
         self.rng = np.random.default_rng(7)
         self.samples = 0
+        self.drift = 0.0  # rad/s, of the gyro
         self.posts = "receiver_protocol=msp" in settings
         self.records: list[Any] = []
         self.answers: list[tuple[bytes, ...]] = []
@@ -104,7 +106,7 @@ class Bench:
             if heard and self.samples % (self.gyro_hz // 100) == 0:
                 self.sticks(**sticks)
             turn = 0.5 * np.sin(self.samples / self.gyro_hz * np.array([3.0, 5.0, 7.0])) * (shake > 0.02)
-            rates = turn + self.rng.normal(size=3) * shake
+            rates = self.drift + turn + self.rng.normal(size=3) * shake
             self.sample(rates, np.array([0.0, 0.0, G]) + self.rng.normal(size=3) * 0.05)
 
     def state(self) -> bytes:
@@ -112,6 +114,13 @@ class Bench:
         while not self.lib.reference_state(self._memory, bytes_):
             self.sample((0.0, 0.0, 0.0))
         return bytes(self.core.ffi.buffer(bytes_))
+
+    def bias(self) -> list[float]:
+        """Of the gyro [rad/s]."""
+        size = self.lib.reference_state_size()
+        firmware = self.core.new("struct firmware *")
+        self.core.ffi.memmove(firmware, self._memory, size)  # the first of struct reference
+        return list(firmware.gyro.bias)
 
     def restore(self, state: bytes, layout: int | None = None) -> bool:
         layout = self.lib.reference_layout() if layout is None else layout
@@ -181,7 +190,21 @@ def gyro_faults(b: Bench) -> None:
     b.fly(200)
 
 
+def drifting(b: Bench) -> None:
+    """Two flights; between them the gyro drifts, and its bias follows."""
+    arm(b)
+    b.fly(100, arm=2000, throttle=1300, shake=0.05)
+    before = b.bias()
+    b.drift = 0.01
+    b.fly(3500)
+    moved = np.array(b.bias()) - before
+    assert (moved > 2.5 * np.deg2rad(CALIBRATION_STEP_DEG_S)).all()
+    b.fly(50, arm=2000)
+    b.fly(300, arm=2000, throttle=1300, shake=0.05)
+
+
 CASES = (
+    (drifting, 4000, ()),
     (policy_and_pid, 1000, ()),
     (policy_and_pid, 8000, ("board_roll_deg=3", "gyro_stuck_ms=50")),
     (pid_alone, 1000, NOTCHES),

@@ -1,4 +1,4 @@
-"""Filters and attitude of the board's image, executed on an emulated Cortex-M7, give the host's bits."""
+"""Filters, attitude and gyro of the board's image, run on an emulated Cortex-M7, give the host's bits."""
 
 from __future__ import annotations
 
@@ -13,7 +13,8 @@ from toolchain.contract import FilterKind
 from toolchain.cortex_m7.emulator import CortexM7, load_program
 
 GYRO_HZ, CONTROL_HZ = 1000, 1000
-FILTERS_BYTES, ATTITUDE_BYTES = 600, 64
+CW90 = 1
+FILTERS_BYTES, ATTITUDE_BYTES, GYRO_BYTES, SAMPLE_BYTES = 600, 64, 512, 18
 STEPS = 1500
 CHAINS = (
     {"filter1_kind": FilterKind.PT1, "filter2_kind": FilterKind.PT2, "filter3_kind": FilterKind.PT3},
@@ -68,6 +69,33 @@ def test_the_boards_filters_give_the_hosts_bits_when_a_frame_shakes(
         assert got == bytes(ffi.buffer(rate)), f"step {step}"
         seen.add(got)
     assert len(seen - {row.tobytes() for row in rows}) > STEPS * 0.99, "filtered, each sample another"
+
+
+def test_the_boards_gyro_gives_the_hosts_bits_while_its_bias_follows(
+    reference_core: Any, board_image: Path
+) -> None:
+    """Calibrated, then four seconds of drift with the motors at rest, and the same with motors that turn."""
+    lib, ffi = reference_core.lib, reference_core.ffi
+    host, out = reference_core.new("struct gyro *"), reference_core.new("float[3]")
+    assert lib.gyro_init(host, CONTROL_HZ, CW90, 0) == 0
+    core = CortexM7(load_program(board_image))
+    board, argument, answer = (core.allocate(size) for size in (GYRO_BYTES, SAMPLE_BYTES, 12))
+    assert core.call("gyro_init", board, CONTROL_HZ, CW90, 0) == 0
+    rng = np.random.default_rng(4)
+    biases = set()
+    for step in range(6 * CONTROL_HZ):
+        if step == 5 * CONTROL_HZ:
+            lib.gyro_rest(host, False)
+            core.call("gyro_rest", board, 0)
+        drift = np.array([0.3, -0.2, 0.7]) * step / CONTROL_HZ  # counts
+        counts = np.rint(rng.normal(drift, 20)).astype(np.int16)
+        sample = np.array([*counts, 0, 0, 2048, step % 2, 1, 0], "<i2").tobytes()
+        lib.gyro_step(host, ffi.cast("struct imu_sample *", ffi.from_buffer(sample)), out)
+        core.write(argument, sample)
+        core.call("gyro_step", board, argument, answer)
+        assert core.read(answer, 12) == bytes(ffi.buffer(out)), f"step {step}"
+        biases.add(tuple(host.bias))
+    assert len(biases) == 1 + 5, "none, calibrated, and once a second"
 
 
 def test_the_boards_attitude_is_the_hosts_bits_when_it_flies(reference_core: Any, board_image: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from tests.firmware.mutants.mutant import Mutant
 
+OF_BIAS = "joined/test_gyro_bias.py"
 GYRO, CALIBRATION, ATTITUDE = "sensing/gyro.c", "sensing/calibration.c", "sensing/attitude.c"
 OF_GYRO, OF_ATTITUDE, OF_FILTERS = (
     "sensing/test_gyro.py",
@@ -178,8 +179,43 @@ SENSING_MUTANTS = (
     Mutant(
         name="calibration takes motion for rest",
         file=CALIBRATION,
-        old="(MOTION_VARIANCE + 1) * n * n",
-        new="4 * (MOTION_VARIANCE + 1) * n * n",
+        old="(variance + 1) * n * n",
+        new="4 * (variance + 1) * n * n",
+        tests=(OF_GYRO,),
+    ),
+    Mutant(
+        name="the bias follows in a trembling hand",
+        file=CALIBRATION,
+        old="calm ? VARIANCE(NF_CALIBRATION_CALM_DEG_S)",
+        new="calm ? VARIANCE(NF_CALIBRATION_MOTION_DEG_S)",
+        tests=(OF_GYRO,),
+    ),
+    Mutant(
+        name="the bias follows a hand that turns the aircraft one way",
+        file=GYRO,
+        old="away[i] > DRIFT || away[i] < -DRIFT",
+        new="away[i] > DRIFT",
+        tests=(OF_GYRO,),
+    ),
+    Mutant(
+        name="the bias goes all the way at once",
+        file=GYRO,
+        old="limit(away[i], -STEP, STEP)",
+        new="limit(away[i], -STEP, 100.0f * STEP)",
+        tests=(OF_GYRO,),
+    ),
+    Mutant(
+        name="the bias follows in flight",
+        file=GYRO,
+        old="\tif (gyro->rests)\n",
+        new="\tif (gyro->rests || gyro->calibrated)\n",
+        tests=(OF_GYRO, OF_BIAS),
+    ),
+    Mutant(
+        name="what the gyro told before a flight is part of a window after it",
+        file=GYRO,
+        old="\tif (rests && !gyro->rests)\n\t\tcalibration_restart(&gyro->calibration);\n",
+        new="",
         tests=(OF_GYRO,),
     ),
     Mutant(

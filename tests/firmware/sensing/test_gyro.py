@@ -9,7 +9,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from toolchain.contract import CALIBRATION_MS, GYRO_BAD_MS, GYRO_RATES_HZ, GYRO_SATURATED_MS, GyroHealth
+from toolchain.contract import (
+    CALIBRATION_CALM_DEG_S,
+    CALIBRATION_DRIFT_DEG_S,
+    CALIBRATION_MS,
+    CALIBRATION_STEP_DEG_S,
+    GYRO_BAD_MS,
+    GYRO_RATES_HZ,
+    GYRO_SATURATED_MS,
+    GyroHealth,
+)
 
 LSB_RAD_S = math.radians(2000) / 32768
 CLOCKWISE_DEG = (0, 90, 180, 270)  # in the order of enum board_alignment
@@ -407,3 +416,118 @@ def test_temperature_is_the_data_sheets_when_the_chip_is_known(
         assert told == pytest.approx(15.0, abs=0.01)
     told = scripted.lib.gyro_temperature_c(c.struct, scripted.lib.GYRO_MPU9250)
     assert told == pytest.approx(21.0 - 9.788, abs=0.01)
+
+
+# --- The bias of motors that stand ----------------------------------------------------------------
+COUNTS_PER_DEG_S = 32768 / 2000
+NOISE_DEG_S = 1.45  # of the NF1's noisiest axis
+
+
+class Rest(Chip):
+    """A calibrated gyro whose motors stand."""
+
+    def __init__(self, core: Any, rate_hz: int = 1000, alignment: int = 0) -> None:
+        super().__init__(core, rate_hz, alignment=alignment)
+        self._rng = np.random.default_rng(rate_hz)
+        self.lie((0.0, 0.0, 0.0), 1)
+        assert self.struct.calibrated
+
+    def lie(self, deg_s: Any, seconds: float, noise_deg_s: float = NOISE_DEG_S) -> list[float]:
+        """The chip tells these rates so long; returns the bias [deg/s], chip axes."""
+        count = round(seconds * self.rate_hz)
+        rates = np.array(deg_s) + self._rng.normal(0, noise_deg_s, (count, 3))
+        for counts in (rates * COUNTS_PER_DEG_S).round().astype(int).tolist():
+            self.feed(counts)
+        return self.bias_deg_s
+
+    @property
+    def bias_deg_s(self) -> list[float]:
+        return [math.degrees(axis) for axis in self.struct.bias]
+
+    def turn_motors(self, turning: bool) -> None:
+        self._core.lib.gyro_rest(self.struct, not turning)
+
+
+@pytest.mark.parametrize("rate_hz", [1000, 4000])
+def test_the_bias_follows_a_chip_that_warms_up(scripted: Any, rate_hz: int) -> None:
+    """1 deg/s in a minute: no flight computer's chip drifts faster while it lies there."""
+    rest = Rest(scripted, rate_hz)
+    for second in range(60):
+        drift = second / 60
+        rest.lie((drift, -drift, drift / 2), 1)
+        assert rest.struct.calibrated, "arming is never held up"
+    np.testing.assert_allclose(rest.bias_deg_s, [1.0, -1.0, 0.5], atol=0.15)
+
+
+def test_the_bias_follows_in_body_axes(scripted: Any) -> None:
+    rest = Rest(scripted, alignment=1)
+    rest.lie((0.5, 0.0, -0.25), 20)
+    np.testing.assert_allclose(rest.bias_deg_s, [0.0, -0.5, -0.25], atol=0.15)
+
+
+@pytest.mark.parametrize("rate_hz", [1000, 8000])
+def test_the_bias_moves_once_a_second_and_by_a_little_at_most(scripted: Any, rate_hz: int) -> None:
+    rest = Rest(scripted, rate_hz)
+    before = rest.bias_deg_s
+    step = (1.0, -1.0, 0.0)
+    rest.lie(step, (rate_hz - 1) / rate_hz, noise_deg_s=0.0)
+    assert rest.bias_deg_s == before
+    rest.lie(step, 1 / rate_hz, noise_deg_s=0.0)
+    moved = np.array(rest.bias_deg_s) - before
+    np.testing.assert_allclose(moved[:2], [CALIBRATION_STEP_DEG_S, -CALIBRATION_STEP_DEG_S], rtol=1e-4)
+    assert abs(moved[2]) <= CALIBRATION_STEP_DEG_S * 1.0001
+
+
+@pytest.mark.parametrize("axis", range(3))
+@pytest.mark.parametrize(
+    ("deg_s", "noise_deg_s"),
+    [
+        (CALIBRATION_DRIFT_DEG_S + 0.5, 0.5),  # turned by hand, steadily
+        (-CALIBRATION_DRIFT_DEG_S - 0.5, 0.5),
+        (15.0, 0.5),  # which a first calibration would take
+        (1.0, CALIBRATION_CALM_DEG_S + 0.3),  # a hand that trembles
+    ],
+)
+def test_the_bias_stays_when_a_hand_turns_the_aircraft(
+    scripted: Any, axis: int, deg_s: float, noise_deg_s: float
+) -> None:
+    rest = Rest(scripted)
+    before = rest.bias_deg_s
+    rates = [0.0] * 3
+    rates[axis] = deg_s
+    rest.lie(rates, 30, noise_deg_s)
+    assert rest.bias_deg_s == before
+
+
+def test_a_slow_turntable_spoils_little_and_for_no_longer_than_it_turns(scripted: Any) -> None:
+    rest = Rest(scripted)
+    start = np.array(rest.bias_deg_s)
+    rest.lie((0.0, 0.0, 2.0), 10)
+    spoilt = np.array(rest.bias_deg_s) - start
+    assert 0.9 * 10 * CALIBRATION_STEP_DEG_S < spoilt[2] < 1.01 * 10 * CALIBRATION_STEP_DEG_S
+    rest.lie((0.0, 0.0, 0.0), 12)
+    np.testing.assert_allclose(rest.bias_deg_s, start, atol=0.12)
+
+
+def test_the_bias_stays_while_motors_turn_and_what_came_before_is_no_part_of_a_window(scripted: Any) -> None:
+    rest = Rest(scripted)
+    before = rest.bias_deg_s
+    rest.lie((1.0, 1.0, 1.0), 0.9)
+    rest.turn_motors(True)
+    rest.lie((1.0, 1.0, 1.0), 20)
+    assert rest.bias_deg_s == before
+    rest.turn_motors(False)
+    rest.lie((1.0, 1.0, 1.0), 0.9)
+    rest.turn_motors(False)
+    assert rest.bias_deg_s == before
+    rest.lie((1.0, 1.0, 1.0), 0.1)
+    assert rest.bias_deg_s != before
+
+
+def test_a_bad_sample_ends_the_window(scripted: Any) -> None:
+    rest = Rest(scripted)
+    before = rest.bias_deg_s
+    for _ in range(5):
+        rest.lie((1.0, 1.0, 1.0), 0.99)
+        rest.feed(valid=False)
+    assert rest.bias_deg_s == before
