@@ -6,8 +6,6 @@ _Static_assert(CHANNELS_PACKED_BYTES * 8 == NF_CHANNEL_COUNT * CHANNEL_BITS, "no
 
 void channels_unpack(const uint8_t packed[CHANNELS_PACKED_BYTES], uint16_t channels_us[NF_CHANNEL_COUNT])
 {
-	/* Unrolled, all bit positions are constants: that halves the instructions of a step with a frame. */
-#pragma GCC unroll 16
 	for (unsigned i = 0; i < NF_CHANNEL_COUNT; ++i) {
 		const uint8_t *from = packed + i * CHANNEL_BITS / 8;
 		const unsigned shift = i * CHANNEL_BITS % 8;
