@@ -19,11 +19,6 @@ static const struct {
 	uint8_t bit;
 	const char *name;
 } reasons[] = { NF_ARMING_REASONS(REASON) };
-#define GYRO(name) { NF_GYRO_IDENTITY_##name, #name },
-static const struct {
-	uint8_t identity;
-	const char *name;
-} gyros[] = { NF_GYRO_IDENTITIES(GYRO) };
 static const char *const levels[] = { "not known", "good", "warning", "low" };
 _Static_assert(BATTERY_LOW == sizeof levels / sizeof levels[0] - 1, "a word each");
 static const char *const faults[] = { "none", "hard", "assert", "watchdog", "brown-out", "clock", "reset line" };
@@ -127,26 +122,16 @@ static void status_motors(const struct task_line *t)
 	printer_text(t->out, " times");
 }
 
-static void status_chip(struct printer *out, unsigned identity)
-{
-	const char *name = "chip";
-
-	for (size_t i = 0; i < sizeof gyros / sizeof gyros[0]; ++i)
-		if (gyros[i].identity == identity)
-			name = gyros[i].name;
-	printer_text(out, name);
-	printer_text(out, " (0x");
-	printer_hex(out, identity, 2);
-	printer_text(out, "), ");
-}
-
 static void status_gyro(const struct task_line *t)
 {
 	const struct firmware_status *s = t->status;
 
 	printer_text(t->out, "gyro: ");
-	if (s->gyro_identity != 0)
-		status_chip(t->out, s->gyro_identity);
+	if (s->gyro_identity != 0) {
+		printer_text(t->out, "chip 0x");
+		printer_hex(t->out, s->gyro_identity, 2);
+		printer_text(t->out, ", ");
+	}
 	printer_number(t->out, s->gyro_rate_hz);
 	REPORT_NAME(t->out, " Hz, ", healths, s->gyro_health);
 	printer_text(t->out, ", ");

@@ -36,7 +36,7 @@ struct firmware_status {
 	uint32_t arming_reasons;               /* bit field of enum nf_arming_reason, 0 when armed */
 	uint16_t channels_us[NF_CHANNEL_COUNT];/* as flown: failsafe values while the receiver is lost */
 	uint16_t gyro_rate_hz;
-	uint16_t load_percent;                 /* longest gyro sample so far, of its period, controllers included; from background.c */
+	uint16_t load_percent;                 /* longest gyro sample so far, of its period, with a controller; background.c */
 	uint8_t modes;                         /* bit field of enum mode_index: those that are on; 0: receiver lost */
 	bool receiver_good;                    /* a frame came within the hold time */
 	bool policy_good;                      /* self-test passed and no output was refused since */

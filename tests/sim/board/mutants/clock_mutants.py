@@ -86,7 +86,7 @@ CLOCK_MUTANTS = (
         old="RCC_APB2ENR_TIM8EN | ",
         new="",
         message=r"TIM8_\w+ is written without its clock: RCC_APB2ENR TIM8EN is 0",
-        place="motors_run",
+        place="motors_start_bank",
         seconds=0.4,
     ),
     Mutant(
@@ -171,7 +171,7 @@ CLOCK_MUTANTS = (
         old="\tTIM_PSC(bank->timer) = 0;\n",
         new="\tTIM_PSC(bank->timer) = 0;\n\tREGISTER(0x40005400u) = 1u; /* I2C1_CR1 */\n",
         message=r"write at 0x40005400: I2C1 is not modelled",
-        place="motors_run",
+        place="motors_start_bank",
         seconds=0.4,
         slow=True,
     ),
