@@ -9,7 +9,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from toolchain.contract import RECEIVER_HOLD_MS, RECEIVER_LOST_MS, RECEIVER_RECOVERY_MS, ArmingReason
+from toolchain.contract import (
+    RECEIVER_HOLD_MS,
+    RECEIVER_LOST_MS,
+    RECEIVER_RECOVERY_MS,
+    ArmingReason,
+    FlightState,
+)
 
 Make = Callable[..., Any]
 Frame = Callable[..., bytes]
@@ -29,6 +35,17 @@ class Pilot:
     def frame(self, **sticks: int) -> bytes:
         sbus = self._frame(**sticks)
         return sbus if self.protocol == SBUS else self._crsf(0x16, sbus[1:23])
+
+    def flagged(self, **sticks: int) -> bytes:
+        """A frame of a receiver that has lost its transmitter and says so."""
+        return self._frame(failsafe=True, **sticks) if self.protocol == SBUS else self._uplink(0, **sticks)
+
+    def cleared(self) -> bytes:
+        """What a receiver of CRSF says before its channels are the transmitter's again."""
+        return b"" if self.protocol == SBUS else self._crsf(0x14, bytes([70, 70, 99, *[0] * 7]))
+
+    def _uplink(self, percent: int, **sticks: int) -> bytes:
+        return self._crsf(0x14, bytes([70, 70, percent, *[0] * 7])) + self.frame(**sticks)
 
     def step(self, data: bytes = b"") -> list[int]:
         """Gyro samples until a control step has taken `data`; the rest of its period follows."""
@@ -139,6 +156,40 @@ def test_noise_is_silence_when_it_is_all_that_comes(pilot: Any, scripted: Any) -
         values = p.step(noise)
         assert (p.bench.trace.setpoint[0] != 0) == (step < RECEIVER_HOLD_MS), step
         assert (values == STOPPED) == (step >= RECEIVER_LOST_MS), step
+
+
+@pytest.mark.parametrize("delay_ms", [1000, 5000])
+def test_a_receiver_in_failsafe_holds_at_once_and_its_taught_channels_are_not_flown(
+    pilot: Any, scripted: Any, delay_ms: int
+) -> None:
+    """Switch off, throttle low, sticks in a corner: what a receiver may have been taught to send then."""
+    p = pilot(failsafe_delay_ms=delay_ms)
+    taught = {"arm": 1000, "throttle": 1000, "c0": 2000, "c1": 1000, "c3": 2000}
+
+    def seen() -> tuple[FlightState, float, bool]:
+        trace = p.bench.trace
+        return FlightState(p.bench.status.state), round(trace.throttle, 6), any(trace.setpoint)
+
+    p.arm()
+    scripted.lib.scripted_action = [0.3] * 4
+    p.fly(50, arm=2000, throttle=1500, c0=1525)
+    p.step(p.frame(arm=2000, throttle=1500, c0=1525))
+    assert seen() == (FlightState.ARMED, 0.5, True)
+    for step in range(1, delay_ms - 1):
+        assert min(p.step(p.flagged(**taught) if step % 7 == 1 else b"")) > 48
+        assert seen() == (FlightState.FAILSAFE_HOLD, 0.5, False), step
+    p.step(p.cleared() + p.frame(arm=2000, throttle=1400, c0=1525))
+    assert seen() == (FlightState.ARMED, 0.4, True), "the first good frame flies again"
+    for step in range(1, delay_ms + 1):
+        values = p.step(p.flagged(**taught) if step % 7 == 1 else b"")
+        assert (values == STOPPED) == (step == delay_ms), step
+    assert seen() == (FlightState.FAILSAFE_DROP, 0, False)
+    p.step(p.cleared())
+    assert p.fly(500, arm=2000) == STOPPED, "the switch was never off"
+    p.fly(20)
+    assert seen()[0] == FlightState.DISARMED
+    p.fly(7, arm=2000)
+    assert p.bench.armed
 
 
 def test_a_lost_receiver_must_recover_and_the_switch_be_cycled_when_it_returns(pilot: Any) -> None:
