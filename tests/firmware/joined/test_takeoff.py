@@ -48,7 +48,7 @@ def armed(bench: Make, scripted: Any) -> Callable[..., Bench]:
         pid.p, pid.i = [0.1, 0.0, 0.0], [1.0, 0.0, 0.0]
         pid.integral_max = [1.0] * 3
         pid.mixer = [[1.0, 0.0, 0.0]] * 2 + [[-1.0, 0.0, 0.0]] * 2
-        b = bench(1000, pid=pid, level_limit_deg=0, **settings)
+        b = bench(1000, pid=pid, **{"level_limit_deg": 0, "ground_detection": 1, **settings})
         b.arm()
         return b
 
