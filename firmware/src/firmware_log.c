@@ -71,6 +71,6 @@ void firmware_log(const struct firmware *fw, struct log_record *record)
 		words_copy(record->receiver_bytes, fw->posted_us, sizeof fw->posted_us);
 	}
 	record->sample = fw->samples - 1u;
-	words_copy(record->observation, fw->control.seen, ANSWER);
+	words_copy((uint8_t *)record + RECORD(observation), fw->control.seen, ANSWER);
 	words_copy(record->accel, (const uint8_t *)fw + LAST, MEASURED);
 }

@@ -136,7 +136,8 @@ def everything() -> Network:
     make.linear(13)
     make.add(Tanh())
     for bounds in ((-1.0, 1.0), (None, 1.2)):
-        make.add(Affine(1 + make.weights(13), make.weights(13)))
+        scale, offset = make.weights(2, 13).astype(np.float64)
+        make.add(Affine(1 + scale, offset))
         make.add(Clip(*bounds))
     return make.clipped()
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from elftools.elf.elffile import ELFFile
+from elftools.elf.sections import SymbolTableSection
 
 from toolchain.image.elf import BANK, Section, memory_use, read_image
 from toolchain.image.fit import ALIGNMENT, POLICY_ITCM_BYTES, VENEER_BYTES, split
@@ -63,6 +64,8 @@ def test_the_policys_part_of_itcm_is_the_linkers_when_functions_are_placed(board
 def blob_bytes_in_bank(path: Path) -> int:
     """How much of the bank is the policy's weights and vectors rather than code."""
     with path.open("rb") as file:
-        (blob,) = ELFFile(file).get_section_by_name(".symtab").get_symbol_by_name("policy_blob")
+        table = ELFFile(file).get_section_by_name(".symtab")
+        assert isinstance(table, SymbolTableSection)
+        (blob,) = table.get_symbol_by_name("policy_blob")
         address, size = int(blob["st_value"]), int(blob["st_size"])
     return size if BANK.address <= address < BANK.address + BANK.size else 0
