@@ -13,10 +13,10 @@ from sim.flight.trace import Trace
 from sim.ports.emulator import EmulatedPort
 from sim.ports.host import HostPort
 from sim.ports.library import ReferencePort
-from toolchain.contract import GYRO_BAD_MS, GYRO_FULL_SCALE_DEG_S, GYRO_SATURATED_MS
+from toolchain.contract import GYRO_BAD_MS, GYRO_FULL_SCALE_DEG_S, GYRO_SATURATED_MS, RATE_MAX_DEG_S
 
 THROTTLE = 0.5
-MOST = {f"{axis}_max": 1998.0 for axis in ("roll", "pitch", "yaw")}
+MOST = {f"{axis}_max": RATE_MAX_DEG_S for axis in ("roll", "pitch", "yaw")}
 
 
 def longest(held: np.ndarray) -> int:

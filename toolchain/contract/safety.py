@@ -116,7 +116,7 @@ ARMING_REASON_COUNT = max(ArmingReason) + 1  # bits that a field of reasons take
 # its programs show their names; an image on probation is in its boot grace. 25 no controller, 26 battery,
 # 27 fault, 28 storing, 29 a setting, 30 clock.
 ARMING_FLAGS = (9, 12, 2, 7, 3, 25, 0, 8, 26, 27, 6, 16, 28, 25, 25, 29, 30, 11, 16, 13, 9, 27, 29)
-# What beeper and LED count while the arm switch is on and a reason holds, by its number: by what the pilot does
+# What beeper and LED count while the arm switch is on and a reason holds, by its number: what the pilot does
 # about it. The highest is told. 0: told otherwise, or no switch is heard then.
 # 1 switch off and on, 2 throttle down, 3 level and still, 4 wait, 5 a computer holds it, 6 the policy,
 # 7 the battery, 8 the board: connect a computer.

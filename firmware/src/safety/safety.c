@@ -80,9 +80,9 @@ static uint32_t safety_own_inputs(const struct safety *safety, uint32_t reasons)
 {
 	return (safety->ready ? READY : 0u) |
 	       (safety->state == NF_FLIGHT_FAILSAFE_DROP && safety->descent_left == 0 ? DROPPED : 0u) |
-	       (reasons & SAFETY_REASON(RECEIVER_LOST) ? LOST : 0u) |
-	       (reasons & SAFETY_REASON(GYRO_NOT_CALIBRATED) ? UNCALIBRATED : 0u) |
-	       (reasons & ~OWN_REASONS ? FORBIDDEN : 0u);
+	       ((reasons & SAFETY_REASON(RECEIVER_LOST)) ? LOST : 0u) |
+	       ((reasons & SAFETY_REASON(GYRO_NOT_CALIBRATED)) ? UNCALIBRATED : 0u) |
+	       ((reasons & ~OWN_REASONS) ? FORBIDDEN : 0u);
 }
 
 bool safety_update(struct safety *safety, struct safety_conditions conditions)

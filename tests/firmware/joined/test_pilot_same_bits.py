@@ -69,7 +69,7 @@ def test_the_boards_setpoints_are_the_hosts_bits_when_rates_are_random(
     changes: dict[str, float] = {"rates_style": style}
     for axis in ("roll", "pitch", "yaw"):
         changes[f"{axis}_rate"] = rng.uniform(0.01, 3.0 if style else 1000)
-        changes[f"{axis}_max"] = rng.uniform(0, 1 if style else 1998)
+        changes[f"{axis}_max"] = rng.uniform(0, 1 if style else 1600)
         changes[f"{axis}_expo"] = rng.uniform(0, 1)
     changes |= {"deadband_us": int(rng.integers(0, 101)), "yaw_deadband_us": int(rng.integers(0, 101))}
     settings = changed(reference_core, **changes)

@@ -279,8 +279,8 @@ SAFETY_MUTANTS = (
     Mutant(
         name="a reason that has no number yet forbids nothing",
         file=SAFETY,
-        old="(reasons & ~OWN_REASONS ? FORBIDDEN : 0u)",
-        new="(reasons & ~OWN_REASONS & ((1u << NF_ARMING_REASON_COUNT) - 1u) ? FORBIDDEN : 0u)",
+        old="((reasons & ~OWN_REASONS) ? FORBIDDEN : 0u)",
+        new="((reasons & ~OWN_REASONS & ((1u << NF_ARMING_REASON_COUNT) - 1u)) ? FORBIDDEN : 0u)",
         tests=(OF_SAFETY,),
     ),
     Mutant(
