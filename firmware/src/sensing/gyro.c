@@ -29,12 +29,8 @@ static const struct thermometer {
 	float counts_per_degree;
 	float zero_c; /* at 0 counts */
 } thermometers[] = {
-	[GYRO_MPU6500] = { 333.87f, 21.0f },
-	[GYRO_ICM20689] = { 326.8f, 25.0f },
-	[GYRO_ICM20602] = { 326.8f, 25.0f },
-	[GYRO_ICM20601] = { 326.8f, 25.0f },
-	[GYRO_ICM20608G] = { 326.8f, 25.0f },
-	[GYRO_MPU9250] = { 333.87f, 21.0f },
+	[GYRO_MPU6500] = { 333.87f, 21.0f }, [GYRO_ICM20689] = { 326.8f, 25.0f },  [GYRO_ICM20602] = { 326.8f, 25.0f },
+	[GYRO_ICM20601] = { 326.8f, 25.0f }, [GYRO_ICM20608G] = { 326.8f, 25.0f }, [GYRO_MPU9250] = { 333.87f, 21.0f },
 };
 _Static_assert(sizeof thermometers / sizeof thermometers[0] == GYRO_CHIP_COUNT, "one thermometer a chip");
 
