@@ -13,7 +13,7 @@ from enum import IntEnum
 
 from flash import records, requests
 from flash.payload import Reader
-from toolchain.contract import MSP_MODE_ARMED, ArmingReason, Mix, Msp
+from toolchain.contract import MSP_MODE_ARMED, MSP_POLICY_NONE, ArmingReason, Mix, Msp
 
 
 @dataclass(frozen=True)
@@ -131,8 +131,7 @@ class PolicySource(IntEnum):
 
     SLOT_A = 0
     SLOT_B = 1
-    COMPILED_IN = 2
-    NONE = 3  # no policy is good
+    NONE = MSP_POLICY_NONE  # no policy is good
 
 
 @dataclass(frozen=True)
@@ -150,10 +149,8 @@ class PolicyInfo:
     good: bool  # its self-test passed and no output was refused since; False keeps the motors stopped
     idle: float  # motor fraction at zero thrust
     source: PolicySource
-    sequence: int  # of its blob, 0: compiled in
-    found: tuple[
-        int, ...
-    ]  # at boot in slot A, slot B and compiled in: 0 good, else firmware/src/common/nf_err.h
+    sequence: int  # of its blob, 0: as built
+    found: tuple[int, ...]  # at boot in slot A and B: 0 good, else firmware/src/common/nf_err.h
     mix: Mix  # of outputs and throttle
 
 
@@ -259,7 +256,7 @@ def policy_info(payload: bytes) -> PolicyInfo:
     name, sha256 = reader.counted_text(), reader.bytes(32).hex()
     (idle,) = reader.fields("f")
     source = reader.one_of(PolicySource)
-    sequence, *found = reader.fields("I3b")
+    sequence, *found = reader.fields("I2b")
     mix = reader.one_of(Mix)
     return PolicyInfo(
         name=name,

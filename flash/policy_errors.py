@@ -15,7 +15,7 @@ POLICY_ERRORS = {
     -14: "its idle is beyond what a policy is trained with",
     -25: "its mix of outputs and throttle is one that this firmware does not know",
     -26: "its model of the aircraft does not hold, or is not the one that its observation needs",
-    -16: "older than the image: flashing that without --keep-policy left it behind",
+    -27: "it came with another image, and is for that alone",
 }
 
 

@@ -24,14 +24,17 @@ if TYPE_CHECKING:
     from types import FrameType
 
     from flash.image.board import Board
-    from flash.image.files import ImageFile
+    from flash.image.files import ImageFile, Policy
     from flash.image.install import Installation, Installed
     from flash.image.messages import Bank
     from flash.image.plan import Plan
     from flash.setting_text import Value
 
 IMAGE = Path(__file__).resolve().parents[2] / "build" / "MATEKF722" / "neuroflight.nfi"
-WORDS = {"erase": "erasing", "write": "writing", "check": "checking", "prove": "proving"}
+WORDS = {
+    **{"erase": "erasing", "write": "writing", "check": "checking", "policy": "its policy"},
+    "prove": "proving",
+}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -55,7 +58,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--keep-policy",
         action="store_true",
-        help="the new image may fly the policies in the slots; else it flies its own until one is written",
+        help="the new image flies the policy that --policy has put on the board; else it brings its own",
     )
     backup = parser.add_mutually_exclusive_group()
     backup.add_argument(
@@ -125,7 +128,7 @@ def _flash(args: argparse.Namespace, under_way: _UnderWay) -> int:
     try:
         with _nothing_written():
             board = read_board(client)
-            plan = make_plan(board, file)
+            plan = make_plan(board, file, keep_policy=args.keep_policy)
             facts = _facts(args, file, plan)
             if not args.json:
                 print_facts(_rows(args, file, plan))
@@ -137,9 +140,7 @@ def _flash(args: argparse.Namespace, under_way: _UnderWay) -> int:
         with step_bars(WORDS) as progress:
             under_way.installation = Installation(client, plan, lambda: open_transport(args.port), progress)
             try:
-                done = under_way.installation.run(
-                    settings, keep_policy=args.keep_policy, reboot=not args.no_reboot
-                )
+                done = under_way.installation.run(settings, reboot=not args.no_reboot)
             finally:
                 client = under_way.installation.client
     finally:
@@ -216,7 +217,8 @@ def _rows(args: argparse.Namespace, file: ImageFile, plan: Plan) -> list[tuple[s
         ("board", f"{board.target}, UID {board.uid}, on {board.port}"),
         (
             "runs",
-            f"{bank_name(board.banks.running)}: {_bank_text(board.banks.now)}, policy {board.policy.name}",
+            f"{bank_name(board.banks.running)}: {_bank_text(board.banks.now)}; "
+            f"flies {board.policies.flown_text}",
         ),
         ("image", f"{file.path}: version {header.version}, build {header.build.hex()}"),
         ("SHA-256", plan.image.sha256.hex()),
@@ -225,17 +227,24 @@ def _rows(args: argparse.Namespace, file: ImageFile, plan: Plan) -> list[tuple[s
             f"{bank_name(plan.bank)}: erase sector {', '.join(map(str, plan.sectors))}, write {plan.bytes:,} "
             f"bytes in {plan.frames} frames, about {plan.seconds(baud):.0f} s over {line}",
         ),
-        (
-            "policies",
-            "those in the slots stay: --keep-policy"
-            if args.keep_policy
-            else "the new image flies its own, not those in the slots; --keep-policy lets it fly them",
-        ),
+        ("policy", _policy_text(plan)),
         ("meanwhile", "the motors stand and nothing arms while flash is written; the old image stays"),
     ]
     if plan.failed_before:
         rows.append(("note", "the board tried this very build before and went back"))
     return rows
+
+
+def _policy_text(plan: Plan) -> str:
+    from flash.policy.slots import NAMES, SHA_SHOWN
+
+    if (policy := plan.policy) is None:
+        return f"{plan.board.policies.flown_text} stays and is flown: --keep-policy"
+    told = f"aircraft {policy.header.aircraft}, sha256 {policy.sha256[:SHA_SHOWN]}"
+    return (
+        f"the image's own ({told}): erase {NAMES[plan.slot]}, write {policy.size:,} bytes; "
+        "the old image keeps the one that it flies"
+    )
 
 
 def _bank_text(bank: Bank) -> str:
@@ -253,7 +262,7 @@ def _facts(args: argparse.Namespace, file: ImageFile, plan: Plan) -> dict[str, o
             "uid": board.uid,
             "running_bank": board.banks.running,
             "build": now.build.hex() if now.fits else None,
-            "policy": board.policy.name,
+            "policy": board.policies.info.name,
         },
         "image": {
             "file": str(file.path),
@@ -267,10 +276,22 @@ def _facts(args: argparse.Namespace, file: ImageFile, plan: Plan) -> dict[str, o
             "sectors": list(plan.sectors),
             "frames": plan.frames,
             "seconds": round(plan.seconds(_baud(args.port)), 1),
+            "policy": None if plan.policy is None else _policy_facts(plan, plan.policy),
             "keep_policy": args.keep_policy,
             "same_build": plan.same_build,
             "failed_before": plan.failed_before,
         },
+    }
+
+
+def _policy_facts(plan: Plan, policy: Policy) -> dict[str, object]:
+    from flash.policy.slots import NAMES
+
+    return {
+        "slot": NAMES[plan.slot],
+        "aircraft": policy.header.aircraft,
+        "sha256": policy.sha256,
+        "bytes": policy.size,
     }
 
 

@@ -1,5 +1,7 @@
 #include "background.h"
 
+#include <string.h>
+
 #include "sensing/filters.h"
 
 #define ALERT_RATE_HZ 50
@@ -49,8 +51,8 @@ static enum nf_err background_load_settings(struct background *background)
 static bool background_choose_policy(struct background *background)
 {
 	const struct background_config *config = &background->config;
-	const struct image_bank_marks marks = image_bank_marks(&config->hal->flash, config->bank);
-	const struct policy_blob_identity running = {
+	const struct nf_image_header image = image_bank_header(&config->hal->flash, config->bank);
+	struct policy_blob_identity running = {
 		.architecture_hash = POLICY_ARCHITECTURE_HASH,
 		.filters_hash = filters_hash(&background->settings),
 		.control_rate_hz = POLICY_CONTROL_RATE_HZ,
@@ -59,9 +61,10 @@ static bool background_choose_policy(struct background *background)
 		.action_count = POLICY_ACTION_COUNT,
 	};
 
+	if (image_bank_fits(&image, config->bank, image.board))
+		memcpy(running.build, image.build, sizeof running.build);
 	/* The policy's state is the firmware's, which is initialised after this. */
-	return policy_slots_choose(&background->slots, &config->hal->flash, &running,
-				   marks.has_floor ? &marks.policy_floor : NULL, &policy_blob, sizeof policy_blob,
+	return policy_slots_choose(&background->slots, &config->hal->flash, &running, config->bank,
 				   &config->firmware->control.policy, config->weights) == NF_OK;
 }
 

@@ -8,9 +8,10 @@ from flash import messages
 from flash.client import Client, RefusedError
 from flash.image.messages import Banks, image_info
 from flash.info import check_api
-from flash.messages import BatteryLevel, BatteryState, PolicyInfo
+from flash.messages import BatteryLevel, BatteryState
 from flash.payload import Reader
-from toolchain.contract import MSP_FIRMWARE, Msp
+from flash.policy.slots import Policies, read_policies
+from toolchain.contract import IMAGE_LAYOUT, MSP_FIRMWARE, Msp
 from toolchain.errors import LinkError
 
 _OTHERS = {
@@ -33,13 +34,14 @@ class Board:
     uid: str
     armed: bool
     battery: BatteryState
-    policy: PolicyInfo
+    policies: Policies
     banks: Banks
 
 
 def read_board(client: Client) -> Board:
     """Ask the board who it is and how it is. Raises LinkError, one line, for whoever else answers."""
     api_checked = _check_is_ours(client)
+    banks = _banks(client)
     return Board(
         port=client.name,
         target=api_checked[0],
@@ -47,8 +49,8 @@ def read_board(client: Client) -> Board:
         uid=messages.uid(client.request(Msp.UID)),
         armed=messages.status_ex(client.request(Msp.STATUS_EX)).status.armed,
         battery=messages.battery_state(client.request(Msp.BATTERY_STATE)),
-        policy=messages.policy_info(client.request(Msp.POLICY_INFO)),
-        banks=_banks(client),
+        policies=read_policies(client),
+        banks=banks,
     )
 
 
@@ -85,12 +87,22 @@ def _other_firmware(client: Client) -> str:
 
 def _banks(client: Client) -> Banks:
     try:
-        return image_info(client.request(Msp.IMAGE_INFO))
+        banks = image_info(client.request(Msp.IMAGE_INFO))
     except RefusedError:
         raise LinkError(
             f"{client.name}: the {MSP_FIRMWARE} there takes no images over MSP: it is of an older layout, "
             f"expected one with two banks of images; {_RESCUE} once"
         ) from None
+
+    if banks.layout != IMAGE_LAYOUT:
+        age, do = (
+            ("older", _RESCUE) if banks.layout < IMAGE_LAYOUT else ("newer", "use this tool in its version")
+        )
+        raise LinkError(
+            f"{client.name}: the {MSP_FIRMWARE} there takes images of layout {banks.layout}, {age} than "
+            f"{IMAGE_LAYOUT}, which this tool writes; {do}"
+        )
+    return banks
 
 
 def check_ready(board: Board) -> None:

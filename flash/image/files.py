@@ -1,7 +1,8 @@
-"""Image files: which image a file holds for which bank, and whether each is whole.
+"""Image files: which image a file holds for which bank, its policy, and whether each is whole.
 
-    .nfi                 both banks' images of a build, one behind the other: what an update needs
-    .elf, .hex, .bin     the image of bank A (neuroflight-b.elf: of bank B), with or without the boot part
+    .nfi                 both banks' images of a build and their policy: what an update needs
+    .elf, .hex, .bin     the image of bank A with its policy (neuroflight-b.elf: of bank B, without), with or
+                         without the boot part
 
 Nothing of a file is executed; its size is limited before it is read.
 """
@@ -13,13 +14,18 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from flash.rom.image_check import policy_for
 from flash.rom.segments import Segment, read_segments
 from toolchain.contract import (
     FLASH_BANKS,
+    FLASH_POLICY_SLOTS,
     IMAGE_HEADER_OFFSET,
     IMAGE_LAYOUT,
     IMAGE_TAIL_BYTES,
     ImageHeader,
+    PolicyHeader,
+    Region,
+    bound_policy,
     image_checksum,
     image_header,
 )
@@ -28,7 +34,7 @@ from toolchain.files import file_size
 
 BOTH = "neuroflight.nfi"  # beside the other files of a build
 SUFFIXES = (".nfi", ".elf", ".hex", ".bin")
-NFI_BYTES_MAX = sum(bank.size for bank in FLASH_BANKS)
+NFI_BYTES_MAX = sum(part.size for part in (*FLASH_BANKS, FLASH_POLICY_SLOTS[0]))
 _WORD_BYTES = 4
 _MEND = "build it anew with `make firmware`, or name another file"
 
@@ -52,11 +58,40 @@ class Image:
 
 
 @dataclass(frozen=True)
+class Policy:
+    """The whole policy that comes with the images of a build."""
+
+    file: str  # that it is from
+    header: PolicyHeader
+    data: bytes  # header.total_bytes of them, with the number 0
+
+    @property
+    def sha256(self) -> str:
+        """Of its ONNX file."""
+        return self.header.policy_sha256
+
+    @property
+    def size(self) -> int:
+        """Bytes of its blob."""
+        return len(self.data)
+
+    @property
+    def build(self) -> bytes:
+        """Of the images that it comes with: no other flies it."""
+        return self.header.build
+
+    def blob(self, sequence: int) -> bytes:
+        """Its bytes with that sequence number."""
+        return bound_policy(self.data, self.build, sequence)
+
+
+@dataclass(frozen=True)
 class ImageFile:
     """The images of one build that a file holds: one or two, of different banks."""
 
     path: Path
     images: tuple[Image, ...]
+    policy: Policy | None  # None: the file has none
 
     @property
     def build(self) -> bytes:
@@ -79,7 +114,7 @@ def bank_name(bank: int) -> str:
 
 
 def read_images(path: Path) -> ImageFile:
-    """The images in a file, each checked: header, size, bank and CRC.
+    """The images in a file and their policy, each checked: header, size, bank and CRC.
 
     Raises ImageError or LinkError, one line, for what is none, and for one of another layout.
     """
@@ -89,33 +124,40 @@ def read_images(path: Path) -> ImageFile:
             f"{path}: got a file of kind {path.suffix!r}, expected an image: "
             f"{', '.join(SUFFIXES)}; name the {BOTH} of a build"
         )
-    images = _split(path, _read(path)) if suffix == ".nfi" else _of_banks(path, read_segments(path))
+    if suffix == ".nfi":
+        images, rest = _split(path, _read(path))
+        if not rest:
+            raise ImageError(f"{path}: it ends behind its images, expected their policy; {_MEND}")
+    else:
+        segments = read_segments(path)
+        images, rest = _of_banks(path, segments), _content(segments, FLASH_POLICY_SLOTS[0])
     first = images[0].header
     for image in images[1:]:
         if (image.header.build, image.header.board) != (first.build, first.board):
             raise ImageError(f"{path}: its images are of different builds, expected those of one; {_MEND}")
-    return ImageFile(path, images)
+    return ImageFile(path, images, _policy(path, first, rest) if rest else None)
 
 
-def image_for(file: ImageFile, bank: int) -> Image:
-    """The file's image for that bank, or that of the .nfi of the same build which lies beside it.
+def image_for(file: ImageFile, bank: int) -> tuple[Image, Policy]:
+    """The file's image for that bank and its policy, or those of the same build's .nfi beside it.
 
     Raises ImageError where neither is there.
     """
-    if (image := file.of_bank(bank)) is not None:
-        return image
+    if (image := file.of_bank(bank)) is not None and file.policy is not None:
+        return image, file.policy
     have = file.images[0]
     beside = file.path.with_name(BOTH)
     why = f"no {BOTH} lies beside it"
     if beside.is_file():
         both = read_images(beside)
-        found, same = both.of_bank(bank), both.of_bank(have.bank)
-        if found is not None and same is not None and same.data == have.data:
-            return found
+        found, same, policy = both.of_bank(bank), both.of_bank(have.bank), both.policy
+        if found is not None and policy is not None and same is not None and same.data == have.data:
+            return found, policy
         why = f"the {BOTH} beside it is of another build"
+    lacks = "its policy" if have.bank == bank else f"that for {bank_name(bank)}"
     raise ImageError(
-        f"{file.path}: it holds the image for {bank_name(have.bank)} alone and the board needs that for "
-        f"{bank_name(bank)}, {why}; give the build's {BOTH}, which holds both"
+        f"{file.path}: it holds the image for {bank_name(have.bank)} alone and the board needs {lacks}, "
+        f"{why}; give the build's {BOTH}, which holds all of them"
     )
 
 
@@ -130,30 +172,37 @@ def _read(path: Path) -> bytes:
         raise ImageError(f"{path}: {error.strerror or error}; {_MEND}") from None
 
 
-def _split(path: Path, content: bytes) -> tuple[Image, ...]:
-    """The images that lie one behind the other."""
+def _split(path: Path, content: bytes) -> tuple[tuple[Image, ...], bytes]:
+    """The images that lie one behind the other, and what lies behind them."""
     images: list[Image] = []
-    while content:
+    while not images or image_header(content) is not None:
         image = _checked(path, content)
         if any(image.bank == other.bank for other in images):
             raise ImageError(f"{path}: got two images for {bank_name(image.bank)}, expected one; {_MEND}")
         images.append(image)
         content = content[image.header.image_bytes :]
-    return tuple(images)
+    return tuple(images), content
+
+
+def _content(segments: Sequence[Segment], region: Region) -> bytes:
+    """What the segments put into a region from its begin on; empty for nothing."""
+    inside = [s for s in segments if region.address <= s.address < region.address + region.size]
+    if not inside:
+        return b""
+    content = bytearray(b"\xff" * region.size)
+    for segment in inside:
+        at = segment.address - region.address
+        content[at : at + len(segment.data)] = segment.data
+    return bytes(content[: region.size])
 
 
 def _of_banks(path: Path, segments: Sequence[Segment]) -> tuple[Image, ...]:
     """What the segments put into each bank."""
     images = []
     for bank, region in enumerate(FLASH_BANKS):
-        inside = [s for s in segments if region.address <= s.address < region.address + region.size]
-        if not inside:
+        if not (content := _content(segments, region)):
             continue
-        content = bytearray(b"\xff" * region.size)
-        for segment in inside:
-            at = segment.address - region.address
-            content[at : at + len(segment.data)] = segment.data
-        image = _checked(path, bytes(content[: region.size]))
+        image = _checked(path, content)
         if image.bank != bank:
             raise ImageError(
                 f"{path}: it lies in {bank_name(bank)} and its header says {bank_name(image.bank)}; {_MEND}"
@@ -192,3 +241,12 @@ def _checked(path: Path, content: bytes) -> Image:
             f"damaged; {_MEND}"
         )
     return Image(header, data)
+
+
+def _policy(path: Path, image: ImageHeader, content: bytes) -> Policy:
+    """The policy that `content` begins with, which that image has to be able to fly."""
+    try:
+        header, data = policy_for(image, content)
+    except ValueError as error:
+        raise ImageError(f"{path}: behind its images: {error}; {_MEND}") from None
+    return Policy(path.name, header, data)

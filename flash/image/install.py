@@ -1,7 +1,7 @@
 """An image from its file onto a board, whole: settings kept, bank written, checked, switched, proven.
 
-    settings read  ->  bank written  ->  checked  ->  switched  ->  restarted, trial  ->  settings compared
-    BEFORE             WRITING           WRITTEN      SWITCHED                            ENDED
+    settings read, bank written, policy written, switched, restarted and tried, settings compared
+    BEFORE         WRITING       POLICY          WRITTEN   SWITCHED             ENDED
 
 Wherever it ends early, `Installation.consequence` says what that means for the board: until the switch the
 old image stays, after it the board itself decides by whether the new image proves good.
@@ -20,6 +20,7 @@ from flash.image.plan import Plan
 from flash.image.settings_kept import Kept, keep_settings, read_settings
 from flash.image.trial import Ending, Trial, await_image
 from flash.image.update import Clock, Progress, patiently, switch, write_image
+from flash.policy import swap
 from flash.restart import restart
 from flash.setting_text import Value
 from flash.transport import Transport
@@ -31,6 +32,7 @@ class Stage(Enum):
 
     BEFORE = auto()
     WRITING = auto()
+    POLICY = auto()
     WRITTEN = auto()
     SWITCHED = auto()
     ENDED = auto()
@@ -78,6 +80,11 @@ class Installation:
                     f"started, {old} was not written and stays; the same command goes on from there, or "
                     "begins anew if the board was off meanwhile"
                 )
+            case Stage.POLICY:
+                return (
+                    f"{new} was written and is not started before its policy is there, {old} and the "
+                    "policy that it flies were not written and stay; the same command goes on"
+                )
             case Stage.WRITTEN:
                 return (
                     f"{new} was written, {old} was not; whether the switch got through is not known, the "
@@ -91,25 +98,27 @@ class Installation:
             case Stage.ENDED:
                 return "the image was written and decided on; its settings were not compared"
 
-    def run(
-        self, settings: Mapping[str, Value], *, keep_policy: bool, reboot: bool = True
-    ) -> Installed | None:
+    def run(self, settings: Mapping[str, Value], *, reboot: bool = True) -> Installed | None:
         """All of it; without `reboot` up to the switch, then None. settings: those from before.
 
         Raises LinkError, which ends with the consequence.
         """
         try:
-            self._write_and_switch(keep_policy)
+            self._write_and_switch()
             return self._prove(settings) if reboot else None
         except LinkError as error:
             raise LinkError(f"{error}; {self.consequence}") from None
 
-    def _write_and_switch(self, keep_policy: bool) -> None:
+    def _write_and_switch(self) -> None:
         image = self.plan.image
         self.stage = Stage.WRITING
         write_image(self.client, image, self._count, self._clock)
+        if self.plan.policy is not None:
+            self.stage = Stage.POLICY
+            line = swap.Board(self._reopen, self._clock, self._sleep)
+            self.client, _ = swap.write(self.client, self.plan.policy, line, self._count_policy)
         self.stage = Stage.WRITTEN
-        switch(self.client, image, self._clock, keep_policy=keep_policy)
+        switch(self.client, image, self._clock)
         self.stage = Stage.SWITCHED
 
     def _prove(self, settings: Mapping[str, Value]) -> Installed:
@@ -129,6 +138,9 @@ class Installation:
 
     def _restart(self) -> None:
         self.client = restart(self.client, self._reopen, self._clock, self._sleep)
+
+    def _count_policy(self, done: int, total: int) -> None:
+        self._progress("policy", done, total)
 
     def _count(self, what: str, done: int, total: int) -> None:
         if what == "write":

@@ -38,6 +38,7 @@ class Banks:
 
     running: int
     banks: tuple[Bank, ...]
+    layout: int  # of images and flash map that the running firmware knows
 
     @property
     def spare(self) -> int:
@@ -56,7 +57,8 @@ def image_info(payload: bytes) -> Banks:
     running, count = reader.fields("BB")
     banks = tuple(_bank(reader) for _ in range(count))
     reader.check(count == 2 and running < count, f"{count} banks, bank {running} running", "two banks")
-    return Banks(running, banks)
+    (layout,) = reader.fields("B") if reader.at < len(payload) else (1,)  # the first one told none
+    return Banks(running, banks, layout)
 
 
 def _bank(reader: Reader) -> Bank:
@@ -107,11 +109,11 @@ def image_hashed(payload: bytes) -> bytes:
     return Reader(Msp.IMAGE_HASH, payload).bytes(HASH_BYTES)
 
 
-def image_switch(sha256: bytes, *, keep_policy: bool) -> bytes:
+def image_switch(sha256: bytes) -> bytes:
     """Encode IMAGE_SWITCH to the spare bank's image of that hash."""
     if len(sha256) != HASH_BYTES:
         raise ValueError(f"a hash of {len(sha256)} bytes, expected {HASH_BYTES}")
-    return sha256 + struct.pack("<?", keep_policy)
+    return sha256
 
 
 def image_switched(payload: bytes) -> int:

@@ -1,4 +1,4 @@
-"""What installing an image will do to a board: where it goes, how much is written, how long that takes."""
+"""What installing an image will do to a board: where it and its policy go, how long that takes."""
 
 from __future__ import annotations
 
@@ -6,9 +6,11 @@ from dataclasses import dataclass
 from math import ceil
 
 from flash.image.board import Board
-from flash.image.files import Image, ImageFile, image_for
+from flash.image.files import Image, ImageFile, Policy, image_for
 from flash.image.messages import DATA_BYTES_MAX, OFFSET_BYTES, Bank
+from flash.messages import PolicySource
 from flash.msp import FRAME_OVERHEAD_MAX
+from flash.policy import swap
 from flash.requests import WORD_BYTES
 from toolchain.contract import FLASH_BANKS, FLASH_SECTORS, MSP_PAYLOAD_MAX
 from toolchain.errors import ImageError
@@ -23,10 +25,11 @@ BITS_PER_BYTE = 10  # 8N1
 
 @dataclass(frozen=True)
 class Plan:
-    """An image that goes to a board's spare bank."""
+    """An image that goes to a board's spare bank, and its policy to the slot that is not flown."""
 
     board: Board
     image: Image
+    policy: Policy | None  # None: it flies the one that the board flies
     same_build: bool  # the board runs it already
     failed_before: bool  # the board tried this very build and went back
 
@@ -46,8 +49,13 @@ class Plan:
         )
 
     @property
+    def slot(self) -> PolicySource:
+        """Where its policy goes."""
+        return swap.target(self.board.policies)
+
+    @property
     def bytes(self) -> int:
-        """How many are written."""
+        """How many of the image are written."""
         return len(self.image.data)
 
     @property
@@ -60,25 +68,50 @@ class Plan:
         line_bytes = self.bytes + self.frames * (2 * FRAME_OVERHEAD_MAX + OFFSET_BYTES)
         line_s = 0.0 if baud is None else line_bytes * BITS_PER_BYTE / baud
         write_s = self.bytes / WORD_BYTES * WORD_S + self.frames * FRAME_S
-        return ERASE_S * len(self.sectors) + line_s + write_s + START_S
+        policy_s = swap.seconds(self.policy.size, self.slot, baud, start=False) if self.policy else 0.0
+        return ERASE_S * len(self.sectors) + line_s + write_s + policy_s + START_S
 
 
-def make_plan(board: Board, file: ImageFile) -> Plan:
-    """The plan for the file's image on that board. Raises ImageError for another board's, or of no use."""
+def make_plan(board: Board, file: ImageFile, *, keep_policy: bool = False) -> Plan:
+    """The plan for the file's image on that board. keep_policy: it is to fly the policy that the board flies.
+
+    Raises ImageError for another board's image, one of no use, and a policy that cannot be kept.
+    """
     if file.header.board != board.target:
         raise ImageError(
             f"{file.path}: it is built for the board {file.header.board or 'without a name'}, and "
             f"{board.port} is a {board.target}; build it with `make firmware TARGET={board.target}`"
         )
-    image = image_for(file, board.banks.spare)
+    image, policy = image_for(file, board.banks.spare)
+    if keep_policy:
+        _check_keeps(board, image)
     spare = board.banks.banks[board.banks.spare]
     now = board.banks.now
     return Plan(
         board=board,
         image=image,
+        policy=None if keep_policy else policy,
         same_build=now.fits and now.build == file.build,
         failed_before=_failed(spare) and spare.build == file.build,
     )
+
+
+def _check_keeps(board: Board, image: Image) -> None:
+    """Raise ImageError unless the image can fly the policy that the board flies."""
+    flown, header = board.policies.flown, image.header
+    if flown is None or not flown.good:
+        why = "the board flies no policy"
+    elif flown.build.strip("0"):
+        why = f"{flown.text} came with the image that runs and is for that alone"
+    elif (flown.architecture_hash, flown.filters_hash, flown.control_rate_hz) != (
+        header.architecture_hash,
+        header.filters_hash,
+        header.control_rate_hz,
+    ):
+        why = f"{flown.text} is of another architecture than the new image's"
+    else:
+        return
+    raise ImageError(f"{board.port}: --keep-policy: {why}; leave it out: the new image brings its own policy")
 
 
 def _failed(bank: Bank) -> bool:

@@ -142,9 +142,9 @@ def hash_of(client: Client, bank: int, clock: Clock) -> bytes:
     return patiently(client, ask, clock)
 
 
-def switch(client: Client, image: Image, clock: Clock, *, keep_policy: bool) -> int:
+def switch(client: Client, image: Image, clock: Clock) -> int:
     """Make the spare bank's image the one that the next boot starts. Returns its number. Raises LinkError."""
-    payload = image_switch(image.sha256, keep_policy=keep_policy)
+    payload = image_switch(image.sha256)
 
     def ask() -> int:
         return image_switched(client.request(Msp.IMAGE_SWITCH, payload, timeout=FLASH_TIMEOUT_S))

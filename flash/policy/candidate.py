@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from flash.policy.slots import Policies
-from toolchain.contract import Mix
+from toolchain.contract import IMAGE_BUILD_BYTES, Mix
 from toolchain.errors import LinkError
 
 
@@ -28,6 +28,11 @@ class Candidate:
     aircraft: str
     sha256: str  # of the ONNX file
     blob: Callable[[int], bytes]  # its bytes with that sequence number, always as many
+
+    @property
+    def build(self) -> bytes:
+        """It is for any image of its architecture."""
+        return bytes(IMAGE_BUILD_BYTES)
 
     @property
     def size(self) -> int:
@@ -70,7 +75,7 @@ def check_fits(
             f"{candidate.file}: {candidate.network} does not fit the image that runs{flies}: "
             f"{'; '.join(told)}; nothing was written: build an image with it: {mend}"
         )
-    if candidate.aircraft != policies.info.name and not other_aircraft:
+    if policies.flown is not None and candidate.aircraft != policies.info.name and not other_aircraft:
         raise LinkError(
             f"{candidate.file}: trained for the aircraft {candidate.aircraft!r}, the policy that the board "
             f"flies is for {policies.info.name!r}; nothing was written: choose a policy for this aircraft, "

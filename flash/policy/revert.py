@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from flash.client import Client, NoAnswerError
-from flash.messages import PolicySource
 from flash.policy.slots import Place, Policies, read_patiently
 from flash.policy.swap import Board
 from flash.policy_errors import policy_error
@@ -23,11 +22,6 @@ def plan(policies: Policies, *, other_aircraft: bool) -> tuple[Place, Place]:
     flown = policies.flown
     if flown is None:
         raise LinkError(f"the board flies no policy; {UNTOUCHED}: flash one with --policy FILE")
-    if flown.source is PolicySource.COMPILED_IN:
-        raise LinkError(
-            f"the board flies {flown.text}, and there is none before it; {UNTOUCHED}: "
-            "flash another with --policy FILE, or an image"
-        )
     if (waiting := policies.after_start()) is not flown and waiting is not None:
         raise LinkError(
             f"{waiting.text} is flown from the next start on in place of the one that would be given up; "

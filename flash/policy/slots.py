@@ -10,16 +10,16 @@ from flash import messages
 from flash.client import Client, NoAnswerError
 from flash.messages import PolicyInfo, PolicySource
 from flash.payload import Reader
-from toolchain.contract import Msp
+from toolchain.contract import IMAGE_BUILD_BYTES, Msp
 
-PLACES = (PolicySource.SLOT_A, PolicySource.SLOT_B, PolicySource.COMPILED_IN)
+PLACES = (PolicySource.SLOT_A, PolicySource.SLOT_B)
 NAMES = {
     PolicySource.SLOT_A: "slot A",
     PolicySource.SLOT_B: "slot B",
-    PolicySource.COMPILED_IN: "compiled in",
     PolicySource.NONE: "none",
 }
-GOOD, EMPTY = 0, -7  # of firmware/src/common/nf_err.h: no error; no blob begins there
+# Of firmware/src/common/nf_err.h: no error; no blob begins there; it came with another image.
+GOOD, EMPTY, OTHER_IMAGE = 0, -7, -27
 PATIENCE_S = 15.0  # in which a line that stalls carries an answer
 SEQUENCE_SPAN = 1 << 32
 SHA_SHOWN = 12  # digits of a SHA-256 that tell two policies apart for people
@@ -27,18 +27,19 @@ SHA_SHOWN = 12  # digits of a SHA-256 that tell two policies apart for people
 
 @dataclass(frozen=True)
 class Place:
-    """A policy slot, or the compiled-in policy; where it holds no whole one, what follows `flown` is 0."""
+    """A policy slot; where it holds no whole policy, what follows `flown` is 0."""
 
     source: PolicySource
     found: int  # GOOD, else an error of nf_err.h: why it could not be flown now
     flown: bool  # by this start of the firmware
-    sequence: int  # 0: compiled in
+    sequence: int  # 0: as built
     architecture_hash: int
     filters_hash: int
     control_rate_hz: int
     idle: float  # motor fraction at zero thrust
     aircraft: str  # that it was trained for
     sha256: str  # of its ONNX file, 64 hexadecimal digits
+    build: str  # of the image that it came with, in hexadecimal digits; zeros: for any of its architecture
 
     @property
     def name(self) -> str:
@@ -87,10 +88,9 @@ class Policies:
         without: a place that will hold none. As `policy_slots_best` of the firmware decides.
         """
         good = [place for place in self.places if place.good and place is not without]
-        slots = [place for place in good if place.source is not PolicySource.COMPILED_IN]
-        if len(slots) == 2 and newer(slots[1].sequence, slots[0].sequence):
-            return slots[1]
-        return next(iter(slots or good), None)
+        if len(good) == 2 and newer(good[1].sequence, good[0].sequence):
+            return good[1]
+        return next(iter(good), None)
 
     def holding(self, sha256: str, sequence: int) -> Place | None:
         """The place of the policy with that sequence number."""
@@ -100,8 +100,6 @@ class Policies:
 
 def _text(source: PolicySource, sequence: int, aircraft: str, sha256: str) -> str:
     told = f"aircraft {aircraft}, sha256 {sha256[:SHA_SHOWN]}"
-    if source is PolicySource.COMPILED_IN:
-        return f"the compiled-in policy ({told})"
     return f"the policy in {NAMES[source]} (number {sequence}, {told})"
 
 
@@ -120,6 +118,7 @@ def place_of(source: PolicySource, payload: bytes) -> Place:
     reader = Reader(Msp.POLICY_SLOT_INFO, payload)
     found, flown, sequence, architecture, filters, rate, idle = reader.fields("bB4If")
     aircraft, sha256 = reader.counted_text(), reader.bytes(32).hex()
+    build = reader.bytes(IMAGE_BUILD_BYTES).hex()
     return Place(
         source=source,
         found=found,
@@ -131,6 +130,7 @@ def place_of(source: PolicySource, payload: bytes) -> Place:
         idle=idle,
         aircraft=aircraft,
         sha256=sha256,
+        build=build,
     )
 
 

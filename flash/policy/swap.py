@@ -14,12 +14,13 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Protocol
 
 from flash import requests
 from flash.client import Client, NoAnswerError, RefusedError
 from flash.messages import PolicySource
 from flash.policy.candidate import Candidate
-from flash.policy.slots import Place, Policies, read_patiently
+from flash.policy.slots import OTHER_IMAGE, Place, Policies, read_patiently
 from flash.policy_errors import policy_error
 from flash.restart import restart
 from flash.transport import Transport
@@ -52,11 +53,29 @@ class Board:
     sleep: Callable[[float], None] = field(default=time.sleep)
 
 
+class Blob(Protocol):
+    """A policy that can be put into a slot."""
+
+    @property
+    def file(self) -> str: ...  # as the user wrote it
+
+    @property
+    def sha256(self) -> str: ...  # of its ONNX file
+
+    @property
+    def size(self) -> int: ...  # bytes
+
+    @property
+    def build(self) -> bytes: ...  # of the image that it comes with; zeros: for any of its architecture
+
+    @property
+    def blob(self) -> Callable[[int], bytes]: ...  # its bytes with that sequence number
+
+
 def target(policies: Policies) -> PolicySource:
     """The slot that a swap erases: the one that is not flown, as `policy_slots_to_be_written` decides."""
-    slots = [place for place in policies.places if place.source is not PolicySource.COMPILED_IN]
-    kept = next((place for place in slots if place.flown), None) or policies.after_start()
-    return PolicySource.SLOT_B if kept is slots[0] else PolicySource.SLOT_A
+    kept = policies.flown or policies.after_start()
+    return PolicySource.SLOT_B if kept is policies.places[0] else PolicySource.SLOT_A
 
 
 def seconds(size: int, slot: PolicySource, baud: int | None, *, start: bool) -> float:
@@ -66,7 +85,7 @@ def seconds(size: int, slot: PolicySource, baud: int | None, *, start: bool) -> 
     return ERASE_S[slot] + line + size * PROGRAM_S + blocks * TURN_S + (START_S if start else 0.0)
 
 
-def write(client: Client, candidate: Candidate, board: Board, progress: Progress) -> tuple[Client, Place]:
+def write(client: Client, candidate: Blob, board: Board, progress: Progress) -> tuple[Client, Place]:
     """Put it into the slot that is not flown. Returns the client, another where the line went, and the place.
 
     Raises LinkError, `client` closed, after ATTEMPTS, and at once where the firmware refuses for good: then
@@ -81,7 +100,7 @@ def write(client: Client, candidate: Candidate, board: Board, progress: Progress
             ending = True
             client.request(Msp.POLICY_SLOT_END, retries=RESENDS)
             place = read_patiently(client, board.clock).holding(candidate.sha256, sequence)
-            if place is not None and place.good:
+            if place is not None and _arrived(candidate, place):
                 return client, place
             failure = LinkError(
                 f"{client.name}: the slot of {size} bytes reads otherwise than it was written"
@@ -105,7 +124,14 @@ def write(client: Client, candidate: Candidate, board: Board, progress: Progress
     raise LinkError(f"{failure}; {_left(candidate, ending)}") from failure
 
 
-def _begin(client: Client, candidate: Candidate) -> tuple[int, int]:
+def _arrived(candidate: Blob, place: Place) -> bool:
+    """Whether it is whole there: the running image flies none that comes with another one."""
+    return place.build == candidate.build.hex() and (
+        place.good or (any(candidate.build) and place.found == OTHER_IMAGE)
+    )
+
+
+def _begin(client: Client, candidate: Blob) -> tuple[int, int]:
     size = candidate.size
     reply = client.request(Msp.POLICY_SLOT_BEGIN, requests.slot_begin(size), retries=RESENDS)
     return requests.slot_begun(reply), size
@@ -131,7 +157,7 @@ def _reopened(client: Client, board: Board) -> Client | None:
     return None
 
 
-def _left(candidate: Candidate, ending: bool) -> str:
+def _left(candidate: Blob, ending: bool) -> str:
     if ending:
         return (
             f"whether {candidate.file} was written to its end is not known: the board flies it from its next "

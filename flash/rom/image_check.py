@@ -1,4 +1,4 @@
-"""Whether an image would start on this board: its vectors, its header, its checksum."""
+"""Whether an image would start on this board and fly: its vectors, its header, its checksum, its policy."""
 
 from __future__ import annotations
 
@@ -12,11 +12,18 @@ from toolchain.contract import (
     FLASH_BANKS,
     FLASH_BASE,
     FLASH_BYTES,
+    FLASH_POLICY_SLOTS,
     IMAGE_HEADER_OFFSET,
     IMAGE_LAYOUT,
+    POLICY_BLOB_CRC_BYTES,
+    POLICY_BLOB_LAYOUT,
+    ImageHeader,
+    PolicyHeader,
     Region,
     image_checksum,
     image_header,
+    policy_checksum,
+    policy_header,
 )
 from toolchain.errors import LinkError
 
@@ -24,6 +31,7 @@ BOARD = "MATEKF722"
 FLASH_ALIAS = 0x00200000  # the same flash as the core fetches it
 _RAM_BYTES = 256 * 1024  # from DTCM on, without a gap
 _WORD = 4
+SHA_SHOWN = 12  # digits of a SHA-256 that tell two policies apart for people
 
 
 @dataclass(frozen=True)
@@ -34,9 +42,11 @@ class ImageFacts:
     bank: int  # 0: A, 1: B
     version: str
     build: bytes  # the same in both banks of a build
+    policy: str  # which it brings
 
     def __str__(self) -> str:
-        return f"{self.board} {self.version}, build {self.build.hex()}, bank {'AB'[self.bank]}"
+        build = f"build {self.build.hex()}, bank {'AB'[self.bank]}"
+        return f"{self.board} {self.version}, {build}, {self.policy}"
 
 
 def check_image(segments: Sequence[Segment]) -> ImageFacts:
@@ -45,7 +55,7 @@ def check_image(segments: Sequence[Segment]) -> ImageFacts:
     for number, bank in enumerate(FLASH_BANKS):
         content = _content(segments, bank)
         if content:
-            return _check_bank(number, content)
+            return _check_bank(number, content, _content(segments, FLASH_POLICY_SLOTS[0]))
     raise LinkError(
         "the image is a boot part without a bank, expected both; nothing was written; take neuroflight.hex, "
         ".bin or .elf of a build"
@@ -68,7 +78,7 @@ def _check_boot_part(segments: Sequence[Segment]) -> None:
         )
 
 
-def _check_bank(number: int, content: bytes) -> ImageFacts:
+def _check_bank(number: int, content: bytes, slot: bytes) -> ImageFacts:
     header = image_header(content)
     if header is None:
         _refuse(number, "has no header of Neuroflight; stm32flash and dfu-util write other firmware")
@@ -84,7 +94,38 @@ def _check_bank(number: int, content: bytes) -> ImageFacts:
     found = image_checksum(content[: header.image_bytes])
     if found != header.crc:
         _refuse(number, f"has CRC-32 {found:08x}, expected its header's {header.crc:08x}: it is damaged")
-    return ImageFacts(header.board, header.bank, header.version, header.build)
+    policy = _check_policy(number, header, slot)
+    return ImageFacts(header.board, header.bank, header.version, header.build, policy)
+
+
+def _check_policy(number: int, image: ImageHeader, slot: bytes) -> str:
+    """What the image will fly, in words. Without a policy that fits no policy would fly."""
+    try:
+        header, _ = policy_for(image, slot)
+    except ValueError as error:
+        _refuse(number, f"cannot fly what lies in policy slot A: {error}")
+    return f"policy of aircraft {header.aircraft}, sha256 {header.policy_sha256[:SHA_SHOWN]}"
+
+
+def policy_for(image: ImageHeader, content: bytes) -> tuple[PolicyHeader, bytes]:
+    """Header and bytes of the policy that `content` begins with: the one that comes with that image.
+
+    Raises ValueError, which says what it is, for anything else.
+    """
+    header = policy_header(content)
+    if header is None:
+        raise ValueError("got no policy, expected one")
+    if header.layout != POLICY_BLOB_LAYOUT:
+        raise ValueError(f"got a policy of layout {header.layout}, expected {POLICY_BLOB_LAYOUT}")
+    data = content[: header.total_bytes]
+    told = int.from_bytes(data[-POLICY_BLOB_CRC_BYTES:], "little")
+    if len(data) != header.total_bytes or policy_checksum(data) != told:
+        raise ValueError(f"got a policy that is damaged, expected {header.total_bytes} bytes with their CRC")
+    if header.build != image.build:
+        raise ValueError(f"got the policy of build {header.build.hex()}, expected {image.build.hex()}")
+    if (why := image.misfit(header)) is not None:
+        raise ValueError(f"got a policy that does not fit the image: {why}")
+    return header, data
 
 
 def _refuse(number: int, why: str) -> NoReturn:

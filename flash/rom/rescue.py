@@ -1,6 +1,7 @@
 """First installation and rescue through the chip's ROM: a plan, then its execution.
 
-Only the sectors that an image touches are erased: settings, policies and fault log stay. The boot part is
+Only the sectors that an image touches are erased, and that of policy slot B, so that no policy which an older
+image left there is flown in place of the image's: settings and fault log stay. The boot part is
 erased first and written last, so that a board whose flashing was cut short starts nothing; it is then still
 in reach of its BOOT button, which no image can take away.
 """
@@ -12,7 +13,7 @@ from dataclasses import dataclass
 
 from flash.rom.client import DATA_MAX, RomClient
 from flash.rom.segments import ERASED, Segment, touched_sectors
-from toolchain.contract import FLASH_BANK_B, FLASH_BOOT, FLASH_SECTORS
+from toolchain.contract import FLASH_BANK_B, FLASH_BOOT, FLASH_POLICY_SLOTS, FLASH_SECTORS
 from toolchain.errors import LinkError
 
 BITS_PER_BYTE = 11  # on the line: start, 8, parity, stop
@@ -54,7 +55,9 @@ def make_plan(segments: Sequence[Segment], *, erase_bank_b: bool = False) -> Pla
 
     erase_bank_b: so that no image there can be started in place of this one.
     """
-    padded = _aligned(segments)
+    slot_b = FLASH_POLICY_SLOTS[1].address
+    cleared = () if any(s.address <= slot_b < s.end for s in segments) else (Segment(slot_b, bytes(_WORD)),)
+    padded = _aligned(sorted((*segments, *cleared), key=lambda s: s.address))
     sectors = set(touched_sectors(padded))
     if erase_bank_b:
         sectors.add(FLASH_SECTORS.index(FLASH_BANK_B))

@@ -21,16 +21,18 @@ import serial
 
 from cli.main import main
 from flash.image import update
+from flash.image.files import Policy, read_images
 from flash.image.messages import image_write
 from flash.msp import Decoder, Message, encode
 from tests.flash.conftest import TcpServer
 from tests.flash.image.board_model import BoardModel, Fate, Setting, board_with
-from tests.flash.image.conftest import RevivingHost, for_board, stamped
+from tests.flash.image.conftest import RevivingHost, policy_of_build, stamped
 from tests.flash.image.conftest import board_images as board_images
+from tests.flash.image.conftest import board_policy as board_policy
 from tests.flash.image.conftest import host_file as host_file
 from tests.flash.image.conftest import host_images as host_images
 from tests.flash.image.conftest import reviving_host as reviving_host
-from toolchain.contract import FLASH_BANK_B, FLASH_BASE, FLASH_BYTES, IMAGE_TAIL_BYTES
+from toolchain.contract import FLASH_BANK_B, FLASH_BASE, IMAGE_LAYOUT, IMAGE_TAIL_BYTES
 from toolchain.image.stamp import stamp
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -80,12 +82,13 @@ class ServedBoard:
 
 
 @pytest.fixture
-def serve(board_images: list[bytes]) -> Iterator[Callable[..., ServedBoard]]:
+def serve(board_images: list[bytes], board_policy: Policy) -> Iterator[Callable[..., ServedBoard]]:
     """Serve a board that runs an older build."""
     served: list[ServedBoard] = []
 
     def start(**facts: Any) -> ServedBoard:
-        served.append(ServedBoard(board_with(stamped(board_images[0], build=b"oldbuild"), **facts)))
+        old, policy = stamped(board_images[0], build=b"oldbuild"), policy_of_build(board_policy, b"oldbuild")
+        served.append(ServedBoard(board_with(old, policy.data, **facts)))
         return served[-1]
 
     yield start
@@ -107,6 +110,7 @@ def test_the_image_is_written_switched_to_and_seen_to_run(
     code, out, _ = flash(nfi, served.port)
     assert code == 0
     assert "plan bank B: erase sector 6, write" in out
+    assert "policy the image's own (aircraft nf1, sha256" in out and "erase slot B, write 24,8" in out
     assert "settings: all as they were done: the new image runs and has proven itself" in out
     assert served.board.running == 1 and served.board.banks[1].data == board_images[1]
     (backup,) = tmp_path.glob("neuroflight-settings-*.txt")
@@ -117,8 +121,9 @@ def test_the_image_is_written_switched_to_and_seen_to_run(
         "the board runs this build already; --force writes it again: nothing was written"
     )
     assert served.board.erased == 1
-    assert flash(nfi, served.port, "--force", "--no-backup", "--keep-policy")[0] == 0
-    assert served.board.erased == 2 and served.board.running == 0 and served.board.keep_policy
+    assert "came with the image that runs" in flash(nfi, served.port, "--force", "--keep-policy")[2]
+    assert flash(nfi, served.port, "--force", "--no-backup")[0] == 0
+    assert served.board.erased == 2 and served.board.running == 0
     assert len(list(tmp_path.glob("neuroflight-settings-*.txt"))) == 1
 
 
@@ -170,9 +175,12 @@ def test_the_tool_says_that_the_board_went_back_when_the_host_program_cannot_run
     after = (tmp_path / "flash.bin").read_bytes()
     assert after[BANK_B:].startswith(host_images[1])
     slot_b = BANK_B + FLASH_BANK_B.size
-    # All but bank B, the fault log, and bank A's marks: the old image gets a number before the new one does.
-    kept = [(0x0, 0xC000), (0x10000, BANK_B - IMAGE_TAIL_BYTES), (slot_b, FLASH_BYTES)]
+    # All but bank B, slot B, the fault log, and bank A's marks: the old image gets a number before the new
+    # one does.
+    kept = [(0x0, 0xC000), (0x10000, BANK_B - IMAGE_TAIL_BYTES)]
     assert all(after[start:end] == before[start:end] for start, end in kept)
+    policy = read_images(host_file).policy
+    assert policy is not None and after[slot_b:].startswith(policy.blob(1))
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
@@ -247,7 +255,7 @@ def test_an_image_or_elf_of_another_board_is_refused(
     elf = Path(shutil.copy(board_image, tmp_path / "other.elf"))
     content = elf.read_bytes()
     names = re.finditer(b"MATEKF722\0", content)
-    (at,) = [name.start() for name in names if content[name.start() - 32 :].startswith(b"NFIM")]
+    (at,) = [name.start() for name in names if content[name.start() - 28 :].startswith(b"NFIM")]
     elf.write_bytes(content[:at] + b"MAMBAF405".ljust(16, b"\0") + content[at + 16 :])
     assert "it is damaged" in refused(elf)
     stamp(elf)
@@ -266,13 +274,13 @@ def test_a_file_is_refused_when_it_is_damaged(
 
 
 def test_a_file_is_refused_when_it_is_of_an_older_layout_or_not_there(
-    refused: Callable[..., str], host_images: list[bytes], tmp_path: Path
+    refused: Callable[..., str], host_images: list[bytes], board_policy: Policy, tmp_path: Path
 ) -> None:
     older = [stamped(image, layout=struct.pack("<H", 0)) for image in host_images]
     (tmp_path / "older.nfi").write_bytes(b"".join(older))
-    assert "its layout is 0, older than 1" in refused(tmp_path / "older.nfi")
+    assert f"its layout is 0, older than {IMAGE_LAYOUT}" in refused(tmp_path / "older.nfi")
     assert "No such file" in refused(tmp_path / "missing.nfi")
-    (tmp_path / "a.nfi").write_bytes(for_board(host_images[0], "HOST"))
+    (tmp_path / "a.nfi").write_bytes(host_images[0] + board_policy.data)
     assert "it holds the image for bank A alone and the board needs that for bank B" in refused(
         tmp_path / "a.nfi"
     )

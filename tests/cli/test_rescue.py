@@ -8,6 +8,7 @@ import struct
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,11 +18,13 @@ import flash.rom.rescue
 from cli.main import main
 from flash.rom.segments import read_segments
 from sim.board.serial.bridge import TcpEnd
-from tests.flash.rom.conftest import BOOT, Served, flash_with
+from tests.firmware.conftest import scripted_blob
+from tests.flash.rom.conftest import BOOT, SLOT_B, Served, flash_with
 from toolchain.contract import (
     FLASH_BANK_A,
     FLASH_BASE,
     FLASH_BYTES,
+    FLASH_POLICY_SLOTS,
     IMAGE_HEADER_FORMAT,
     IMAGE_HEADER_OFFSET,
     IMAGE_LAYOUT,
@@ -29,6 +32,7 @@ from toolchain.contract import (
     image_checksum,
     image_field_offset,
 )
+from toolchain.policy.blob import pack
 
 FULL = bytes(i % 251 + 1 for i in range(FLASH_BYTES))
 LIMIT_S = 60.0  # of a test that hangs
@@ -37,11 +41,14 @@ LIMIT_S = 60.0  # of a test that hangs
 def small_image(board: bytes = b"MATEKF722") -> bytes:
     """Flash with a boot part that waits for ever and a bank that is whole."""
     bank = bytearray(IMAGE_HEADER_OFFSET + 96)
-    told = (IMAGE_MAGIC, IMAGE_LAYOUT, 0, 0, len(bank), 0, 0, b"\0\1\0\0", b"abcdefgh", board)
+    policy = scripted_blob()
+    asks = (policy.architecture_hash, policy.filters_hash, 1000, 2, 17, 4)
+    told = (IMAGE_MAGIC, IMAGE_LAYOUT, 0, 0, len(bank), 0, b"\0\1\0\0", b"abcdefgh", board, *asks)
     struct.pack_into(IMAGE_HEADER_FORMAT, bank, IMAGE_HEADER_OFFSET, *told)
     struct.pack_into("<I", bank, image_field_offset("crc"), image_checksum(bank))
-    between = FLASH_BANK_A.address - FLASH_BASE - len(BOOT)
-    return BOOT + b"\xff" * between + bytes(bank)
+    before = BOOT.ljust(FLASH_POLICY_SLOTS[0].address - FLASH_BASE, b"\xff")
+    before += pack(replace(policy, build=b"abcdefgh"))
+    return before.ljust(FLASH_BANK_A.address - FLASH_BASE, b"\xff") + bytes(bank)
 
 
 @pytest.fixture
@@ -80,16 +87,18 @@ def test_it_tells_the_plan_writes_compares_and_starts(
     assert main(["rescue", str(image), "--port", chip.end.name]) == 0
     told = capsys.readouterr().out
     assert "MATEKF722 0.1.0, build 6162636465666768, bank A" in told
-    assert "erase  sector 0 (boot part); sector 5 (bank A)\n" in told
-    assert "sector 1 (settings); sector 2 (settings); sector 3 (fault log); sector 4 (policy slot)" in told
+    erased = "sector 0 (boot part); sector 4 (policy slot); sector 5 (bank A); sector 7 (policy slot)"
+    assert f"erase  {erased}\n" in told
+    assert "sector 1 (settings); sector 2 (settings); sector 3 (fault log); sector 6 (bank B)" in told
     assert "safety propellers off" in told
-    assert "676 bytes written and read back equal" in told
+    assert "1,528 bytes written and read back equal" in told
     assert "start  the image runs; let BOOT go" in told
     chip.stop()
     under = bytearray(FULL)
     under[:0x4000] = b"\xff" * 0x4000
-    under[0x20000:0x40000] = b"\xff" * 0x20000
-    assert chip.idle.flash() == flash_with(read_segments(image), bytes(under))
+    under[0x10000:0x40000] = b"\xff" * 0x30000
+    under[0x60000:] = b"\xff" * 0x20000
+    assert chip.idle.flash() == flash_with((*read_segments(image), SLOT_B), bytes(under))
     assert not chip.idle.board.hardware.rom.runs
 
 
@@ -97,12 +106,12 @@ def test_it_tells_the_plan_writes_compares_and_starts(
 def test_nothing_is_written_when_it_only_looks(
     serve: Callable[..., Served], image: Path, capsys: pytest.CaptureFixture[str], option: str
 ) -> None:
-    chip = serve(flash_with(read_segments(image), FULL))
+    chip = serve(flash_with((*read_segments(image), SLOT_B), FULL))
     assert main(["rescue", str(image), "--all", "--port", chip.end.name, option]) == 0
     told = capsys.readouterr().out
     assert "nothing was written" in told and "sector 6 (bank B)" in told.partition("keep")[0]
     chip.stop()
-    assert chip.idle.flash() == flash_with(read_segments(image), FULL)
+    assert chip.idle.flash() == flash_with((*read_segments(image), SLOT_B), FULL)
     assert chip.idle.board.hardware.flash.operations == 0
     assert chip.idle.board.hardware.rom.runs
 
@@ -192,7 +201,7 @@ def test_a_chip_holds_in_the_next_run_what_was_written_through_its_rom(
     finally:
         board.kill()
         board.communicate()
-    assert chip.read_bytes() == flash_with(read_segments(image))
+    assert chip.read_bytes() == flash_with((*read_segments(image), SLOT_B))
     capsys.readouterr()
     assert main(["board", "--chip", str(chip), "--serial=tcp", "--seconds", "0.01"]) == 0
     assert "resets: none" in capsys.readouterr().out

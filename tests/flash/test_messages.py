@@ -51,7 +51,7 @@ RAW_IMU = struct.pack("<9h", 1, -2, 2048, 164, -32768, 32767, 7, 8, -9)
 POLICY = (
     b"\xef\xbe\xad\xde" + b"\x06\x00" + b"\x04\x00" + b"\x04\x13\x00\x00" + b"\xe8\x03" + b"\xa0\x0f"
     + b"\x01" + b"\x03nf1" + bytes(range(32))
-    + b"\x00\x00\x80\x3e" + b"\x01" + b"\x07\x00\x00\x00" + b"\xf6\x00\x00" + b"\x01"
+    + b"\x00\x00\x80\x3e" + b"\x01" + b"\x07\x00\x00\x00" + b"\xf6\x00" + b"\x01"
 )  # fmt: skip
 BATTERY = b"\x04" + b"\x14\x05" + b"\xa8" + b"\x7b\x00" + b"\x85\xff" + b"\x01" + b"\x8e\x06"
 SAFETY = (
@@ -111,7 +111,7 @@ NEEDED = {
     Msp.ATTITUDE: 6,
     Msp.ANALOG: 9,
     Msp.BATTERY_STATE: 11,
-    Msp.POLICY_INFO: 66,
+    Msp.POLICY_INFO: 65,
     Msp.SAFETY: 19,
     Msp.TASKS: 49,
     Msp.FAULTS: 97,
@@ -145,7 +145,7 @@ def test_every_command_has_a_decoder_when_the_contract_names_it() -> None:
             Msp.POLICY_INFO,
             PolicyInfo(
                 *("nf1", bytes(range(32)).hex(), 0xDEADBEEF, 6, 4, 4868, 1000, 4000, True),
-                *(0.25, PolicySource.SLOT_B, 7, (-10, 0, 0), Mix.CENTRED),
+                *(0.25, PolicySource.SLOT_B, 7, (-10, 0), Mix.CENTRED),
             ),
         ),
         (

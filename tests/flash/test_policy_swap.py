@@ -16,6 +16,7 @@ import pytest
 from cli.flash.policy_swap import candidate_of
 from cli.main import main
 from flash.client import Client, RefusedError
+from flash.info import read_info
 from flash.messages import PolicySource
 from flash.msp import Decoder, Message, encode, error, reply
 from flash.policy import swap as swaps
@@ -25,7 +26,7 @@ from flash.policy_errors import POLICY_ERRORS, policy_error
 from flash.transport import Transport, open_transport
 from tests.flash.policies import HostBoard, another_policy, host_board
 from tests.flash.test_noisy_line import FastTransport
-from toolchain.contract import ArmingReason, FlightState, Msp
+from toolchain.contract import FLASH_BYTES, ArmingReason, FlightState, Msp
 from toolchain.errors import LinkError
 from toolchain.policy.blob import pack, parse
 
@@ -36,7 +37,7 @@ Serve = Callable[..., str]
 
 @pytest.fixture
 def board(host_program: Path, tmp_path: Path) -> Iterator[HostBoard]:
-    """A host program with erased slots, which starts anew when it is told to."""
+    """A host program as installed, its policy in slot A, which starts anew when it is told to."""
     with host_board(host_program, tmp_path / "flash.bin") as running:
         yield running
 
@@ -87,44 +88,58 @@ def test_the_board_flies_each_policy_and_goes_back_one_by_one_when_asked(
 ) -> None:
     code, out, _ = run("--policy", other)
     assert code == 0
-    assert "flown now the compiled-in policy (aircraft nf1" in out
-    assert "plan erase slot A, write 2" in out
-    assert "the board flies other.onnx from slot A: its self-test passed there" in out
-    assert flown(board) == (PolicySource.SLOT_A, 1, sha(other), True)
+    assert "flown now the policy in slot A (number 0, aircraft nf1" in out
+    assert "plan erase slot B, write 2" in out
+    assert "the board flies other.onnx from slot B: its self-test passed there" in out
+    assert flown(board) == (PolicySource.SLOT_B, 1, sha(other), True)
     assert board.starts == 2
-
-    assert "from slot B" in run("--policy", third)[1]
-    assert flown(board) == (PolicySource.SLOT_B, 2, sha(third), True)
     listed = {row["source"]: row for row in json.loads(run("--list", "--json")[1])}
-    assert [listed[name]["flown"] for name in ("SLOT_A", "SLOT_B", "COMPILED_IN")] == [False, True, False]
-    assert listed["SLOT_A"]["sha256"] == sha(other)
-    assert listed["COMPILED_IN"]["network"] == "27-56-56-4 tanh"
-    assert [row["next"] for row in listed.values()] == [False, True, False]
+    assert [listed[name]["flown"] for name in ("SLOT_A", "SLOT_B")] == [False, True]
+    assert listed["SLOT_A"]["sha256"] == sha(shipped_policy)
+    assert listed["SLOT_A"]["network"] == "27-56-56-4 tanh"
+    assert [row["next"] for row in listed.values()] == [False, True]
 
     code, out, _ = run("--revert")
-    assert "afterwards the policy in slot A (number 1, aircraft nf1" in out
-    assert flown(board) == (PolicySource.SLOT_A, 1, sha(other), True)
-    assert run("--revert")[0] == 0
-    assert flown(board) == (PolicySource.COMPILED_IN, 0, sha(shipped_policy), True)
+    assert "afterwards the policy in slot A (number 0, aircraft nf1" in out
+    assert flown(board) == (PolicySource.SLOT_A, 0, sha(shipped_policy), True)
     code, _, err = run("--revert")
     assert code == 1
-    assert "flies the compiled-in policy" in err and "nothing was changed" in err
+    assert "has no other good one" in err and "nothing was changed" in err
     assert "empty" in run("--list")[1]
 
-    assert run("--policy", third)[0] == 0
-    assert flown(board)[2:] == (sha(third), True)
+    assert run("--policy", other)[0] == run("--policy", third)[0] == 0
+    assert flown(board) == (PolicySource.SLOT_A, 2, sha(third), True)
+    assert run("--revert")[0] == 0
+    assert flown(board) == (PolicySource.SLOT_B, 1, sha(other), True)
+
+
+def test_the_pid_alone_flies_when_no_slot_holds_a_policy(
+    host_program: Path, tmp_path: Path, shipped_policy: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "erased.bin").write_bytes(b"\xff" * FLASH_BYTES)
+    with host_board(host_program, tmp_path / "erased.bin") as board:
+        assert flown(board) == (PolicySource.NONE, 0, "00" * 32, False)
+        with Client(open_transport(board.port)) as client:
+            info = read_info(client)
+        assert "POLICY_BAD" in info.arming_reasons and info.name == "none"
+        assert main(["flash", "--port", board.port, "--revert"]) == 1
+        assert "the board flies no policy; nothing was changed" in capsys.readouterr().err
+        assert main(["flash", "--port", board.port, "--list"]) == 0
+        assert capsys.readouterr().out.count("empty") == 2
+        assert main(["flash", "--port", board.port, "--policy", str(shipped_policy)]) == 0
+        assert flown(board) == (PolicySource.SLOT_A, 1, sha(shipped_policy), True)
 
 
 def test_the_list_names_networks_of_known_files(
     run: Run, board: HostBoard, other: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert run("--policy", other)[0] == 0
-    (row,) = [row for row in json.loads(run("--list", "--json")[1]) if row["source"] == "SLOT_A"]
+    (row,) = [row for row in json.loads(run("--list", "--json")[1]) if row["source"] == "SLOT_B"]
     assert (row["network"], row["state"]) == (None, "good")
     monkeypatch.chdir(other.parent)
     out = run("--list")[1]
-    assert re.search(rf"slot A flown 1 nf1 {sha(other)[:12]} 27-56-56-4 tanh good", out)
-    assert re.search(r"slot B empty", out)
+    assert re.search(rf"slot B flown 1 nf1 {sha(other)[:12]} 27-56-56-4 tanh good", out)
+    assert re.search(r"slot A 0 nf1 \w+ 27-56-56-4 tanh good", out)
 
 
 def test_nothing_is_written_when_it_is_flown_already_or_only_planned(
@@ -136,11 +151,11 @@ def test_nothing_is_written_when_it_is_flown_already_or_only_planned(
     assert "the board flies policy.onnx already" in out and "nothing was written" in out
     assert "a plan only (--dry-run): nothing was written" in run("--policy", other, "--dry-run")[1]
     document = json.loads(run("--policy", other, "--dry-run", "--json")[1])
-    assert (document["slot"], document["written"], document["flown"]) == ("slot A", None, False)
+    assert (document["slot"], document["written"], document["flown"]) == ("slot B", None, False)
     assert document["bytes"] == candidate_of(other).size
     assert board.flash.read_bytes() == before
     assert run("--policy", shipped_policy, "--force")[0] == 0
-    assert flown(board) == (PolicySource.SLOT_A, 1, sha(shipped_policy), True)
+    assert flown(board) == (PolicySource.SLOT_B, 1, sha(shipped_policy), True)
     written = board.flash.read_bytes()
     assert "nothing was changed" in run("--revert", "--dry-run")[1]
     assert board.flash.read_bytes() == written
@@ -150,26 +165,26 @@ def test_a_policy_waits_for_the_next_start_when_none_is_wanted_now(
     run: Run, board: HostBoard, other: Path, third: Path
 ) -> None:
     assert (
-        "stands in slot A; the board flies it from its next start on"
+        "stands in slot B; the board flies it from its next start on"
         in run("--policy", other, "--no-reboot")[1]
     )
-    assert (flown(board)[0], board.starts) == (PolicySource.COMPILED_IN, 1)
+    assert (flown(board)[0], board.starts) == (PolicySource.SLOT_A, 1)
     assert "good, flown from the next start on" in run("--list")[1]
     out = run("--policy", other)[1]
-    assert "nothing to write: slot A holds it and waits for a start" in out
-    assert flown(board)[:2] == (PolicySource.SLOT_A, 1)
+    assert "nothing to write: slot B holds it and waits for a start" in out
+    assert flown(board)[:2] == (PolicySource.SLOT_B, 1)
 
     run("--policy", third, "--no-reboot")
     code, _, err = run("--revert")
     assert code == 1 and "is flown from the next start on in place of the one" in err
     run("--policy", third)
-    assert "is given up; the board flies the policy in slot A" in run("--revert", "--no-reboot")[1]
+    assert "is given up; the board flies the policy in slot B" in run("--revert", "--no-reboot")[1]
     assert "given up; flown until the next start" in run("--list")[1]
     for words in (("--policy", third), ("--revert",)):
         code, _, err = run(*words)
         assert code == 1 and "was given up and is flown until the next start" in err
     assert main(["msp", "--port", board.port, "reboot"]) == 0
-    assert flown(board)[:3] == (PolicySource.SLOT_A, 1, sha(other))
+    assert flown(board)[:3] == (PolicySource.SLOT_B, 1, sha(other))
 
 
 # --- Files and policies that are refused ------------------------------------------------------------
@@ -264,7 +279,7 @@ def test_a_policy_of_another_aircraft_is_flown_only_when_that_is_meant(
     assert code == 1
     assert "is for the aircraft 'nf1'" in err and "nothing was changed" in err
     assert run("--revert", "--other-aircraft")[0] == 0
-    assert flown(board)[0] is PolicySource.COMPILED_IN
+    assert flown(board)[0] is PolicySource.SLOT_A
 
 
 # --- Boards that are refused ------------------------------------------------------------------------
@@ -358,7 +373,7 @@ def test_the_refusal_is_told_when_the_motors_are_armed_meanwhile(
     assert code == 1
     assert "the motors are armed or under test" in err and "other.onnx was not written" in err
     assert count == 20, "it is not tried again"
-    assert flown(board)[0] is PolicySource.COMPILED_IN
+    assert flown(board)[0] is PolicySource.SLOT_A
 
 
 # --- A policy that the board does not fly after all ----------------------------------------------------
@@ -375,12 +390,12 @@ def test_the_board_flies_the_old_one_and_says_why_when_the_new_one_fails_its_sel
     client, place = swaps.write(Client(line.reopen()), good, line, lambda done, total: None)
     swaps.start(client, good, place, line).close()
     client, place = swaps.write(Client(line.reopen()), bad, line, lambda done, total: None)
-    assert place.source is PolicySource.SLOT_B
+    assert place.source is PolicySource.SLOT_A
     with pytest.raises(
-        LinkError, match=r"flies the policy in slot A .* and not other.onnx: the one in slot B fails"
+        LinkError, match=r"flies the policy in slot B .* and not other.onnx: the one in slot A fails"
     ):
         swaps.start(client, bad, place, line)
-    assert flown(board) == (PolicySource.SLOT_A, 1, good.sha256, True)
+    assert flown(board) == (PolicySource.SLOT_B, 1, good.sha256, True)
 
 
 def test_it_is_told_as_refused_when_the_blob_is_none_for_the_image(board: HostBoard, other: Path) -> None:
@@ -393,7 +408,7 @@ def test_it_is_told_as_refused_when_the_blob_is_none_for_the_image(board: HostBo
         match=r"of another architecture than this image's policy \(error -13 .*; other.onnx was not",
     ):
         swaps.write(Client(line.reopen()), alien, line, lambda done, total: None)
-    assert flown(board)[0] is PolicySource.COMPILED_IN
+    assert flown(board)[0] is PolicySource.SLOT_A
 
 
 # --- Lines that fail ----------------------------------------------------------------------------------
@@ -415,7 +430,7 @@ def test_the_swap_starts_over_when_the_line_is_lost(
     port = tcp_server(answer)
     code, out, _ = run("--policy", other, "--no-reboot", port=port)
     assert (code, lost) == (0, [])
-    assert "stands in slot A" in out
+    assert "stands in slot B" in out
     assert places(board).after_start().sha256 == sha(other)  # type: ignore[union-attr]
 
 
@@ -435,7 +450,7 @@ def test_one_line_says_what_it_means_for_the_board_when_ctrl_c_stops_it(
     monkeypatch.setattr(swaps, "start", stop)
     with pytest.raises(SystemExit, match="130"):
         main(words)
-    assert "other.onnx stands in slot A and is flown from the next start on" in capsys.readouterr().err
+    assert "other.onnx stands in slot B and is flown from the next start on" in capsys.readouterr().err
     assert places(board).after_start().sha256 == sha(other)  # type: ignore[union-attr]
 
 
@@ -450,7 +465,7 @@ def test_it_is_told_what_flies_when_the_line_is_lost_for_good(
     code, _, err = run("--policy", other, port=tcp_server(answer))
     assert code == 1
     assert "other.onnx was not written: the board goes on with the policy that it flew" in err
-    assert flown(board)[0] is PolicySource.COMPILED_IN
+    assert flown(board)[0] is PolicySource.SLOT_A
 
 
 class Timed:
@@ -520,7 +535,7 @@ def test_the_swap_goes_on_when_the_line_stalls_for_ten_seconds(
     )
     client.close()
     assert line.at == -1 and line.now > STALL_S
-    assert (place.source, places(board).after_start()) == (PolicySource.SLOT_A, place)
+    assert (place.source, places(board).after_start()) == (PolicySource.SLOT_B, place)
 
 
 class Pulled(Timed):
@@ -631,7 +646,7 @@ def test_each_error_of_a_policy_has_words_when_the_firmware_has_a_number_for_it(
     assert policy_error(-99) == "error -99 of nf_err.h, which this tool does not know"
 
 
-SLOT_REPLY = struct.pack("<bB4If", -10, 0, 7, 1, 2, 1000, 0.25) + b"\x03nf1" + bytes(range(32))
+SLOT_REPLY = struct.pack("<bB4If", -10, 0, 7, 1, 2, 1000, 0.25) + b"\x03nf1" + bytes(range(32)) + b"itsbuild"
 
 
 def test_a_place_is_read_field_by_field_when_told() -> None:
@@ -639,7 +654,7 @@ def test_a_place_is_read_field_by_field_when_told() -> None:
     assert (place.found, place.flown, place.sequence, place.control_rate_hz) == (-10, False, 7, 1000)
     assert (place.architecture_hash, place.filters_hash, place.idle) == (1, 2, 0.25)
     assert (place.aircraft, place.sha256) == ("nf1", bytes(range(32)).hex())
-    assert not place.good
+    assert not place.good and place.build == b"itsbuild".hex()
     assert policy_error(place.found) == "damaged: its checksum does not hold"
     for size in range(len(SLOT_REPLY)):
         with pytest.raises(LinkError, match="MSP POLICY_SLOT_INFO reply has"):

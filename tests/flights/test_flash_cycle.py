@@ -137,7 +137,7 @@ def test_an_erased_chip_becomes_a_board_that_flies_a_second_image_with_a_swapped
     with wired.client() as client:
         banks = read_board(client).banks
         assert (banks.running, banks.now.build, banks.now.sequence) == (B, file.build, 2)
-        assert hash_of(client, B, lambda: wired.seconds) == image_for(file, B).sha256
+        assert hash_of(client, B, lambda: wired.seconds) == image_for(file, B)[0].sha256
         info = read_info(client)
         assert info.policy is not None and info.policy.sha256 != candidate_of(shipped_policy).sha256
 

@@ -10,7 +10,7 @@ import pytest
 
 from flash.client import Client
 from flash.image.board import read_board
-from flash.image.files import Image, ImageFile
+from flash.image.files import Image, ImageFile, Policy
 from flash.image.install import Installation, Installed
 from flash.image.plan import Plan, make_plan
 from flash.image.settings_kept import read_settings
@@ -20,7 +20,8 @@ from sim.board.peripherals.usart import Format
 from sim.board.serial.bridge import LineTransport, UartLine
 from sim.board.serial.idle_board import IdleBoard, configured
 from tests.flash.image.conftest import board_images as board_images
-from tests.flash.image.conftest import stamped
+from tests.flash.image.conftest import board_policy as board_policy
+from tests.flash.image.conftest import policy_of_build, stamped
 from toolchain.contract import FLASH_BANK_B, image_header
 
 pytestmark = pytest.mark.slow
@@ -44,7 +45,7 @@ class Desk:
         installation = Installation(
             client, self.plan, lambda: self.line, lambda what, done, total: None, self.line.clock, self._sleep
         )
-        done = installation.run(read_settings(client), keep_policy=False)
+        done = installation.run(read_settings(client))
         assert done is not None
         return done, self.line.clock() - begun
 
@@ -61,7 +62,7 @@ def desk(board_image: Path) -> Iterator[Desk]:
     idle.close()
 
 
-def build_of(images: list[bytes], build: bytes) -> ImageFile:
+def build_of(images: list[bytes], policy: Policy, build: bytes) -> ImageFile:
     """The images as those of another build."""
     made = []
     for image in images:
@@ -69,14 +70,14 @@ def build_of(images: list[bytes], build: bytes) -> ImageFile:
         header = image_header(data)
         assert header is not None
         made.append(Image(header, data))
-    return ImageFile(Path(f"{build.decode()}.nfi"), tuple(made))
+    return ImageFile(Path(f"{build.decode()}.nfi"), tuple(made), policy_of_build(policy, build))
 
 
 def test_a_second_image_runs_within_30_s_and_a_third_goes_back_into_bank_a(
-    desk: Desk, board_images: list[bytes]
+    desk: Desk, board_images: list[bytes], board_policy: Policy
 ) -> None:
     for build, bank in ((b"second__", 1), (b"third___", 0)):
-        file = build_of(board_images, build)
+        file = build_of(board_images, board_policy, build)
         done, seconds = desk.flash(file)
         assert done.trial.ending is Ending.KEPT, done.trial.why
         assert done.kept is not None and done.kept.lines == [] and done.restarts == 1
@@ -86,15 +87,15 @@ def test_a_second_image_runs_within_30_s_and_a_third_goes_back_into_bank_a(
 
 
 def test_the_tool_says_so_when_an_image_never_starts_and_the_board_has_gone_back(
-    desk: Desk, board_images: list[bytes]
+    desk: Desk, board_images: list[bytes], board_policy: Policy
 ) -> None:
     (reset,) = struct.unpack_from("<I", board_images[1], 4)
     at = (reset & ~1) - FLASH_BANK_B.address
     stuck = board_images[1][:at] + LOOP + board_images[1][at + 2 :]
-    done, _ = desk.flash(build_of([board_images[0], stuck], b"stuck___"))
+    done, _ = desk.flash(build_of([board_images[0], stuck], board_policy, b"stuck___"))
     assert done.trial.ending is Ending.WENT_BACK
     assert (
         "the board went back to bank A, version 0.1.0: the new image was started 2 time(s)" in done.trial.why
     )
-    good, _ = desk.flash(build_of(board_images, b"good____"))
+    good, _ = desk.flash(build_of(board_images, board_policy, b"good____"))
     assert good.trial.ending is Ending.KEPT

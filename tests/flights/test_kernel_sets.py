@@ -26,7 +26,6 @@ from toolchain.contract import (
     POLICY_MEMORY_COUNT_MAX,
     POLICY_WEIGHT_COUNT_MAX,
 )
-from toolchain.errors import PolicyError
 from toolchain.image.build import TARGETS
 from toolchain.image.elf import read_image
 from toolchain.ir.network import OBSERVATION, Network
@@ -170,8 +169,8 @@ def weights() -> Network:
 SETS = (tanh, linear_units, exponential_units, gated, remembering, everything)
 LIMITS = (memory, observation, weights)
 slow = pytest.mark.slow
-FLOWN = (*SETS, memory, observation)
-SAMPLED = (everything, memory)  # the others are slow
+FLOWN = (*SETS, *LIMITS)
+SAMPLED = (everything, memory, weights)  # the others are slow
 CASES = [param(make, id=make.__name__, marks=() if make in SAMPLED else slow) for make in FLOWN]
 
 
@@ -202,14 +201,6 @@ def test_every_kernel_is_in_one_of_the_sets_and_each_limit_is_reached() -> None:
         OBSERVATION_COUNT_MAX,
         TARGETS["MATEKF722"].motors,
     )
-
-
-@pytest.mark.slow
-def test_the_most_weights_are_refused_while_they_lie_in_the_bank(tmp_path: Path) -> None:
-    path = tmp_path / "policy.onnx"
-    path.write_bytes(file_of(weights()))
-    with pytest.raises(PolicyError, match=r"54,\d+ bytes in flash, the bank has room for 27,000: 27,\d+"):
-        build_beside("MATEKF722", path, tmp_path / "build")
 
 
 @pytest.mark.parametrize("make", CASES)

@@ -12,7 +12,7 @@ import struct
 import zlib
 from dataclasses import dataclass
 
-from toolchain.contract.policy_format import HeaderField
+from toolchain.contract.policy_format import IMAGE_BUILD_BYTES, HeaderField, PolicyHeader
 
 __all__ = [
     "IMAGE_BOARD_BYTES",
@@ -37,10 +37,9 @@ __all__ = [
     "image_header",
 ]
 IMAGE_MAGIC = 0x4D49464E  # "NFIM"
-IMAGE_LAYOUT = 1  # of header, state and flash map; a boot part and an image with another one do not fit
+IMAGE_LAYOUT = 2  # of header, state and flash map; a boot part and an image with another one do not fit
 IMAGE_HEADER_OFFSET = 512  # bytes from the bank's begin: behind the vectors
 IMAGE_BOARD_BYTES = 16
-IMAGE_BUILD_BYTES = 8
 IMAGE_STARTS_MAX = 2  # of an image that was not confirmed; then the other bank's is started
 # An image on probation is confirmed when its control steps and its policy have gone well for so long; it
 # gives up when it was not within the other time, silences of the gyro not counted.
@@ -54,20 +53,26 @@ IMAGE_FIELDS = (
     HeaderField("uint8_t", "reserved", "", "0"),
     HeaderField("uint32_t", "image_bytes", "bytes", "from the bank's begin, a multiple of 4"),
     HeaderField("uint32_t", "crc", "", "CRC-32 of these bytes without this field"),
-    HeaderField("uint32_t", "policy_address", "", "of the compiled-in policy's blob"),
     HeaderField("uint8_t", "version", "", "major, minor, patch, 0", 4),
     HeaderField(
         "uint8_t", "build", "", "the same in both banks of a build, other in any other", IMAGE_BUILD_BYTES
     ),
     HeaderField("char", "board", "", "ASCII, then 0: the target it is built for", IMAGE_BOARD_BYTES),
+    # What a policy has to be for this image to fly it: the blob's fields of these names.
+    HeaderField("uint32_t", "architecture_hash", "", "of the policies that it can fly, as all that follow"),
+    HeaderField("uint32_t", "filters_hash", "", "CRC-32 of the gyro filters' JSON list"),
+    HeaderField("uint32_t", "control_rate_hz", "Hz", ""),
+    HeaderField("uint32_t", "weight_count", "floats", ""),
+    HeaderField("uint16_t", "observation_count", "floats", ""),
+    HeaderField("uint16_t", "action_count", "floats", ""),
 )
 IMAGE_HEADER_FORMAT = "<" + "".join(field.format for field in IMAGE_FIELDS)
 
 # At the end of the bank. A flag is set by a word of zeros. The bank's number stands in the first entry of
-# `numbers` whose check holds: sequence, policy floor, 1 where that counts else 0, CRC-32 of these three. A
-# loss of power may spoil an entry; then the next one is used.
+# `numbers` whose second word is the first one's complement. A loss of power may spoil an entry: what it
+# leaves has a bit that is 1 in both words, for programming only clears bits. Then the next entry is used.
 IMAGE_NUMBER_ENTRIES = 4
-IMAGE_NUMBER_WORDS = 4
+IMAGE_NUMBER_WORDS = 2
 IMAGE_STATE_FIELDS = (
     HeaderField("uint32_t", "written", "", "0: by the firmware; erased: by the chip's ROM"),
     HeaderField(
@@ -111,7 +116,24 @@ class ImageHeader:
     version: str  # major.minor.patch
     build: bytes
     board: str  # whatever is not printable shows as ?
+    architecture_hash: int  # of the policies that it flies, as all that follow
+    filters_hash: int
+    control_rate_hz: int
+    weight_count: int
+    observation_count: int
+    action_count: int
     raw: bytes  # as it lies in flash
+
+    def misfit(self, policy: PolicyHeader) -> str | None:
+        """What keeps this image from flying that policy, in words; None: nothing does."""
+        for name in (
+            *("control_rate_hz", "filters_hash", "weight_count", "observation_count", "action_count"),
+            "architecture_hash",
+        ):
+            has, asks = getattr(policy, name), getattr(self, name)
+            if has != asks:
+                return f"its {name} is {has}, the image asks for {asks}"
+        return None
 
 
 def image_header(image: bytes | bytearray) -> ImageHeader | None:
@@ -132,5 +154,11 @@ def image_header(image: bytes | bytearray) -> ImageHeader | None:
         version=".".join(str(part) for part in told["version"][:3]),
         build=told["build"],
         board="".join(c if " " <= c <= "~" else "?" for c in board),
+        architecture_hash=told["architecture_hash"],
+        filters_hash=told["filters_hash"],
+        control_rate_hz=told["control_rate_hz"],
+        weight_count=told["weight_count"],
+        observation_count=told["observation_count"],
+        action_count=told["action_count"],
         raw=bytes(image[IMAGE_HEADER_OFFSET:end]),
     )

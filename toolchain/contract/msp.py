@@ -164,6 +164,7 @@ MSP_MODE_ARMED = 0x01  # bit of the flight modes in STATUS and STATUS_EX
 MSP_STREAM_RATE_MAX_HZ = 500
 MSP_STREAM_ARMED, MSP_STREAM_PID = 0x01, 0x02  # flags of a record: motors obey; the PID flies
 # Flags of a bank in IMAGE_INFO.
+MSP_POLICY_NONE = 255  # as the source of POLICY_INFO: no policy is good
 MSP_IMAGE_FITS, MSP_IMAGE_NUMBERED, MSP_IMAGE_CONFIRMED, MSP_IMAGE_REJECTED, MSP_IMAGE_INSTALLED = (
     1 << bit for bit in range(5)
 )

@@ -31,7 +31,10 @@ class Access:
 
 _R = Refusal
 _STOPPED, _STORING = MspWhen.STOPPED, MspWhen.STORING
-_STARTED = "REBOOT starts it; may be repeated: the number and the floor of the policies stay"
+_STARTED = (
+    "REBOOT starts it; `blob` where no slot holds a policy that it can fly; may be repeated: the number stays"
+)
+_BOTH = "while the other bank's image is started next, or is the one to go back to"
 _READ_FIRST = "refused as `order` until this peer has read its counterpart, as its zeros mean something"
 _LOG_REFUSALS = (_R.PAYLOAD, _R.INDEX, _R.ORDER, _R.LOG, _R.ABSENT)
 _LOG_ORDER = "`absent` where the device keeps no logs, `order` while one is written"
@@ -111,7 +114,9 @@ _ACTS = {
     Msp.RESET_CONF: Access(_STORING, (_R.PAYLOAD, _R.CONFLICT, _R.FLASH, _R.ABSENT), "stores the defaults"),
     Msp.ACKNOWLEDGE: Access(_STORING, (_R.PAYLOAD, _R.INDEX, _R.FLASH, _R.ABSENT)),
     Msp.POLICY_SLOT_BEGIN: Access(
-        _STORING, (_R.PAYLOAD, _R.ORDER, _R.FLASH, _R.ABSENT), "`order` after a revert, until the restart"
+        _STORING,
+        (_R.PAYLOAD, _R.ORDER, _R.FLASH, _R.ABSENT),
+        f"`order` after a revert, until the restart, and {_BOTH}",
     ),
     Msp.POLICY_SLOT_WRITE: Access(
         _STORING, (_R.PAYLOAD, _R.ORDER, _R.FLASH, _R.ABSENT), "the last one may be repeated"
@@ -122,7 +127,8 @@ _ACTS = {
     Msp.POLICY_SLOT_REVERT: Access(
         _STORING,
         (_R.PAYLOAD, _R.ORDER, _R.FLASH, _R.ABSENT),
-        "`order` where no slot is flown, and after an update until the restart; may be repeated",
+        "`order` where no slot is flown or the other one holds no policy for this image, after an update "
+        f"until the restart, and {_BOTH}; may be repeated",
     ),
     Msp.POLICY_SLOT_INFO: Access(MspWhen.ALWAYS, (_R.PAYLOAD, _R.INDEX)),
     Msp.IMAGE_INFO: Access(MspWhen.ALWAYS, (_R.PAYLOAD, _R.ABSENT)),
@@ -144,7 +150,9 @@ _ACTS = {
     Msp.LOG_ERASE: Access(
         _STOPPED, (_R.PAYLOAD, _R.ORDER, _R.LOG, _R.ABSENT), f"{_LOG_ORDER}; may be repeated"
     ),
-    Msp.IMAGE_SWITCH: Access(_STORING, (_R.PAYLOAD, _R.ORDER, _R.IMAGE, _R.FLASH, _R.ABSENT), _STARTED),
+    Msp.IMAGE_SWITCH: Access(
+        _STORING, (_R.PAYLOAD, _R.ORDER, _R.IMAGE, _R.BLOB, _R.FLASH, _R.ABSENT), _STARTED
+    ),
 }
 
 

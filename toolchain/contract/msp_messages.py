@@ -8,7 +8,7 @@ from __future__ import annotations
 from toolchain.contract.frame_time_sensors import MOTOR_COUNT_MAX
 from toolchain.contract.modes import MODE_SLOT_COUNT
 from toolchain.contract.motors import MOTOR_BENCH_MAGIC, MOTOR_TEST_MAGIC
-from toolchain.contract.msp import MSP_ADJUSTMENT_SLOTS, Msp
+from toolchain.contract.msp import MSP_ADJUSTMENT_SLOTS, MSP_POLICY_NONE, Msp
 from toolchain.contract.msp_configuration import CONFIGURATIONS
 from toolchain.contract.msp_layouts import (
     Direction,
@@ -82,7 +82,7 @@ _IDENTITY = (
         *numbers("u8", "api_major api_minor"),
         _counted("target"),
         _text("variant", 4, "what FC_VARIANT tells"),
-        _counted("policy", "the aircraft that it was trained on"),
+        _counted("policy", "the aircraft that it was trained on; none: no policy is good"),
         _bytes("policy_sha256", 32),
         meaning="who this is, whatever FC_VARIANT says",
     ),
@@ -277,9 +277,9 @@ _OWN = (
         _counted("name"),
         _bytes("sha256", 32),
         number("f32", "idle", "motor fraction"),
-        number("u8", "source", "", "0 slot A, 1 slot B, 2 compiled in, 3 none is good"),
-        number("u32", "sequence", "", "0: compiled in"),
-        _array("i8", "found", 3, "", "at each of the three, 0 good, else an error of nf_err.h"),
+        number("u8", "source", "", f"0 slot A, 1 slot B, {MSP_POLICY_NONE} none is good"),
+        number("u32", "sequence", "", "0: as built"),
+        _array("i8", "found", 2, "", "in each slot, 0 good, else an error of nf_err.h"),
         number("u8", "mix", "", "of outputs and throttle: 0 attitude first, 1 centred"),
     ),
 )

@@ -89,7 +89,7 @@ OWN_LAYOUTS = (
     request(Msp.POLICY_SLOT_REVERT),
     request(
         Msp.POLICY_SLOT_INFO,
-        number("u8", "source", "", "0 slot A, 1 slot B, 2 compiled in"),
+        number("u8", "source", "", "0 slot A, 1 slot B"),
     ),
     reply(
         Msp.POLICY_SLOT_INFO,
@@ -102,6 +102,7 @@ OWN_LAYOUTS = (
         number("f32", "idle", "", "motor fraction at zero thrust"),
         MspField("aircraft", "counted", "", "that it was trained on"),
         MspField("policy_sha256", "bytes", "", "of the ONNX file", SHA256_BYTES),
+        MspField("build", "bytes", "", "of the image that it came with; zeros: for any", IMAGE_BUILD_BYTES),
     ),
     reply(
         Msp.IMAGE_INFO,
@@ -131,6 +132,7 @@ OWN_LAYOUTS = (
             ),
             counted=True,
         ),
+        number("u8", "layout", "", "of images and flash map that this firmware knows"),
     ),
     request(
         Msp.IMAGE_BEGIN,
@@ -154,12 +156,6 @@ OWN_LAYOUTS = (
     request(
         Msp.IMAGE_SWITCH,
         MspField("sha256", "bytes", "", "of the image that is not run", SHA256_BYTES),
-        number(
-            "u8",
-            "keep_policy",
-            "",
-            "1: it may fly the policies that the slots hold now; 0: only those written later",
-        ),
     ),
     reply(Msp.IMAGE_SWITCH, number("u32", "sequence", "", "number that the image has got")),
     reply(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+import zlib
 from dataclasses import dataclass
 
 from toolchain.contract.frame_time_sensors import MOTOR_COUNT_MAX
@@ -24,11 +25,11 @@ META_TRAINING = "neuroflight.training"
 POLICY_FILE_BYTES_MAX = 4 << 20
 SELFTEST_COUNT = 16
 
-# --- Policy blob: the bytes compiled in and put in a policy slot (docs/policy-blob.md) ---------
+# --- Policy blob: the bytes that a policy slot holds (docs/policy-blob.md) ---------------------
 # header | float32 weights | float32 self-test observations | float32 self-test actions | CRC-32, each part
 # behind the one before without a gap, all little-endian.
 POLICY_BLOB_MAGIC = 0x4250464E  # "NFPB"
-POLICY_BLOB_LAYOUT = 4
+POLICY_BLOB_LAYOUT = 5
 POLICY_BLOB_AIRCRAFT_BYTES = 32
 POLICY_BLOB_CRC_BYTES = 4
 POLICY_FILTERS_NONE = 0x0D4CBB29  # CRC-32 of "[]": no gyro filter
@@ -36,6 +37,7 @@ POLICY_FILTER_MEAN = (
     "mean"  # the filter [["mean"]]: controllers see the mean of the samples of a control period
 )
 SHA256_BYTES = 32
+IMAGE_BUILD_BYTES = 8  # of what names a build: image_format.py
 
 
 @dataclass(frozen=True)
@@ -60,7 +62,7 @@ POLICY_BLOB_FIELDS = (
     HeaderField("uint16_t", "layout", "", "version of this layout"),
     HeaderField("uint16_t", "header_bytes", "bytes", "where the weights begin, a multiple of 8"),
     HeaderField("uint32_t", "total_bytes", "bytes", "of the whole blob, CRC included"),
-    HeaderField("uint32_t", "sequence", "", "0: compiled in; of valid slots the newest is flown"),
+    HeaderField("uint32_t", "sequence", "", "0: as built; of valid slots the newest is flown"),
     HeaderField("uint32_t", "architecture_hash", "", "same: weights may be exchanged"),
     HeaderField("uint32_t", "filters_hash", "", "CRC-32 of the gyro filters' JSON list"),
     HeaderField("uint32_t", "control_rate_hz", "Hz", "of policy_step, at least 1"),
@@ -84,8 +86,63 @@ POLICY_BLOB_FIELDS = (
     HeaderField("float", "model_rotor", "rad/s, 1", "a, b, c, rise, fall, gain, loss, correction", 8),
     HeaderField("float", "model_turn", "s/rad", "roll, pitch, yaw, a value a motor", 3 * MOTOR_COUNT_MAX),
     HeaderField("float", "model_reaction", "1", "likewise", 3 * MOTOR_COUNT_MAX),
+    HeaderField(
+        "uint8_t",
+        "build",
+        "",
+        "of the image that it came with; zeros: for any of its architecture",
+        IMAGE_BUILD_BYTES,
+    ),
 )
 POLICY_BLOB_HEADER_FORMAT = "<" + "".join(field.format for field in POLICY_BLOB_FIELDS)
+
+
+@dataclass(frozen=True)
+class PolicyHeader:
+    """What a blob says about itself. Nothing of it is checked but that it begins as a header does."""
+
+    layout: int
+    total_bytes: int
+    sequence: int
+    architecture_hash: int
+    filters_hash: int
+    control_rate_hz: int
+    observation_count: int
+    action_count: int
+    weight_count: int
+    aircraft: str  # whatever is not printable shows as ?
+    policy_sha256: str
+    build: bytes  # of the image that it came with; zeros: any
+
+
+def policy_header(blob: bytes | bytearray) -> PolicyHeader | None:
+    """The header that `blob` begins with; None: there is none."""
+    if len(blob) < struct.calcsize(POLICY_BLOB_HEADER_FORMAT):
+        return None
+    values = struct.unpack_from(POLICY_BLOB_HEADER_FORMAT, blob)
+    told = dict(zip((field.name for field in POLICY_BLOB_FIELDS), values, strict=True))
+    if told["magic"] != POLICY_BLOB_MAGIC:
+        return None
+    aircraft = told["aircraft"].rstrip(b"\0").decode("latin-1")
+    told["aircraft"] = "".join(c if " " <= c <= "~" else "?" for c in aircraft)
+    told["policy_sha256"] = told["policy_sha256"].hex()
+    return PolicyHeader(**{name: told[name] for name in PolicyHeader.__dataclass_fields__})
+
+
+def policy_checksum(blob: bytes | bytearray) -> int:
+    """The CRC-32 that a blob has to end with."""
+    return zlib.crc32(blob[:-POLICY_BLOB_CRC_BYTES])
+
+
+def bound_policy(blob: bytes | bytearray, build: bytes, sequence: int = 0) -> bytes:
+    """The blob as it goes into a slot with an image: of that build, with that sequence number."""
+    values = list(struct.unpack_from(POLICY_BLOB_HEADER_FORMAT, blob))
+    names = [field.name for field in POLICY_BLOB_FIELDS]
+    values[names.index("build")], values[names.index("sequence")] = build, sequence
+    header = struct.pack(POLICY_BLOB_HEADER_FORMAT, *values)
+    bound = header + bytes(blob[len(header) :])
+    return bound[:-POLICY_BLOB_CRC_BYTES] + struct.pack("<I", policy_checksum(bound))
+
 
 # --- Checkpoint (torch.save of plain containers and tensors, loaded with weights_only) --------
 CHECKPOINT_FORMAT = "neuroflight.checkpoint"

@@ -91,13 +91,14 @@ class ArmPolicy:
         self.observation = self.machine.allocate(4 * inputs)  # where `step` reads it
         self._action = self.machine.allocate(4 * outputs)
         self._table = self.machine.allocate(4 * POLICY_WEIGHT_COUNT_MAX)
+        self._own = program.symbol("policy_weights").address
         self.step = ("policy_step", self._state, self.observation, self._action)
         self.init()
 
     def init(self, table: Float32 | None = None) -> None:
-        """policy_init with another table of weights, None for the compiled-in one."""
+        """policy_init with another table of weights, None for the one that the program brings."""
         if table is None:
-            self.machine.call("policy_init", self._state, 0)
+            self.machine.call("policy_init", self._state, self._own)
             return
         self.machine.write(self._table, np.asarray(table, np.float32).tobytes())
         self.machine.call("policy_init", self._state, self._table)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import struct
-import zlib
 
 from toolchain.contract import (
     FLASH_BANK_A,
@@ -23,8 +22,7 @@ _AT = FLASH_BANK_A.address - FLASH_BASE
 
 def state(*, sequence: int, confirmed: bool, written: bool = False) -> bytes:
     """The state of a bank whose image has the number `sequence`: its first words, at the bank's tail."""
-    number = struct.pack("<3I", sequence, 0, 0)
-    number += struct.pack("<I", zlib.crc32(number))
+    number = struct.pack("<2I", sequence, sequence ^ _ERASED)
     return struct.pack(
         IMAGE_STATE_FORMAT,
         0 if written else _ERASED,

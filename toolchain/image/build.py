@@ -198,7 +198,7 @@ def check_fit(compiled: CompiledPolicy, target: Target) -> None:
             f"the policy was trained behind the gyro filters {json.dumps(policy.filters)}, expected [] or "
             f"{json.dumps([MEAN])}; train it behind one of these"
         )
-    check_memories(compiled.plan, len(compiled.emission.blob))
+    check_memories(compiled.plan)
 
 
 def _check_pid(pid: PidTable | None, policy: PolicyModel) -> None:

@@ -1,7 +1,7 @@
 """DfuSe files (ST UM0391), for USB DFU through the chip's ROM: `python -m toolchain.image.dfu ELF DFU`.
 
 A file is a prefix, one target with an element for each segment, and the suffix of USB DFU 1.1 with its CRC.
-dfu-util and ST's own tools erase only sectors that an element touches, so that settings and policies stay.
+dfu-util and ST's own tools erase only sectors that an element touches, so that settings stay.
 All numbers are little-endian.
 """
 

@@ -17,6 +17,7 @@ from toolchain.contract import (
     FLASH_BASE,
     FLASH_BOOT,
     FLASH_BYTES,
+    FLASH_POLICY_SLOTS,
     IMAGE_TAIL_BYTES,
     ITCM,
     NULL_PAGE_BYTES,
@@ -35,9 +36,13 @@ RAM = (
 )
 
 # What an image may take of them (the linker scripts hold it too): of its bank all but the marks at the end.
-# The boot part has a sector of its own.
+# The boot part has a sector of its own, the policy a slot; the other slot is only made empty.
 BOOT = Region("boot part", FLASH_BOOT.address, FLASH_BOOT.size)
 BANK = Region("bank", FLASH_BANK_A.address, FLASH_BANK_A.size - IMAGE_TAIL_BYTES)
+SLOT, OTHER_SLOT = (
+    Region(name, place.address, place.size)
+    for name, place in zip(("policy slot", "other slot"), FLASH_POLICY_SLOTS, strict=True)
+)
 RAM_USED, RAM_LIMIT = "ram_bytes", "RAM_LIMIT"  # image.ld's names: of RAM beside weights and log
 
 VFP_REGISTERS = 1  # Tag_ABI_VFP_args: floats are passed in VFP registers (ARM IHI 0045, section 3.3.5.3)
@@ -139,11 +144,12 @@ def memory_use(image: Image) -> tuple[MemoryUse, ...]:
 
 
 def image_budgets(image: Image) -> tuple[MemoryUse, ...]:
-    """How much of its limits an image takes: boot part, bank, RAM beside weights and log.
+    """How much of its limits an image takes: boot part, bank, policy slot, RAM beside weights and log.
 
     Raises BuildError.
     """
-    parts = _place(((s.address, s.size, "segment") for s in image.segments), (BOOT, BANK))
+    regions = (BOOT, BANK, SLOT, OTHER_SLOT)
+    *parts, _ = _place(((s.address, s.size, "segment") for s in image.segments), regions)
     if missing := {RAM_USED, RAM_LIMIT} - image.symbols.keys():
         raise BuildError(f"the image does not tell {missing.pop()}, expected one that image.ld has linked")
     return *parts, MemoryUse("RAM beside weights and log", image.symbols[RAM_USED], image.symbols[RAM_LIMIT])

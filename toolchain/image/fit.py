@@ -20,7 +20,6 @@ from toolchain.errors import BuildError, PolicyError
 from toolchain.image.elf import Section, read_image
 
 POLICY_ITCM_BYTES = 2816  # image.ld: POLICY_ITCM
-POLICY_BLOB_BYTES = 27_000  # of the bank, beside code
 POLICY_CALLS_MAX, CALL_BYTES = 800, 32  # of kernels in a step; code that one takes in policy_step, about
 CODE = ".text."  # begins the name of each function's section
 # What a step runs through most often for its size comes first; what goes through its code once, last.
@@ -29,7 +28,7 @@ ONCE = ("policy_step", "policy_init")
 ALIGNMENT, VENEER_BYTES = 8, 8  # of a function; what leads from ITCM to one in flash
 
 
-def check_memories(plan: Plan, blob_bytes: int) -> None:
+def check_memories(plan: Plan) -> None:
     """Raise PolicyError naming the first memory that the policy is too large for."""
     weights, memory = plan.table.size, plan.memory
     narrower = "train one with narrower layers or fewer recurrent units"
@@ -37,7 +36,6 @@ def check_memories(plan: Plan, blob_bytes: int) -> None:
         ("DTCM", "weights", weights, contract.POLICY_WEIGHT_COUNT_MAX, 4, "train a smaller network"),
         ("DTCM", "floats to work on", memory, contract.POLICY_MEMORY_COUNT_MAX, 4, narrower),
         ("the bank", "kernel calls", len(plan.calls), POLICY_CALLS_MAX, CALL_BYTES, "train fewer layers"),
-        ("the bank", "bytes in flash", blob_bytes, POLICY_BLOB_BYTES, 1, "train a smaller network"),
     ):
         if count > most:
             raise PolicyError(

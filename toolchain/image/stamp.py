@@ -1,8 +1,9 @@
 """Writes into a linked image what only the whole of it tells: `python -m toolchain.image.stamp ELF`.
 
 The header (toolchain/contract/image_format.py) gets the bank that the image lies in, the number of its
-build and the CRC-32. The number is made of bank A's content; bank B's image takes it over with
-`--build-of`, so that both are known as one build. Stamping twice changes nothing.
+build and the CRC-32. The number is made of bank A's content and of the policy that comes with it in a slot,
+which gets it too; bank B's image takes it over with `--build-of`, so that all are known as one build.
+Stamping twice changes nothing.
 """
 
 from __future__ import annotations
@@ -20,7 +21,10 @@ from elftools.elf.elffile import ELFFile
 
 from toolchain.contract import (
     FLASH_BANKS,
+    FLASH_POLICY_SLOTS,
     IMAGE_BUILD_BYTES,
+    Region,
+    bound_policy,
     image_checksum,
     image_field_offset,
     image_header,
@@ -30,7 +34,7 @@ from toolchain.errors import BuildError, NeuroflightError
 
 @dataclass(frozen=True)
 class _Span:
-    """Bytes of the file that lie in the bank: from `offset` of the bank, at `position` of the file."""
+    """Bytes of the file that lie in a region: from `offset` of it, at `position` of the file."""
 
     offset: int
     position: int
@@ -42,27 +46,45 @@ def stamp(path: Path, build_of: Path | None = None) -> None:
 
     Raises BuildError where the file is no image for a bank of this board.
     """
-    bank, spans = _spans(path)
+    bank, spans = _bank_spans(path)
     file = bytearray(path.read_bytes())
     image: bytearray = _image(file, spans)
     _check(path, image, spans)
+    slot = _spans(path, FLASH_POLICY_SLOTS[0])
+    policy = bound_policy(_image(file, slot), bytes(IMAGE_BUILD_BYTES)) if slot else b""
     _put(image, "bank", struct.pack("<B", bank))
     if build_of is None:
         _put(image, "build", bytes(IMAGE_BUILD_BYTES))
         _put(image, "crc", bytes(4))
-        build = hashlib.sha256(image).digest()[:IMAGE_BUILD_BYTES]
+        build = hashlib.sha256(image + policy).digest()[:IMAGE_BUILD_BYTES]
     else:
         at = image_field_offset("build")
-        build = bytes(_image(build_of.read_bytes(), _spans(build_of)[1])[at : at + IMAGE_BUILD_BYTES])
+        build = bytes(_image(build_of.read_bytes(), _bank_spans(build_of)[1])[at : at + IMAGE_BUILD_BYTES])
     _put(image, "build", build)
     _put(image, "crc", struct.pack("<I", image_checksum(image)))
-    for span in spans:
-        file[span.position : span.position + span.size] = image[span.offset : span.offset + span.size]
+    _store(file, spans, image)
+    if policy:
+        _store(file, slot, bound_policy(policy, build))
     path.write_bytes(file)
 
 
-def _spans(path: Path) -> tuple[int, tuple[_Span, ...]]:
+def _store(file: bytearray, spans: tuple[_Span, ...], content: bytes | bytearray) -> None:
+    for span in spans:
+        file[span.position : span.position + span.size] = content[span.offset : span.offset + span.size]
+
+
+def _bank_spans(path: Path) -> tuple[int, tuple[_Span, ...]]:
     """The bank that the ELF loads into, and which of its bytes do."""
+    for bank, region in enumerate(FLASH_BANKS):
+        if spans := _spans(path, region):
+            return bank, spans
+    raise BuildError(
+        f"cannot stamp {path}: nothing of it lies in a bank; link it with bank_a.ld or bank_b.ld"
+    )
+
+
+def _spans(path: Path, region: Region) -> tuple[_Span, ...]:
+    """Which bytes of the ELF it loads into that region."""
     try:
         with path.open("rb") as stream:
             loads = [
@@ -70,16 +92,10 @@ def _spans(path: Path) -> tuple[int, tuple[_Span, ...]]:
             ]
     except (OSError, ELFError) as error:
         raise BuildError(f"cannot stamp {path}: {error}") from error
-    for bank, region in enumerate(FLASH_BANKS):
-        spans = tuple(
-            _Span(address - region.address, position, size)
-            for address, position, size in loads
-            if size and region.address <= address < region.address + region.size
-        )
-        if spans:
-            return bank, spans
-    raise BuildError(
-        f"cannot stamp {path}: nothing of it lies in a bank; link it with bank_a.ld or bank_b.ld"
+    return tuple(
+        _Span(address - region.address, position, size)
+        for address, position, size in loads
+        if size and region.address <= address < region.address + region.size
     )
 
 

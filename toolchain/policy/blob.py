@@ -1,8 +1,8 @@
-"""The policy blob: weights and self-test of a policy as the bytes that are compiled in or put in a slot.
+"""The policy blob: weights and self-test of a policy as the bytes that a slot holds.
 
 Packs and parses it without loss: docs/policy-blob.md. A blob holds no code. It
-runs only in an image whose compiled-in policy has the same architecture; firmware/src/storage/policy_blob.c
-decides.
+runs only in an image that was built around a policy of the same architecture;
+firmware/src/storage/policy_blob.c decides.
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ from toolchain.policy.model_constants import ModelConstants
 HEADER = struct.Struct(contract.POLICY_BLOB_HEADER_FORMAT)
 CRC = struct.Struct("<I")
 FLOAT = np.dtype("<f4")
+ANY_BUILD = bytes(contract.IMAGE_BUILD_BYTES)  # it is for any image of its architecture
 U16_MAX, U32_MAX = 0xFFFF, 0xFFFFFFFF
 MEND = "write it again with `neuroflight compile`"
 
@@ -42,7 +43,7 @@ class BlobTerm:
 class PolicyBlob:
     """What a policy blob says. Counts are those of the arrays."""
 
-    sequence: int  # 0: compiled in; slots count from 1 and wrap, the newest valid one is flown
+    sequence: int  # 0: as built; it counts swaps and wraps, the newest valid one is flown
     architecture_hash: int  # CRC-32 of all but the weights: toolchain.codegen.plan
     filters_hash: int  # of the gyro filter chain that it was trained behind: `filters_hash`
     control_rate_hz: int
@@ -57,6 +58,7 @@ class PolicyBlob:
     selftest_steps: int  # rows from one policy_init to the next: recurrent state carries over between them
     mix: Mix = Mix.ATTITUDE_FIRST  # of its outputs with the pilot's thrust
     model: ModelConstants | None = None  # of its aircraft; None: the observation needs none
+    build: bytes = ANY_BUILD  # of the image that it came with
 
     def __post_init__(self) -> None:
         """Raise ValueError unless the arrays are float32 and of shapes (W,), (T, n) and (T, m)."""
@@ -132,6 +134,7 @@ def header_values(blob: PolicyBlob) -> dict[str, int | float | bytes]:
         "idle": blob.idle,
         "mix": int(blob.mix),
         **model_values(blob.model),
+        "build": blob.build,
     }
 
 
@@ -176,6 +179,7 @@ def parse(data: bytes) -> PolicyBlob:
         idle=idle,
         mix=_read_mix(header["mix"]),
         model=_read_model(header["model_delay"], arrays, m),
+        build=arrays["build"],
         weights=weights,
         selftest_observation=observation.reshape(rows, n),
         selftest_action=action.reshape(rows, m),

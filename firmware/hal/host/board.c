@@ -20,6 +20,13 @@ void host_board_init(struct host_board *board, uint8_t *bytes)
 	board->flash.running = HOST_BANK;
 }
 
+void host_board_install(uint8_t *bytes)
+{
+	_Static_assert(sizeof policy_blob <= NF_FLASH_POLICY_SLOTS_0_SIZE, "it fits the slot");
+
+	memcpy(bytes + (NF_FLASH_POLICY_SLOTS_0_ADDRESS - NF_FLASH_BASE), &policy_blob, sizeof policy_blob);
+}
+
 struct imu_sample host_board_sample(const double rates_frd[3], const double force_frd[3])
 {
 	struct imu_sample sample = { 0 };

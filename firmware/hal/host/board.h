@@ -28,6 +28,9 @@ struct host_board {
 /* A board with a full battery over flash of `bytes`, which must outlive it. */
 void host_board_init(struct host_board *board, uint8_t *bytes);
 
+/* Puts the policy of this build into slot A of erased flash, as a board's installation does. */
+void host_board_install(uint8_t *bytes);
+
 /* One gyro sample from rates [rad/s] and specific force [m/s^2], axes forward, right, down. */
 struct imu_sample host_board_sample(const double rates_frd[3], const double force_frd[3]);
 

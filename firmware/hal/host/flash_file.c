@@ -142,7 +142,7 @@ static int flash_file_take(struct flash_file *flash)
 	return posix_fallocate(flash->file, 0, NF_FLASH_BYTES);
 }
 
-bool flash_file_open(struct flash_file *flash, const char *path)
+bool flash_file_open(struct flash_file *flash, const char *path, void (*install)(uint8_t *bytes))
 {
 	const struct sigaction ignore = { .sa_handler = SIG_IGN };
 	int error = 0;
@@ -152,6 +152,7 @@ bool flash_file_open(struct flash_file *flash, const char *path)
 	if (flash->bytes == MAP_FAILED)
 		return flash_file_refused(flash, errno);
 	memset(flash->bytes, ERASED_BYTE, NF_FLASH_BYTES);
+	install(flash->bytes);
 	if (!path)
 		return true;
 	sigaction(SIGXFSZ, &ignore, NULL); /* a limit of file sizes is then an error like a full disk */

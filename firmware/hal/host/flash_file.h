@@ -16,9 +16,10 @@ struct flash_file {
 	struct flash model; /* over `bytes` */
 };
 
-/* NF_FLASH_BYTES of flash at `bytes`, read from the file `path`, which is made, erased, if there is none. The file is
- * this program's alone until it ends. `path` NULL: erased memory. Returns false after one line on stderr. */
-bool flash_file_open(struct flash_file *flash, const char *path);
+/* NF_FLASH_BYTES of flash at `bytes`, read from the file `path`, which is made if there is none. The file is this program's
+ * alone until it ends. `path` NULL: memory. New flash is erased, but for what `install` puts there; a file keeps what it has.
+ * Returns false after one line on stderr. */
+bool flash_file_open(struct flash_file *flash, const char *path, void (*install)(uint8_t *bytes));
 
 /* `model`, a flash model over `bytes`, for the core: what it changes is in the file at once. Where the file does not
  * take it, erasing and programming fail. `flash` must outlive what it is handed to. */

@@ -119,7 +119,7 @@ int hal_init(int argc, char **argv, struct hal_info *info)
 	host_hold_signals();
 	if (host.options.with_parent)
 		prctl(PR_SET_PDEATHSIG, SIGTERM);
-	if (!flash_file_open(&host.flash, host.options.settings))
+	if (!flash_file_open(&host.flash, host.options.settings, host_board_install))
 		return 1;
 	host_board_init(&host.board, host.flash.bytes);
 	if (host.options.blackbox) {

@@ -45,7 +45,7 @@ static void options_print_help(void)
 	for (size_t i = 0; i < NUMBER_COUNT; ++i)
 		printf("  --%-14s N  %s (%u)\n", numbers[i].name, numbers[i].help, numbers[i].preset);
 	printf("  --%-14s F  %s\n", "settings",
-	       "file with the flash: settings, policies, faults; made if there is none");
+	       "file with the flash: settings, policies, faults; made if there is none, with this build's policy");
 	printf("  --%-14s F  %s\n", "blackbox", "file that logs of flights are appended to; made if there is none");
 	printf("  --%-14s S  %s\n", "set", "NAME=VALUE: a setting of this start; may be repeated");
 	printf("  --%-14s F  %s\n", "replay",

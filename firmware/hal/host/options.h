@@ -13,7 +13,7 @@ struct options {
 	unsigned trace_port;                            /* sent to; 0: no trace */
 	unsigned msp_port;                              /* listened on; 0: any free one */
 	unsigned gyro_hz;                               /* 0: as set */
-	const char *settings;                           /* file of the flash; NULL: erased memory */
+	const char *settings;                           /* file of the flash; NULL: memory */
 	const char *blackbox; /* file for logs; NULL: none is written */
 	struct setting_change changes[NF_SETTING_COUNT];
 	size_t change_count;

@@ -59,6 +59,7 @@ int reference_init(void *self, unsigned gyro_hz, const char *const settings[], s
 		if (!change_parse(settings[i], &r->changes[i]))
 			return NF_ERR_SETTINGS;
 	memset(r->flash_bytes, 0xFF, sizeof r->flash_bytes);
+	host_board_install(r->flash_bytes);
 	host_board_init(&r->board, r->flash_bytes);
 	log_pipe_init(&r->pipe);
 	r->board.log = &r->pipe.device;

@@ -25,7 +25,7 @@ struct reference_trace {
 /* Bytes of one instance. The caller allocates them, aligned to 8, and does not move them after init. */
 size_t reference_size(void);
 
-/* Boots, with erased flash and these settings, each a NAME=VALUE. Returns 0, or a negative enum nf_err:
+/* Boots, with flash as installed and these settings, each a NAME=VALUE. Returns 0, or a negative enum nf_err:
  * NF_ERR_SETTINGS if one of them is none. */
 int reference_init(void *self, unsigned gyro_hz, const char *const settings[], size_t count);
 

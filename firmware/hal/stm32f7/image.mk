@@ -1,4 +1,4 @@
-# An image for an STM32F722: one ELF with the boot part (sector 0) and bank A (sector 5). Included by target.mk.
+# An image for an STM32F722: one ELF with the boot part (sector 0), a policy (sector 4) and bank A (sector 5). Included by target.mk.
 CROSS := arm-none-eabi-
 CPUFLAGS := -mcpu=cortex-m7 -mthumb -mfpu=fpv5-sp-d16 -mfloat-abi=hard -mno-unaligned-access \
 	-fno-common -fno-unwind-tables -fno-asynchronous-unwind-tables -fstack-usage -fmacro-prefix-map=hal/stm32f7/=
@@ -60,21 +60,22 @@ $(BUILD)/neuroflight-b.elf: $$(CORE_OBJECTS) $$(MAIN_OBJECT) $$(HAL_OBJECTS) hal
 	$(LINK) -T hal/stm32f7/bank_b.ld
 	$(STAMP) --build-of $(BUILD)/neuroflight.elf
 
-# The binary is one block from the start of flash, what lies between the parts erased; the hex file holds the
-# two parts alone, so that programming it leaves settings and policy slots as they are.
+# The binary is one block from the start of flash to the end of bank A's image, what lies between the parts erased: slot B,
+# behind that, stays as it is. The hex file holds the parts alone, so that programming it leaves the settings as they are.
 $(BUILD)/neuroflight.bin: $(BUILD)/neuroflight.elf
-	$(CROSS)objcopy -O binary --gap-fill 0xFF $< $@
+	$(CROSS)objcopy -O binary --gap-fill 0xFF --remove-section=.slot_b $< $@
 
 $(BUILD)/neuroflight.hex: $(BUILD)/neuroflight.elf
 	$(CROSS)objcopy -O ihex $< $@
 
-# The same two parts for the ROM's USB DFU.
+# The same parts for the ROM's USB DFU.
 $(BUILD)/neuroflight.dfu: $(BUILD)/neuroflight.elf
 	$(IMAGE_TOOL).dfu $< $@
 
-# Both banks' images, one behind the other: what is sent to a board that runs one of them.
+# Both banks' images and their policy, one behind the other: what is sent to a board that runs one of them.
 $(BUILD)/neuroflight.nfi: $(BUILD)/neuroflight.elf $(BUILD)/neuroflight-b.elf
-	$(CROSS)objcopy -O binary --remove-section=.boot $< $@.a
+	$(CROSS)objcopy -O binary --remove-section=.boot --remove-section=.policy --remove-section=.slot_b $< $@.a
 	$(CROSS)objcopy -O binary $(word 2,$^) $@.b
-	cat $@.a $@.b > $@
-	rm $@.a $@.b
+	$(CROSS)objcopy -O binary --only-section=.policy $< $@.policy
+	cat $@.a $@.b $@.policy > $@
+	rm $@.a $@.b $@.policy

@@ -103,12 +103,10 @@ void command_say_armed(const struct task_line *t)
 /* --- What several commands say ---------------------------------------------------------------------------------- */
 void command_say_policy(const struct task_line *t)
 {
-	static const char compiled_in[] = POLICY_SHA256;
 	struct nf_policy_blob_header header;
 
 	if (!policy_slots_header(t->services->slots, &header)) {
-		printer_text(t->out, POLICY_NAME " ");
-		printer_part(t->out, compiled_in, 2 * SHA256_SHOWN);
+		printer_text(t->out, "none");
 		return;
 	}
 	printer_part(t->out, header.aircraft, sizeof header.aircraft);

@@ -23,7 +23,7 @@ enum nf_err {
 
 	NF_ERR_SETTINGS = -15, /* beyond their limits, or they contradict each other */
 
-	NF_ERR_BLOB_OLD = -16, /* not newer than the policies that this image was to leave behind */
+	/* -16 was a policy older than its image, before images named their policies. */
 
 	/* An image for a bank, in the order of the checks. */
 	NF_ERR_IMAGE_MAGIC = -17,  /* not an image */
@@ -38,6 +38,8 @@ enum nf_err {
 	/* A policy blob again, behind NF_ERR_BLOB_IDLE. */
 	NF_ERR_BLOB_MIX = -25,   /* a mix that this firmware does not know */
 	NF_ERR_BLOB_MODEL = -26, /* a model of no aircraft, one too many, or none where a term needs it */
+
+	NF_ERR_BLOB_BUILD = -27, /* it came with another image; behind NF_ERR_BLOB_CRC */
 };
 
 #endif

@@ -210,8 +210,16 @@ static enum nf_refusal command_reset_configuration(struct request *q)
 	return settings_save(q->services->settings, q->services->flash);
 }
 
+/* Does each of two images need the policy that it has? */
+static bool command_slots_held(const struct request *q)
+{
+	return q->services->image && image_update_holds_slots(q->services->image);
+}
+
 static enum nf_refusal command_slot_begin(struct request *q)
 {
+	if (command_slots_held(q))
+		return NF_REFUSAL_ORDER;
 	const enum nf_refusal refusal = policy_slots_begin(q->services->slots, msp_take_u32(&q->payload));
 
 	if (refusal == NF_REFUSAL_NONE)
@@ -237,7 +245,7 @@ static enum nf_refusal command_slot_end(struct request *q)
 
 static enum nf_refusal command_slot_revert(struct request *q)
 {
-	return policy_slots_revert(q->services->slots);
+	return command_slots_held(q) ? NF_REFUSAL_ORDER : policy_slots_revert(q->services->slots);
 }
 
 static enum nf_refusal command_slot_info(struct request *q)
@@ -258,6 +266,7 @@ static enum nf_refusal command_slot_info(struct request *q)
 	msp_put_float(q->reply, header.idle);
 	msp_put_counted_text(q->reply, header.aircraft, sizeof header.aircraft);
 	msp_put_bytes(q->reply, header.policy_sha256, sizeof header.policy_sha256);
+	msp_put_bytes(q->reply, header.build, sizeof header.build);
 	return NF_REFUSAL_NONE;
 }
 
@@ -294,6 +303,7 @@ static enum nf_refusal command_image_info(struct request *q)
 		msp_put_bytes(q->reply, header.version, sizeof header.version);
 		msp_put_bytes(q->reply, header.build, sizeof header.build);
 	}
+	msp_put_u8(q->reply, NF_IMAGE_LAYOUT);
 	return NF_REFUSAL_NONE;
 }
 
@@ -355,7 +365,6 @@ static enum nf_refusal command_image_hash(struct request *q)
 static enum nf_refusal command_image_switch(struct request *q)
 {
 	const struct msp_services *s = q->services;
-	struct image_update_floor floor = { 0 };
 	uint8_t told[SHA256_BYTES];
 	uint32_t sequence;
 	enum nf_err why = NF_OK;
@@ -363,17 +372,7 @@ static enum nf_refusal command_image_switch(struct request *q)
 	if (!s->image)
 		return NF_REFUSAL_ABSENT;
 	memcpy(told, q->payload.at, sizeof told);
-	q->payload.at += sizeof told;
-	q->payload.left -= sizeof told;
-	const unsigned keep = msp_take_u8(&q->payload);
-	if (keep > 1)
-		return NF_REFUSAL_PAYLOAD;
-	if (keep) {
-		floor = (struct image_update_floor){ s->slots->has_floor, s->slots->floor };
-	} else {
-		floor.counts = policy_slots_floor(s->slots, &floor.sequence);
-	}
-	const enum nf_refusal refusal = image_update_switch(s->image, told, &floor, &sequence, &why);
+	const enum nf_refusal refusal = image_update_switch(s->image, s->slots, told, &sequence, &why);
 	q->detail = why;
 	if (refusal == NF_REFUSAL_NONE)
 		msp_put_u32(q->reply, sequence);
@@ -473,7 +472,7 @@ static const struct command {
 	{ NF_MSP_IMAGE_WRITE, STORING, 8, NF_MSP_PAYLOAD_MAX, command_image_write },
 	{ NF_MSP_IMAGE_END, STORING, 0, 0, command_image_end },
 	{ NF_MSP_IMAGE_HASH, STOPPED, 1, 1, command_image_hash },
-	{ NF_MSP_IMAGE_SWITCH, STORING, SHA256_BYTES + 1, SHA256_BYTES + 1, command_image_switch },
+	{ NF_MSP_IMAGE_SWITCH, STORING, SHA256_BYTES, SHA256_BYTES, command_image_switch },
 	{ NF_MSP_STREAM, ALWAYS, 2, 2, command_stream },
 	{ NF_MSP_LOG_INFO, ALWAYS, 0, 0, command_log_info },
 	{ NF_MSP_LOG_ENTRY, STOPPED, 2, 2, command_log_entry },

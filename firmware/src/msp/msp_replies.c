@@ -15,7 +15,7 @@
 #define CONFIGURED 2u             /* BOARD_INFO's configuration state: set up */
 #define TYPE_WITHOUT_OSD 0u       /* BOARD_INFO's board type: a flight controller, */
 #define TYPE_WITH_OSD 2u          /* with an OSD chip of its own, used or not */
-#define SHA256_DIGITS 64
+#define NO_POLICY "none"          /* name of the policy where none is good */
 #define COUNTS_PER_G 512.0f       /* RAW_IMU: what the ecosystem's tools take for 1 g */
 #define RSSI_FULL 1023u
 
@@ -48,24 +48,28 @@ static void reply_fc_version(struct msp_writer *w, const struct msp_facts *s)
 		msp_put_u8(w, version[i]);
 }
 
-/* Name of the policy that is flown: the aircraft that it was trained on. Where none is good, of the compiled-in one. */
-static void reply_policy_name(const struct msp_facts *s, char name[MSP_TEXT_MAX])
+/* Header of the policy that is flown; where none is good, one of that name with zeros else. */
+static struct nf_policy_blob_header reply_policy(const struct msp_facts *s)
 {
-	struct nf_policy_blob_header header;
-	const bool flown = s->slots && policy_slots_header(s->slots, &header);
-	const char *from = flown ? header.aircraft : POLICY_NAME;
-	const unsigned most = flown ? sizeof header.aircraft : MSP_TEXT_MAX;
+	struct nf_policy_blob_header header = { .aircraft = NO_POLICY };
 
-	for (unsigned i = 0; i < MSP_TEXT_MAX; ++i)
-		name[i] = '\0';
-	for (unsigned i = 0; i < most && i < MSP_TEXT_MAX && from[i]; ++i)
-		name[i] = from[i];
+	if (s->slots)
+		(void)policy_slots_header(s->slots, &header);
+	return header;
+}
+
+static void reply_policy_name(struct msp_writer *w, const struct msp_facts *s)
+{
+	const struct nf_policy_blob_header policy = reply_policy(s);
+	const unsigned most = sizeof policy.aircraft < MSP_TEXT_MAX ? sizeof policy.aircraft : MSP_TEXT_MAX;
+
+	msp_put_text(w, policy.aircraft, most);
 }
 
 /* Firmware, version and policy: "Neuroflight 0.1.0 nf1". */
 static void reply_board_name(struct msp_writer *w, const struct msp_facts *s)
 {
-	char text[MSP_TEXT_MAX] = { 0 }, policy[MSP_TEXT_MAX];
+	char text[MSP_TEXT_MAX] = { 0 };
 	struct msp_writer name = { (uint8_t *)text, (uint8_t *)text + sizeof text };
 
 	msp_put_text(&name, NF_MSP_FIRMWARE, MSP_TEXT_MAX);
@@ -73,9 +77,8 @@ static void reply_board_name(struct msp_writer *w, const struct msp_facts *s)
 		msp_put_u8(&name, i == 0 ? ' ' : '.');
 		msp_put_u8(&name, '0' + version[i]);
 	}
-	reply_policy_name(s, policy);
 	msp_put_u8(&name, ' ');
-	msp_put_text(&name, policy, MSP_TEXT_MAX);
+	reply_policy_name(&name, s);
 	msp_put_counted_text(w, text, MSP_TEXT_MAX);
 }
 
@@ -118,7 +121,7 @@ static void reply_name(struct msp_writer *w, const struct msp_facts *s)
 	if (s->settings && s->settings->craft_name[0])
 		msp_put_text(w, s->settings->craft_name, NF_SETTING_TEXT_BYTES);
 	else
-		msp_put_text(w, POLICY_NAME, MSP_TEXT_MAX);
+		reply_policy_name(w, s);
 }
 
 /* Modes that are on, ARM only while armed, whatever its switch says. */
@@ -319,26 +322,13 @@ static void reply_uid(struct msp_writer *w, const struct msp_facts *s)
 		msp_put_u32(w, s->identity->unique_id[i]);
 }
 
-static unsigned reply_hex_digit(char digit)
-{
-	return (unsigned)(digit <= '9' ? digit - '0' : digit - 'a' + 10);
-}
-
-/* Name and hash of the policy that is flown; where none is good, of the compiled-in one. */
+/* Name and hash of the policy that is flown; where none is good, that there is none, and zeros. */
 static void reply_policy_is(struct msp_writer *w, const struct msp_facts *s)
 {
-	static const char sha256[] = POLICY_SHA256;
-	struct nf_policy_blob_header header;
-	_Static_assert(sizeof sha256 == SHA256_DIGITS + 1, "lower-case hexadecimal");
+	const struct nf_policy_blob_header header = reply_policy(s);
 
-	if (s->slots && policy_slots_header(s->slots, &header)) {
-		msp_put_counted_text(w, header.aircraft, sizeof header.aircraft);
-		msp_put_bytes(w, header.policy_sha256, sizeof header.policy_sha256);
-		return;
-	}
-	msp_put_counted_text(w, POLICY_NAME, MSP_TEXT_MAX);
-	for (int i = 0; i < SHA256_DIGITS; i += 2)
-		msp_put_u8(w, reply_hex_digit(sha256[i]) << 4 | reply_hex_digit(sha256[i + 1]));
+	msp_put_counted_text(w, header.aircraft, sizeof header.aircraft);
+	msp_put_bytes(w, header.policy_sha256, sizeof header.policy_sha256);
 }
 
 static void reply_identity(struct msp_writer *w, const struct msp_facts *s)
@@ -354,6 +344,9 @@ static void reply_identity(struct msp_writer *w, const struct msp_facts *s)
 
 static void reply_policy_info(struct msp_writer *w, const struct msp_facts *s)
 {
+	const struct policy_slots *slots = s->slots;
+	const enum policy_source flown = slots ? slots->flown : POLICY_SOURCE_COUNT;
+
 	msp_put_u32(w, POLICY_ARCHITECTURE_HASH);
 	msp_put_u16(w, POLICY_OBSERVATION_COUNT);
 	msp_put_u16(w, POLICY_ACTION_COUNT);
@@ -362,12 +355,12 @@ static void reply_policy_info(struct msp_writer *w, const struct msp_facts *s)
 	msp_put_u16(w, s->status->gyro_rate_hz);
 	msp_put_u8(w, s->status->policy_good);
 	reply_policy_is(w, s);
-	msp_put_float(w, s->slots ? s->slots->idle : POLICY_IDLE);
-	msp_put_u8(w, s->slots ? s->slots->flown : POLICY_COMPILED_IN);
-	msp_put_u32(w, s->slots ? s->slots->sequence : 0);
+	msp_put_float(w, slots ? slots->idle : 0.0f);
+	msp_put_u8(w, flown == POLICY_SOURCE_COUNT ? NF_MSP_POLICY_NONE : flown);
+	msp_put_u32(w, slots ? slots->sequence : 0);
 	for (unsigned i = 0; i < POLICY_SOURCE_COUNT; ++i) /* enum nf_err, each a signed byte */
-		msp_put_u8(w, s->slots ? (unsigned)s->slots->found[i] : 0);
-	msp_put_u8(w, s->slots ? (unsigned)s->slots->mix : 0);
+		msp_put_u8(w, (unsigned)(slots ? slots->found[i] : NF_ERR_BLOB_MAGIC));
+	msp_put_u8(w, slots ? (unsigned)slots->mix : 0);
 }
 
 static void reply_safety(struct msp_writer *w, const struct msp_facts *s)

@@ -14,7 +14,7 @@
 struct msp_facts {
 	const struct msp_identity *identity;
 	const struct firmware_status *status;
-	const struct policy_slots *slots; /* NULL: the policy is the compiled-in one */
+	const struct policy_slots *slots; /* NULL: there is no policy */
 	const struct nf_settings *settings; /* NULL: names and variant are the defaults */
 };
 

@@ -41,23 +41,22 @@ static struct nf_image_state image_bank_state(const struct flash *flash, unsigne
 /* An entry of `numbers`. */
 struct number {
 	uint32_t sequence;
-	uint32_t policy_floor;
-	uint32_t has_floor;
-	uint32_t check;
+	uint32_t check; /* its complement */
 };
 _Static_assert(sizeof(struct number) == NF_IMAGE_NUMBER_WORDS * sizeof(uint32_t), "as the contract has it");
 
-/* Neither erased nor all-zero words pass, nor any of which only some bits were programmed. */
-static uint32_t image_bank_check_of(const struct number *number)
+/* Neither erased nor all-zero words pass, nor any of which only some bits were programmed or erased: those have a bit that is
+ * the same in both. */
+static bool image_bank_holds(const struct number *number)
 {
-	return crc32_more(0, number, offsetof(struct number, check));
+	return number->check == ~number->sequence;
 }
 
 static bool image_bank_find_number(const struct nf_image_state *state, struct number *found)
 {
 	for (size_t i = 0; i < NF_IMAGE_NUMBER_ENTRIES; ++i) {
 		memcpy(found, &state->numbers[i * NF_IMAGE_NUMBER_WORDS], sizeof *found);
-		if (found->check == image_bank_check_of(found))
+		if (image_bank_holds(found))
 			return true;
 	}
 	return false;
@@ -73,8 +72,6 @@ struct image_bank_marks image_bank_marks(const struct flash *flash, unsigned ban
 		marks.numbered = true;
 		marks.confirmed = state.confirmed == 0;
 		marks.sequence = number.sequence;
-		marks.has_floor = number.has_floor != 0;
-		marks.policy_floor = number.policy_floor;
 	}
 	marks.installed = state.written == FLASH_ERASED && !marks.numbered;
 	for (unsigned i = 0; i < NF_IMAGE_STARTS_MAX; ++i)
@@ -204,19 +201,15 @@ static bool image_bank_takes(const uint32_t *words, const struct number *number)
 	return takes;
 }
 
-bool image_bank_number(const struct flash *flash, unsigned bank, const uint32_t *policy_floor)
+bool image_bank_number(const struct flash *flash, unsigned bank)
 {
 	const struct nf_image_state state = image_bank_state(flash, bank);
 	const struct image_bank_marks other = image_bank_marks(flash, 1 - bank);
-	struct number number = {
-		.sequence = other.numbered ? other.sequence + 1 : 1,
-		.policy_floor = policy_floor ? *policy_floor : 0,
-		.has_floor = policy_floor != NULL,
-	};
+	const uint32_t sequence = other.numbered ? other.sequence + 1 : 1;
+	const struct number number = { .sequence = sequence, .check = ~sequence };
 
 	if (image_bank_marks(flash, bank).numbered)
 		return true;
-	number.check = image_bank_check_of(&number);
 	for (size_t i = 0; i < NF_IMAGE_NUMBER_ENTRIES; ++i) {
 		const size_t first = i * NF_IMAGE_NUMBER_WORDS;
 		const uint32_t address = image_bank_places[bank].state +

@@ -28,9 +28,7 @@ struct image_bank_marks {
 	bool numbered;      /* `sequence` counts */
 	bool confirmed; /* it has run well: only of a numbered one, for what an interrupted erase leaves is none */
 	bool rejected;
-	bool has_floor; /* policy slots count only where they are newer than `policy_floor` */
 	uint32_t sequence; /* serial number (common/serial_number.h) */
-	uint32_t policy_floor;
 	unsigned starts; /* counted ones */
 };
 
@@ -63,7 +61,7 @@ bool image_bank_confirm(const struct flash *flash, unsigned bank);
 bool image_bank_reject(const struct flash *flash, unsigned bank);
 
 /* Gives the bank's image a number newer than the other bank's, so that it is started from now on; one that has a number keeps
- * it. policy_floor: NULL, or what policy slots have to be newer than. False: flash did not take it. */
-bool image_bank_number(const struct flash *flash, unsigned bank, const uint32_t *policy_floor);
+ * it. False: flash did not take it. */
+bool image_bank_number(const struct flash *flash, unsigned bank);
 
 #endif

@@ -84,7 +84,7 @@ bool image_probation_confirm(struct image_probation *probation)
 	const struct flash *flash = probation->flash;
 	const bool installed = image_bank_marks(flash, probation->bank).installed;
 
-	if (installed && !image_bank_number(flash, probation->bank, NULL))
+	if (installed && !image_bank_number(flash, probation->bank))
 		return false;
 	probation->confirmed = image_bank_confirm(flash, probation->bank);
 	return probation->confirmed;

@@ -136,37 +136,48 @@ static enum nf_err image_update_judge(const struct image_update *update, const u
 /* Would the next boot start the spare bank's image, as the marks are now? */
 static bool image_update_starts(const struct image_update *update)
 {
-	static const bool good[IMAGE_BANK_COUNT] = { true, true };
 	struct image_bank_marks marks[IMAGE_BANK_COUNT];
+	bool good[IMAGE_BANK_COUNT];
 
-	for (unsigned bank = 0; bank < IMAGE_BANK_COUNT; ++bank)
+	for (unsigned bank = 0; bank < IMAGE_BANK_COUNT; ++bank) {
+		const struct nf_image_header header = image_bank_header(update->flash, bank);
 		marks[bank] = image_bank_marks(update->flash, bank);
+		good[bank] = image_bank_fits(&header, bank, update->board);
+	}
 	return image_bank_choose(marks, good) == image_update_spare(update);
 }
 
 /* Gives the spare bank's image its number, in this order: an image that the ROM has installed, and that has no number yet,
  * would be preferred to any that has one. */
-static bool image_update_number(const struct image_update *update, const struct image_update_floor *floor)
+static bool image_update_number(const struct image_update *update)
 {
 	const struct flash *flash = update->flash;
 	const unsigned spare = image_update_spare(update);
 
-	return image_bank_claim(flash, spare) && image_bank_number(flash, update->running, NULL) &&
-	       image_bank_number(flash, spare, floor->counts ? &floor->sequence : NULL);
+	return image_bank_claim(flash, spare) && image_bank_number(flash, update->running) &&
+	       image_bank_number(flash, spare);
 }
 
-enum nf_refusal image_update_switch(struct image_update *update, const uint8_t told[SHA256_BYTES],
-				    const struct image_update_floor *floor, uint32_t *sequence, enum nf_err *why)
+enum nf_refusal image_update_switch(struct image_update *update, const struct policy_slots *slots,
+				    const uint8_t told[SHA256_BYTES], uint32_t *sequence, enum nf_err *why)
 {
 	const unsigned spare = image_update_spare(update);
 
 	*why = image_update_judge(update, told);
 	if (*why != NF_OK)
 		return NF_REFUSAL_IMAGE;
-	if (!image_bank_marks(update->flash, spare).numbered && !image_update_number(update, floor))
+	*why = policy_slots_for_other_bank(slots);
+	if (*why != NF_OK)
+		return NF_REFUSAL_BLOB;
+	if (!image_bank_marks(update->flash, spare).numbered && !image_update_number(update))
 		return NF_REFUSAL_FLASH;
 	if (!image_update_starts(update))
 		return NF_REFUSAL_ORDER;
 	*sequence = image_bank_marks(update->flash, spare).sequence;
 	return NF_REFUSAL_NONE;
+}
+
+bool image_update_holds_slots(const struct image_update *update)
+{
+	return image_update_starts(update) || image_update_needed(update);
 }

@@ -14,6 +14,7 @@
 #include "nf_contract.h"
 #include "storage/flash.h"
 #include "storage/image_bank.h"
+#include "storage/policy_slots.h"
 
 struct image_update {
 	const struct flash *flash;
@@ -23,12 +24,6 @@ struct image_update {
 	bool begun;
 	struct nf_image_header header;    /* as it was told */
 	uint32_t written;                 /* bytes of the image so far */
-};
-
-/* What policies in the slots have to be newer than to be flown by the image, if it counts. */
-struct image_update_floor {
-	bool counts;
-	uint32_t sequence;
 };
 
 /* board: at most NF_IMAGE_BOARD_BYTES letters. `flash` outlives `update`. */
@@ -54,10 +49,14 @@ enum nf_refusal image_update_end(struct image_update *update, uint32_t *crc, enu
 enum nf_err image_update_hash(const struct image_update *update, unsigned bank, uint8_t digest[SHA256_BYTES]);
 
 /* Makes the spare bank's image the one that is started from the next boot on, whoever wrote it, if it is whole and has
- * that SHA-256. *sequence: the number that it has then. May be repeated: number and floor stay as they are.
- * NF_REFUSAL_IMAGE: *why tells what is wrong. NF_REFUSAL_ORDER: it has a number already, and is not started with it: it
- * is older, or has failed; it has to be written anew. NF_REFUSAL_FLASH. */
-enum nf_refusal image_update_switch(struct image_update *update, const uint8_t told[SHA256_BYTES],
-				    const struct image_update_floor *floor, uint32_t *sequence, enum nf_err *why);
+ * that SHA-256, and a slot holds a policy that it can fly. *sequence: the number that it has then. May be repeated: the number
+ * stays as it is. NF_REFUSAL_IMAGE, NF_REFUSAL_BLOB: *why tells what is wrong. NF_REFUSAL_ORDER: it has a number already, and is
+ * not started with it: it is older, or has failed; it has to be written anew. NF_REFUSAL_FLASH. */
+enum nf_refusal image_update_switch(struct image_update *update, const struct policy_slots *slots,
+				    const uint8_t told[SHA256_BYTES], uint32_t *sequence, enum nf_err *why);
+
+/* Do both images count? The spare one is started next, or is the one to go back to should the running one, which has yet to
+ * be confirmed, fail. Then each needs its policy, and the slots are left as they are. */
+bool image_update_holds_slots(const struct image_update *update);
 
 #endif

@@ -40,13 +40,20 @@ static bool policy_blob_whole(uint32_t magic, const uint8_t *blob, size_t total)
 	return crc32_more(crc32_more(0, &magic, sizeof magic), blob + sizeof magic, checked - sizeof magic) == told;
 }
 
+/* Did it come with that image, or for any of its architecture? */
+static bool policy_blob_meant_for(const struct nf_policy_blob_header *header, const struct policy_blob_identity *image)
+{
+	static const uint8_t any[NF_IMAGE_BUILD_BYTES];
+
+	return memcmp(header->build, any, sizeof any) == 0 || memcmp(header->build, image->build, sizeof any) == 0;
+}
+
 /* The counts stand beside the hash because tables are copied by them: no collision may write past an array. */
 static bool policy_blob_same_architecture(const struct nf_policy_blob_header *header,
-					  const struct policy_blob_identity *running)
+					  const struct policy_blob_identity *image)
 {
-	return header->architecture_hash == running->architecture_hash &&
-	       header->weight_count == running->weight_count &&
-	       header->observation_count == running->observation_count && header->action_count == running->action_count;
+	return header->architecture_hash == image->architecture_hash && header->weight_count == image->weight_count &&
+	       header->observation_count == image->observation_count && header->action_count == image->action_count;
 }
 
 static uint32_t policy_blob_bits(float value)
@@ -111,7 +118,7 @@ static bool policy_blob_modelled(const struct nf_policy_blob_header *header)
 }
 
 enum nf_err policy_blob_check_behind(uint32_t magic, const void *bytes, size_t size,
-				     const struct policy_blob_identity *running)
+				     const struct policy_blob_identity *image)
 {
 	struct nf_policy_blob_header header; /* a copy: a slot may begin at any address */
 
@@ -126,12 +133,14 @@ enum nf_err policy_blob_check_behind(uint32_t magic, const void *bytes, size_t s
 		return NF_ERR_BLOB_SIZE;
 	if (!policy_blob_whole(magic, bytes, header.total_bytes))
 		return NF_ERR_BLOB_CRC;
+	if (!policy_blob_meant_for(&header, image))
+		return NF_ERR_BLOB_BUILD;
 	/* Before the architecture, whose hash covers both: the answer should name what to mend. */
-	if (header.control_rate_hz != running->control_rate_hz)
+	if (header.control_rate_hz != image->control_rate_hz)
 		return NF_ERR_BLOB_RATE;
-	if (header.filters_hash != running->filters_hash)
+	if (header.filters_hash != image->filters_hash)
 		return NF_ERR_BLOB_FILTERS;
-	if (!policy_blob_same_architecture(&header, running))
+	if (!policy_blob_same_architecture(&header, image))
 		return NF_ERR_BLOB_ARCHITECTURE;
 	if (!policy_blob_within(header.idle, NF_IDLE_MAX))
 		return NF_ERR_BLOB_IDLE;
@@ -142,11 +151,26 @@ enum nf_err policy_blob_check_behind(uint32_t magic, const void *bytes, size_t s
 	return NF_OK;
 }
 
-enum nf_err policy_blob_check(const void *bytes, size_t size, const struct policy_blob_identity *running)
+struct policy_blob_identity policy_blob_identity_of(const struct nf_image_header *image)
+{
+	struct policy_blob_identity identity = {
+		.architecture_hash = image->architecture_hash,
+		.filters_hash = image->filters_hash,
+		.control_rate_hz = image->control_rate_hz,
+		.weight_count = image->weight_count,
+		.observation_count = image->observation_count,
+		.action_count = image->action_count,
+	};
+
+	memcpy(identity.build, image->build, sizeof identity.build);
+	return identity;
+}
+
+enum nf_err policy_blob_check(const void *bytes, size_t size, const struct policy_blob_identity *image)
 {
 	uint32_t magic = 0;
 
 	if (size >= sizeof magic)
 		memcpy(&magic, bytes, sizeof magic);
-	return policy_blob_check_behind(magic, bytes, size, running);
+	return policy_blob_check_behind(magic, bytes, size, image);
 }

@@ -3,6 +3,7 @@
 #include <string.h>
 
 #include "common/serial_number.h"
+#include "storage/image_bank.h"
 
 static const struct place {
 	uint32_t address;
@@ -13,15 +14,13 @@ static const struct place {
 	[POLICY_SLOT_B] = { NF_FLASH_POLICY_SLOTS_1_ADDRESS, NF_FLASH_POLICY_SLOTS_1_SIZE, 7 },
 };
 _Static_assert(sizeof places / sizeof places[0] == NF_FLASH_POLICY_SLOTS_COUNT, "a place each");
-_Static_assert(POLICY_COMPILED_IN == NF_FLASH_POLICY_SLOTS_COUNT, "slots come first");
+_Static_assert(POLICY_SOURCE_COUNT == NF_FLASH_POLICY_SLOTS_COUNT, "each is a slot");
 _Static_assert(NF_FLASH_POLICY_SLOTS_0_ADDRESS == NF_FLASH_SECTORS_4_ADDRESS, "the sector to erase");
 _Static_assert(NF_FLASH_POLICY_SLOTS_1_ADDRESS == NF_FLASH_SECTORS_7_ADDRESS, "the sector to erase");
 _Static_assert(NF_POLICY_BLOB_HEADER_BYTES % FLASH_WORD_BYTES == 0, "parts of a blob are whole words");
 
 static const uint8_t *policy_slots_blob_of(const struct policy_slots *slots, enum policy_source source)
 {
-	if (source == POLICY_COMPILED_IN)
-		return slots->compiled_in;
 	return flash_at(slots->flash, places[source].address);
 }
 
@@ -41,17 +40,16 @@ static uint32_t policy_slots_sequence_of(const uint8_t *blob)
 	return sequence;
 }
 
-/* What is wrong with the blob that stands there now. */
+/* What keeps that image from flying the blob that stands there now. */
+static enum nf_err policy_slots_check_for(const struct policy_slots *slots, enum policy_source source,
+					  const struct policy_blob_identity *image)
+{
+	return policy_blob_check(policy_slots_blob_of(slots, source), places[source].size, image);
+}
+
 static enum nf_err policy_slots_check(const struct policy_slots *slots, enum policy_source source)
 {
-	const size_t size = source == POLICY_COMPILED_IN ? slots->compiled_in_bytes : places[source].size;
-	const uint8_t *blob = policy_slots_blob_of(slots, source);
-	const enum nf_err err = policy_blob_check(blob, size, &slots->running);
-	const bool bound = source != POLICY_COMPILED_IN && slots->has_floor;
-
-	if (err == NF_OK && bound && !serial_number_newer(policy_slots_sequence_of(blob), slots->floor))
-		return NF_ERR_BLOB_OLD;
-	return err;
+	return policy_slots_check_for(slots, source, &slots->running);
 }
 
 /* Replays the policy's self-test vectors: they detect one wrong bit in weights, compiler or FPU. `header` has been
@@ -99,8 +97,7 @@ static bool policy_slots_newer(const struct policy_slots *slots, enum policy_sou
 				   policy_slots_sequence_of(policy_slots_blob_of(slots, b)));
 }
 
-/* Of the slots that are good the newer one, and the first where neither is newer; else the compiled-in policy, whose
- * number counts for nothing beside a slot's; POLICY_SOURCE_COUNT: none is good. */
+/* Of the slots that are good the newer one, and the first where neither is newer; POLICY_SOURCE_COUNT: none is good. */
 static enum policy_source policy_slots_best(const struct policy_slots *slots)
 {
 	const bool a = slots->found[POLICY_SLOT_A] == NF_OK, b = slots->found[POLICY_SLOT_B] == NF_OK;
@@ -109,21 +106,17 @@ static enum policy_source policy_slots_best(const struct policy_slots *slots)
 		return policy_slots_newer(slots, POLICY_SLOT_B, POLICY_SLOT_A) ? POLICY_SLOT_B : POLICY_SLOT_A;
 	if (a || b)
 		return a ? POLICY_SLOT_A : POLICY_SLOT_B;
-	return slots->found[POLICY_COMPILED_IN] == NF_OK ? POLICY_COMPILED_IN : POLICY_SOURCE_COUNT;
+	return POLICY_SOURCE_COUNT;
 }
 
 enum nf_err policy_slots_choose(struct policy_slots *slots, const struct flash *flash,
-				const struct policy_blob_identity *running, const uint32_t *floor,
-				const void *compiled_in, size_t compiled_in_bytes, struct policy *policy,
+				const struct policy_blob_identity *running, unsigned bank, struct policy *policy,
 				float weights[POLICY_WEIGHT_COUNT])
 {
 	*slots = (struct policy_slots){
 		.flash = flash,
 		.running = *running,
-		.has_floor = floor != NULL,
-		.floor = floor ? *floor : 0,
-		.compiled_in = compiled_in,
-		.compiled_in_bytes = compiled_in_bytes,
+		.bank = bank,
 		.flown = POLICY_SOURCE_COUNT,
 		.update.target = POLICY_SOURCE_COUNT,
 	};
@@ -181,26 +174,45 @@ static bool policy_slots_holds(const struct policy_slots *slots, enum policy_sou
 	return slots->found[slot] != NF_ERR_POLICY && policy_slots_check(slots, slot) == NF_OK;
 }
 
-/* The flown slot stays. Where the compiled-in policy flies, slots may have been written since boot: the best stays. */
+static enum policy_source policy_slots_other(enum policy_source slot)
+{
+	return slot == POLICY_SLOT_A ? POLICY_SLOT_B : POLICY_SLOT_A;
+}
+
+/* The flown slot stays. Where none flies, slots may have been written since boot: the best stays. */
 static enum policy_source policy_slots_to_be_written(const struct policy_slots *slots)
 {
-	if (slots->flown == POLICY_SLOT_A || slots->flown == POLICY_SLOT_B)
-		return slots->flown == POLICY_SLOT_A ? POLICY_SLOT_B : POLICY_SLOT_A;
+	if (slots->flown != POLICY_SOURCE_COUNT)
+		return policy_slots_other(slots->flown);
 	const bool b_is_best = policy_slots_holds(slots, POLICY_SLOT_B) &&
 			       policy_slots_newer(slots, POLICY_SLOT_B, POLICY_SLOT_A);
 	return policy_slots_holds(slots, POLICY_SLOT_A) && !b_is_best ? POLICY_SLOT_B : POLICY_SLOT_A;
 }
 
-/* The newest sequence of the complete policies in the slots, also of one that failed its self-test; where there is none
- * the floor or 0, the compiled-in policy's. Those above a floor are less than half of all numbers apart: one is the
- * newest. */
+/* Does the header of a blob that was found so tell something? */
+static bool policy_slots_told(enum nf_err found)
+{
+	switch (found) {
+	case NF_ERR_BLOB_SHORT:
+	case NF_ERR_BLOB_MAGIC:
+	case NF_ERR_BLOB_LAYOUT:
+	case NF_ERR_BLOB_SIZE:
+	case NF_ERR_BLOB_CRC:
+		return false;
+	default:
+		return true;
+	}
+}
+
+/* The newest sequence of the whole policies in the slots, for whichever image they are, also of one that failed its
+ * self-test; 0 where there is none. */
 static uint32_t policy_slots_newest_sequence(const struct policy_slots *slots)
 {
-	uint32_t newest = slots->floor;
+	uint32_t newest = 0;
 	bool first = true;
 
 	for (enum policy_source slot = POLICY_SLOT_A; slot <= POLICY_SLOT_B; ++slot) {
-		if (policy_slots_check(slots, slot) != NF_OK)
+		if (!policy_slots_told(policy_slots_check(slots, slot)))
 			continue;
 		const uint32_t sequence = policy_slots_sequence_of(policy_slots_blob_of(slots, slot));
 		if (first || serial_number_newer(sequence, newest))
@@ -271,11 +283,27 @@ enum nf_refusal policy_slots_write(struct policy_slots *slots, uint32_t offset, 
 	return NF_REFUSAL_NONE;
 }
 
-/* May the next policy have this number? One far ahead of the newest may be newer than that and yet not than the floor. */
-static bool policy_slots_takes(const struct policy_slots *slots, uint32_t sequence)
+/* What the image in the bank that is not run asks of a policy. Returns whether there is one. */
+static bool policy_slots_other_image(const struct policy_slots *slots, struct policy_blob_identity *image)
 {
-	return serial_number_newer(sequence, policy_slots_newest_sequence(slots)) &&
-	       (!slots->has_floor || serial_number_newer(sequence, slots->floor));
+	const unsigned bank = IMAGE_BANK_COUNT - 1u - slots->bank;
+	const struct nf_image_header header = image_bank_header(slots->flash, bank);
+
+	*image = policy_blob_identity_of(&header);
+	return image_bank_fits(&header, bank, header.board);
+}
+
+/* What is wrong with the blob that was written, its first word kept back: for this image, or where it came with another one for
+ * that of the other bank. */
+static enum nf_err policy_slots_judge(const struct policy_slots *slots, const struct policy_update *update)
+{
+	const uint8_t *blob = policy_slots_blob_of(slots, update->target);
+	const enum nf_err why = policy_blob_check_behind(update->head, blob, update->total, &slots->running);
+	struct policy_blob_identity other;
+
+	if (why != NF_ERR_BLOB_BUILD || !policy_slots_other_image(slots, &other))
+		return why;
+	return policy_blob_check_behind(update->head, blob, update->total, &other);
 }
 
 enum nf_refusal policy_slots_end(struct policy_slots *slots, enum nf_err *why)
@@ -288,14 +316,14 @@ enum nf_refusal policy_slots_end(struct policy_slots *slots, enum nf_err *why)
 	if (update.target == POLICY_SOURCE_COUNT || update.written != update.total)
 		return NF_REFUSAL_ORDER;
 	const uint8_t *blob = policy_slots_blob_of(slots, update.target);
-	*why = policy_blob_check_behind(update.head, blob, update.total, &slots->running);
+	*why = policy_slots_judge(slots, &update);
 	if (*why != NF_OK)
 		return policy_slots_give_up(slots, NF_REFUSAL_BLOB);
-	if (!policy_slots_takes(slots, policy_slots_sequence_of(blob)))
+	if (!serial_number_newer(policy_slots_sequence_of(blob), policy_slots_newest_sequence(slots)))
 		return policy_slots_give_up(slots, NF_REFUSAL_SEQUENCE);
 	if (!flash_program(slots->flash, places[update.target].address, &update.head, sizeof update.head))
 		return policy_slots_give_up(slots, NF_REFUSAL_FLASH);
-	slots->found[update.target] = NF_OK;
+	slots->found[update.target] = policy_slots_check(slots, update.target);
 	slots->update = (struct policy_update){ .target = POLICY_SOURCE_COUNT, .ended = true };
 	return NF_REFUSAL_NONE;
 }
@@ -308,28 +336,14 @@ enum nf_refusal policy_slots_revert(struct policy_slots *slots)
 
 	if (slots->reverted)
 		return NF_REFUSAL_NONE;
-	if ((source != POLICY_SLOT_A && source != POLICY_SLOT_B) || slots->update.ended)
+	if (source == POLICY_SOURCE_COUNT || slots->update.ended ||
+	    !policy_slots_holds(slots, policy_slots_other(source)))
 		return NF_REFUSAL_ORDER;
 	if (!flash_program(slots->flash, places[source].address, &none, sizeof none))
 		return NF_REFUSAL_FLASH;
 	slots->found[source] = NF_ERR_BLOB_MAGIC;
 	slots->reverted = true;
 	return policy_slots_give_up(slots, NF_REFUSAL_NONE);
-}
-
-/* Does the header of a blob that was found so tell something? */
-static bool policy_slots_told(enum nf_err found)
-{
-	switch (found) {
-	case NF_ERR_BLOB_SHORT:
-	case NF_ERR_BLOB_MAGIC:
-	case NF_ERR_BLOB_LAYOUT:
-	case NF_ERR_BLOB_SIZE:
-	case NF_ERR_BLOB_CRC:
-		return false;
-	default:
-		return true;
-	}
 }
 
 enum nf_err policy_slots_info(const struct policy_slots *slots, enum policy_source source,
@@ -343,19 +357,19 @@ enum nf_err policy_slots_info(const struct policy_slots *slots, enum policy_sour
 	return now == NF_OK && slots->found[source] == NF_ERR_POLICY ? NF_ERR_POLICY : now;
 }
 
-bool policy_slots_floor(const struct policy_slots *slots, uint32_t *floor)
+enum nf_err policy_slots_for_other_bank(const struct policy_slots *slots)
 {
-	bool found = false;
+	struct policy_blob_identity image;
+	enum nf_err why = NF_ERR_BLOB_MAGIC;
 
+	if (!policy_slots_other_image(slots, &image))
+		return NF_ERR_BLOB_BUILD;
 	for (enum policy_source slot = POLICY_SLOT_A; slot <= POLICY_SLOT_B; ++slot) {
-		const struct nf_policy_blob_header header = policy_slots_header_of(policy_slots_blob_of(slots, slot));
-		if (header.magic != NF_POLICY_BLOB_MAGIC)
-			continue;
-		if (!found || serial_number_newer(header.sequence, *floor))
-			*floor = header.sequence;
-		found = true;
+		const enum nf_err found = policy_slots_check_for(slots, slot, &image);
+		if (found == NF_OK)
+			return NF_OK;
+		if (found != NF_ERR_BLOB_MAGIC)
+			why = found;
 	}
-	if (!found)
-		*floor = slots->floor;
-	return found || slots->has_floor;
+	return why;
 }

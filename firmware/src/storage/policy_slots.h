@@ -1,10 +1,10 @@
 /* Policy slots: which policy this boot flies, and how a slot gets a new one.
  *
- * The compiled-in policy and two slots of flash hold blobs (docs/policy-blob.md). At boot the one with the newest
- * sequence number that is whole, made for this image and passes its own self-test is taken; the compiled-in one is the
- * last. Numbers wrap (common/serial_number.h): whatever number a policy has, another one can follow. A slot's first word
- * is written last, so that one half written is none. An image may be told a floor when it is switched to
- * (storage/image_update.h): it flies only what came into the slots afterwards. */
+ * Two slots of flash hold blobs (docs/policy-blob.md); the image itself has no weights. At boot the blob with the newest
+ * sequence number that is whole, made for this image and passes its own self-test is taken; without one no policy flies.
+ * Numbers wrap (common/serial_number.h): whatever number a policy has, another one can follow. A slot's first word is
+ * written last, so that one half written is none. A blob may name the build that it came with: no other image flies it.
+ * That of the bank which is not run is checked against the image there. */
 #ifndef NF_POLICY_SLOTS_H
 #define NF_POLICY_SLOTS_H
 
@@ -22,7 +22,6 @@
 enum policy_source {
 	POLICY_SLOT_A,
 	POLICY_SLOT_B,
-	POLICY_COMPILED_IN,
 	POLICY_SOURCE_COUNT, /* as a source: none */
 };
 
@@ -38,10 +37,7 @@ struct policy_update {
 struct policy_slots {
 	const struct flash *flash;
 	struct policy_blob_identity running;
-	const void *compiled_in;
-	size_t compiled_in_bytes;
-	bool has_floor;
-	uint32_t floor; /* slots count only where they are newer, if `has_floor`; else 0 */
+	unsigned bank; /* of images, that this one runs from */
 	/* NF_OK, or what was wrong with it at boot, NF_ERR_POLICY being its self-test; NF_OK once written anew. */
 	enum nf_err found[POLICY_SOURCE_COUNT];
 	enum policy_source flown;               /* POLICY_SOURCE_COUNT: none is good */
@@ -53,12 +49,10 @@ struct policy_slots {
 };
 
 /* Chooses for this boot: leaves the chosen one's weights in `weights` and `policy` initialized with them. `running`:
- * what this image and its settings ask for. `compiled_in`: the image's own blob, of so many bytes. Blob and flash
- * outlive `slots`. `floor`: NULL, or what slots have to be newer than (NF_ERR_BLOB_OLD).
+ * what this image and its settings ask for; `bank`: where it lies. Flash outlives `slots`.
  * NF_ERR_POLICY: none is good, do not fly `policy`; slots->found tells why, and a slot can still be written. */
 enum nf_err policy_slots_choose(struct policy_slots *slots, const struct flash *flash,
-				const struct policy_blob_identity *running, const uint32_t *floor,
-				const void *compiled_in, size_t compiled_in_bytes, struct policy *policy,
+				const struct policy_blob_identity *running, unsigned bank, struct policy *policy,
 				float weights[POLICY_WEIGHT_COUNT]);
 
 /* Header of the flown blob. Returns false, `header` unset, if none is flown. */
@@ -82,7 +76,8 @@ enum nf_refusal policy_slots_begin(struct policy_slots *slots, uint32_t total);
  * may be repeated, for a reply may have been lost. NF_REFUSAL_ORDER, NF_REFUSAL_PAYLOAD, NF_REFUSAL_FLASH. */
 enum nf_refusal policy_slots_write(struct policy_slots *slots, uint32_t offset, const void *words, size_t bytes);
 
-/* Ends the update: checks all of it, then makes it valid. It is flown from the next boot on. May be repeated.
+/* Ends the update: checks all of it, then makes it valid. One that names the build of the other bank's image is checked against
+ * that and is for it alone; another is flown by this image from the next boot on. May be repeated.
  * NF_REFUSAL_ORDER, NF_REFUSAL_FLASH; NF_REFUSAL_BLOB: *why tells what is wrong; NF_REFUSAL_SEQUENCE: not newer than
  * the one that stays. A slot that is refused stays empty until it is begun again. */
 enum nf_refusal policy_slots_end(struct policy_slots *slots, enum nf_err *why);
@@ -90,9 +85,9 @@ enum nf_refusal policy_slots_end(struct policy_slots *slots, enum nf_err *why);
 /* The sequence number that the next policy has to have, or a newer one. Reads all blobs: some milliseconds. */
 uint32_t policy_slots_next_sequence(const struct policy_slots *slots);
 
-/* Goes back to the policy before the flown one, from the next boot on: the flown slot's first word becomes 0, the other
- * slot's policy is flown if it is good, else the compiled-in one. A loss of power leaves either. May be repeated.
- * NF_REFUSAL_ORDER: no slot is flown, or one has been written since the boot. NF_REFUSAL_FLASH. */
+/* Goes back to the policy before the flown one, from the next boot on: the flown slot's first word becomes 0. A loss of power
+ * leaves either. May be repeated. NF_REFUSAL_ORDER: no slot is flown, one has been written since the boot, or the other one
+ * holds no policy that this image can fly. NF_REFUSAL_FLASH. */
 enum nf_refusal policy_slots_revert(struct policy_slots *slots);
 
 /* What is wrong with the policy that stands there now, and its header; zeros where that is not to be trusted. Reads
@@ -100,8 +95,8 @@ enum nf_refusal policy_slots_revert(struct policy_slots *slots);
 enum nf_err policy_slots_info(const struct policy_slots *slots, enum policy_source source,
 			      struct nf_policy_blob_header *header);
 
-/* A number that no policy in the slots is newer than, whichever image it is for. With empty slots the floor of this
- * image. False: there is none. */
-bool policy_slots_floor(const struct policy_slots *slots, uint32_t *floor);
+/* Does a slot hold a policy that the image in the bank which is not run can fly? Its self-test cannot be run here. NF_OK, or why
+ * not. Reads all blobs. */
+enum nf_err policy_slots_for_other_bank(const struct policy_slots *slots);
 
 #endif

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import struct
-import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -24,16 +23,16 @@ from toolchain.contract import (
     FLASH_BASE,
     FLASH_BOOT,
     FLASH_BYTES,
+    FLASH_POLICY_SLOTS,
+    IMAGE_BUILD_BYTES,
     IMAGE_NUMBER_ENTRIES,
     IMAGE_NUMBER_WORDS,
     IMAGE_STARTS_MAX,
     IMAGE_STATE_FORMAT,
     IMAGE_TAIL_BYTES,
     MSP_BAUD_DEFAULT,
-    POLICY_BLOB_CRC_BYTES,
-    POLICY_BLOB_FIELDS,
     POLICY_BLOB_HEADER_FORMAT,
-    image_field_offset,
+    bound_policy,
     image_header,
 )
 from toolchain.image.bank_state import state
@@ -46,10 +45,11 @@ STEP = TIME_HZ // 1000
 
 @dataclass(frozen=True)
 class Build:
-    """An image for each bank, of one build, and the boot part."""
+    """An image for each bank, of one build, its policy, and the boot part."""
 
     boot: bytes
     images: tuple[bytes, bytes]
+    policy: bytes  # which came with it
     symbols: tuple[dict[str, int], dict[str, int]]
     elf: Path
 
@@ -62,7 +62,8 @@ def read_build(elf: Path) -> Build:
     size = told.image_bytes
     flash = elf.with_suffix(".bin").read_bytes()
     other = elf.with_name("neuroflight-b.elf")
-    return Build(flash[: FLASH_BOOT.size], (both[:size], both[size:]), (_symbols(elf), _symbols(other)), elf)
+    images, policy = (both[:size], both[size : 2 * size]), both[2 * size :]
+    return Build(flash[: FLASH_BOOT.size], images, policy, (_symbols(elf), _symbols(other)), elf)
 
 
 def _symbols(elf: Path) -> dict[str, int]:
@@ -80,24 +81,23 @@ def patched(build: Build, bank: int, function: str, code: bytes) -> bytes:
     return stamped(image[:at] + code + image[at + len(code) :])
 
 
-def with_bad_policy(build: Build, bank: int) -> bytes:
-    """Its image around a policy of which one bit of a weight is another, its checksums right."""
-    image = bytearray(build.images[bank])
-    at = (
-        int.from_bytes(image[image_field_offset("policy_address") :][:4], "little")
-        - FLASH_BANKS[bank].address
-    )
-    names = [field.name for field in POLICY_BLOB_FIELDS]
-    fields = dict(zip(names, struct.unpack_from(POLICY_BLOB_HEADER_FORMAT, image, at), strict=False))
-    end = at + int(fields["total_bytes"]) - POLICY_BLOB_CRC_BYTES
-    image[at + int(fields["weight_offset"]) + 2] ^= 0x40
-    struct.pack_into("<I", image, end, zlib.crc32(image[at:end]))
-    return stamped(bytes(image))
+def bad_policy(build: Build, of: bytes) -> bytes:
+    """Its policy as that of the build `of`, one bit of a weight another, its checksum right."""
+    blob = bytearray(build.policy)
+    blob[struct.calcsize(POLICY_BLOB_HEADER_FORMAT) + 2] ^= 0x40
+    return bound_policy(blob, of, sequence=1)
 
 
-def compose(build: Build, *banks: tuple[bytes, bytes] | None) -> bytes:
-    """Flash with the boot part and, by bank, an image and its marks; None: erased."""
+def compose(build: Build, *banks: tuple[bytes, bytes] | None, slots: Sequence[bytes] | None = None) -> bytes:
+    """Flash with the boot part and, by bank, an image and its marks; None: erased.
+
+    slots: policies; None: the build's, for any image of its architecture.
+    """
     flash = bytearray(build.boot.ljust(FLASH_BYTES, b"\xff"))
+    held = [bound_policy(build.policy, bytes(IMAGE_BUILD_BYTES))] if slots is None else slots
+    for slot, policy in zip(FLASH_POLICY_SLOTS, held, strict=False):
+        at = slot.address - FLASH_BASE
+        flash[at : at + len(policy)] = policy
     for region, content in zip(FLASH_BANKS, banks, strict=False):
         if content is None:
             continue
@@ -198,5 +198,5 @@ class Trial:
         entries = [words[size * i : size * i + size] for i in range(IMAGE_NUMBER_ENTRIES)]
         starts = words[size * IMAGE_NUMBER_ENTRIES :][:IMAGE_STARTS_MAX]
         rejected, confirmed = words[size * IMAGE_NUMBER_ENTRIES + IMAGE_STARTS_MAX :]
-        whole = tuple(entry[0] for entry in entries if entry[3] == zlib.crc32(struct.pack("<3I", *entry[:3])))
+        whole = tuple(entry[0] for entry in entries if entry[1] == entry[0] ^ ERASED)
         return Marks(whole, sum(word != ERASED for word in starts), not rejected, not confirmed)

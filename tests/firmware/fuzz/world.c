@@ -132,6 +132,7 @@ static void world_boot(struct world *w, bool msp)
 
 	memset(w, 0, sizeof *w);
 	memset(flash_bytes, 0xFF, sizeof flash_bytes);
+	host_board_install(flash_bytes);
 	change.value.as_uint32_t = NF_RECEIVER_PROTOCOL_MSP;
 	host_board_init(&w->board, flash_bytes);
 	w->hal = host_board_hal(&w->board);

@@ -266,11 +266,11 @@ def test_a_policy_is_flown_from_the_next_start_on_when_it_was_sent(
             client.request(Msp.POLICY_SLOT_WRITE, requests.slot_write(offset, data[offset : offset + 200]))
         client.request(Msp.POLICY_SLOT_END)
         now = messages.policy_info(client.request(Msp.POLICY_INFO))
-        assert (now.name, now.source) == ("scripted", messages.PolicySource.COMPILED_IN)
+        assert (now.name, now.source) == ("scripted", messages.PolicySource.SLOT_A)
     p.end()
     with ask(start(option)) as client:
         then = messages.policy_info(client.request(Msp.POLICY_INFO))
-    assert (then.name, then.source, then.sequence) == ("sent", messages.PolicySource.SLOT_A, 1)
+    assert (then.name, then.source, then.sequence) == ("sent", messages.PolicySource.SLOT_B, 1)
     assert (then.idle, then.good) == (0.125, True)
 
 
@@ -323,14 +323,19 @@ def refusal_of(build: Path, option: str) -> str:
     return done.stderr
 
 
-def test_the_file_is_flash_when_it_is_new(start: Start, tmp_path: Path) -> None:
+def test_the_file_is_flash_as_installed_when_it_is_new(
+    start: Start, tmp_path: Path, scripted_policy_blob: PolicyBlob
+) -> None:
     flash = tmp_path / "flash.bin"
     start(f"--settings={flash}").end()
     content = flash.read_bytes()
     assert len(content) == contract.FLASH_BYTES
     log = contract.FLASH_FAULT_RECORD.address - contract.FLASH_BASE
     assert content[log : log + 4] == b"NFFL", "a boot was logged"
-    assert set(content[:log]) == set(content[log + contract.FLASH_FAULT_RECORD.size :]) == {0xFF}
+    slot = contract.FLASH_POLICY_SLOTS[0].address - contract.FLASH_BASE
+    policy = pack(scripted_policy_blob)
+    assert content[slot:].startswith(policy), "as a board's installation leaves it"
+    assert set(content[:log]) == set(content[slot + len(policy) :]) == {0xFF}
 
 
 @pytest.mark.parametrize("size", [1, contract.FLASH_BYTES - 1, contract.FLASH_BYTES + 1])

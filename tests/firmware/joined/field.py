@@ -8,6 +8,7 @@ from typing import Any
 from flash import messages, records
 from flash.client import Client
 from flash.records import FaultKind
+from toolchain import contract
 from toolchain.contract import CHANNEL_PITCH, CHANNEL_ROLL, CHANNEL_YAW, GESTURE_MS, FlightState, Msp, Task
 
 G = 9.80665
@@ -24,6 +25,8 @@ class Field:
         new, ffi, lib = core.new, core.ffi, core.lib
         lib.scripted_action = [0.3] * 4
         self.board, self.hal = new("struct host_board *"), new("struct hal *")
+        if chip.region(contract.FLASH_POLICY_SLOTS[0])[:4] == b"\xff" * 4:
+            lib.host_board_install(chip._bytes)
         lib.host_board_init(self.board, chip._bytes)
         self.hal[0] = lib.host_board_hal(self.board)
         self.hal.flash = chip.flash[0]

@@ -73,6 +73,7 @@ class Ground:
         self.program = core.new("struct program *")
         self._memory = core.new("uint64_t[]", 4)  # aligned as weights are
         self._weights = ffi.cast("float *", self._memory)
+        self.lib.host_board_install(self.chip._bytes)
         self.lib.host_board_init(self.board, self.chip._bytes)
         self.hal[0] = self.lib.host_board_hal(self.board)
         self.program.hal, self.program.firmware = self.hal, self.firmware

@@ -7,11 +7,12 @@ from typing import Any
 
 import pytest
 
-from tests.firmware.conftest import G_COUNTS
+from tests.firmware.conftest import G_COUNTS, scripted_blob
 from tests.firmware.storage.test_settings_store import as_set
 from toolchain.contract import (
     BOOT_GRACE_MS,
     FLASH_FAULT_RECORD,
+    FLASH_POLICY_SLOTS,
     FLASH_SETTINGS,
     LOAD_CALM_MS,
     MOTOR_TEST_MAGIC,
@@ -20,6 +21,7 @@ from toolchain.contract import (
     Refusal,
     Task,
 )
+from toolchain.policy.blob import pack
 
 GYRO_HZ = 1000
 CYCLES_HZ = 216_000_000
@@ -110,6 +112,7 @@ def board(scripted: Any, chip: Callable[..., Any]) -> Make:
         made = chip()
         if stored is not None:
             made.fill(FLASH_SETTINGS[0].address, as_set(stored, 1))
+        made.fill(FLASH_POLICY_SLOTS[0].address, pack(scripted_blob()))
         if full_log:
             made.fill(FLASH_FAULT_RECORD.address, b"\x55" * FLASH_FAULT_RECORD.size)
         built = Board(scripted, made.flash, **options)

@@ -29,7 +29,6 @@ from toolchain.codegen.compiler import compile_policy
 from toolchain.contract import (
     DEADLINE_MISSES_MAX,
     FLASH_BASE,
-    FLASH_BYTES,
     FLASH_FAULT_RECORD,
     GYRO_BAD_MS,
     GYRO_SATURATED_MS,
@@ -559,7 +558,8 @@ def test_a_full_log_begins_anew_some_seconds_after_the_boot_and_only_while_disar
 ) -> None:
     flash = tmp_path / "flash.bin"
     log = slice(FLASH_FAULT_RECORD.address - FLASH_BASE, FLASH_FAULT_RECORD.address - FLASH_BASE + 0x4000)
-    content = bytearray(b"\xff" * FLASH_BYTES)
+    pilot(f"--settings={flash}").program.end()  # it is made, with its policy
+    content = bytearray(flash.read_bytes())
     content[log] = b"\x55" * FLASH_FAULT_RECORD.size  # written all over
     flash.write_bytes(content)
     p = pilot(f"--settings={flash}")

@@ -22,15 +22,22 @@ from tests.firmware.conftest import Core, scripted_blob
 from tests.firmware.images import header_of, make_image
 from tests.firmware.joined.ground import API_VERSION, STANDING, Ground, Request, State
 from toolchain import contract
-from toolchain.contract import MOTOR_TEST_MAGIC, MOTOR_TEST_TIMEOUT_MS, MSP_PAYLOAD_MAX, SETTINGS, Msp
+from toolchain.contract import (
+    MOTOR_TEST_MAGIC,
+    MOTOR_TEST_TIMEOUT_MS,
+    MSP_PAYLOAD_MAX,
+    SETTINGS,
+    Msp,
+    policy_header,
+)
 from toolchain.contract.msp_configuration import CONFIGURATIONS
 from toolchain.contract.msp_layouts import Direction
 from toolchain.contract.msp_messages import layout_of
 from toolchain.policy.blob import pack
 
 IMAGE = pack(replace(scripted_blob(), sequence=1))  # a policy that it takes
-BANK_IMAGE = make_image(1)  # an image for its spare bank
-SWITCH = Request(Msp.IMAGE_SWITCH, hashlib.sha256(BANK_IMAGE).digest() + b"\0")
+BANK_IMAGE = make_image(1, policy=policy_header(IMAGE))  # an image for its spare bank
+SWITCH = Request(Msp.IMAGE_SWITCH, hashlib.sha256(BANK_IMAGE).digest())
 LENGTHS = (*range(42), 64, 100, MSP_PAYLOAD_MAX)
 FEW_LENGTHS = (0, 1, 2, 8)
 OTHER_NUMBERS = (*range(256), *range(0x1000, 0x1010), *range(0x3000, 0x3010), *range(0x4E00, 0x4E70))
@@ -200,11 +207,11 @@ def image_full(ground: Ground, image_begun: State) -> State:
 
 @pytest.fixture(scope="module")
 def slot_flown(ground: Ground, ready: State) -> State:
-    """The policy in slot A flies, as after a restart with it."""
+    """The policy in slot B flies, as after a restart with it; slot A has the one before."""
     ground.go_back(ready)
-    ground.chip.fill(contract.FLASH_POLICY_SLOTS[0].address, IMAGE)
+    ground.chip.fill(contract.FLASH_POLICY_SLOTS[1].address, IMAGE)
     ground.board.flash.operations += 1  # so that going back takes the flash along
-    ground.background.slots.flown, ground.background.slots.sequence = 0, 1
+    ground.background.slots.flown, ground.background.slots.sequence = 1, 1
     return ground.keep()
 
 

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from flash import layouts, requests
 from flash.msp import Direction, Message, Version, encode
-from tests.firmware.conftest import Chip, Core
+from tests.firmware.conftest import Chip, Core, scripted_blob
 from tests.firmware.images import crc_of, header_of, make_image
 from tests.firmware.msp.test_msp_commands import Server, server
 from tests.firmware.storage.bank_board import BankBoard, Held, confirmed
@@ -30,6 +30,7 @@ from toolchain.contract import (
     MSP_IMAGE_REJECTED,
     Msp,
     Refusal,
+    policy_header,
 )
 from toolchain.contract.msp_layouts import Direction as Speaks
 from toolchain.contract.msp_messages import layout_of
@@ -37,7 +38,12 @@ from toolchain.image.bank_state import state
 from toolchain.policy.blob import PolicyBlob, pack
 
 __all__ = ["server"]  # the fixture
-OLD, ONE, OTHER = make_image(1, 700, bank=0), make_image(2, 700), make_image(3, 700)
+POLICY = policy_header(pack(scripted_blob()))
+OLD, ONE, OTHER = (
+    make_image(1, 700, bank=0, policy=POLICY),
+    make_image(2, 700, policy=POLICY),
+    make_image(3, 700, policy=POLICY),
+)
 PIECE = 128
 BOARD, SHA256, BLOB_MAGIC = -19, -24, -7
 MakeServer = Callable[..., Server]
@@ -63,8 +69,13 @@ def upload(image: bytes) -> list[tuple[Msp, bytes]]:
     return [(Msp.IMAGE_BEGIN, header_of(image)), *pieces, (Msp.IMAGE_END, b"")]
 
 
-def switch_to(image: bytes, *, keep: int = 0) -> bytes:
-    return digest(image) + bytes([keep])
+def send_policy(s: Server, image: bytes) -> Message:
+    """Brings the policy of that image; the answer to its end."""
+    s.reply(Msp.POLICY_SLOT_BEGIN, requests.slot_begin(len(pack(scripted_blob()))))
+    blob = pack(replace(scripted_blob(), sequence=9, build=header_of(image)[20:28]))
+    for at in range(0, len(blob), PIECE):
+        s.reply(Msp.POLICY_SLOT_WRITE, requests.slot_write(at, blob[at : at + PIECE]))
+    return s.ask(Msp.POLICY_SLOT_END)
 
 
 def put(s: Server, bank: int, image: bytes, marks: bytes) -> None:
@@ -81,18 +92,18 @@ def test_the_banks_are_told_when_asked_for(server: MakeServer) -> None:
         "version": bytes(4),
         "build": bytes(IMAGE_BUILD_BYTES),
     }
-    assert told(s, Msp.IMAGE_INFO) == {"running": 0, "banks": [nothing, nothing]}
+    assert told(s, Msp.IMAGE_INFO) == {"running": 0, "banks": [nothing, nothing], "layout": 2}
     put(s, 0, OLD, state(sequence=5, confirmed=True))
     put(s, 1, ONE, b"")
     first: dict[str, Any] = {
         **{"flags": MSP_IMAGE_FITS | MSP_IMAGE_NUMBERED | MSP_IMAGE_CONFIRMED, "starts": 0, "sequence": 5},
-        **{"image_bytes": 700, "crc": crc_of(OLD), "version": b"\0\1\0\0", "build": header_of(OLD)[24:32]},
+        **{"image_bytes": 700, "crc": crc_of(OLD), "version": b"\0\1\0\0", "build": header_of(OLD)[20:28]},
     }
     second: dict[str, Any] = {
         **{"flags": MSP_IMAGE_FITS | MSP_IMAGE_INSTALLED, "starts": 0, "sequence": 0},
-        **{"image_bytes": 700, "crc": crc_of(ONE), "version": b"\0\1\0\0", "build": header_of(ONE)[24:32]},
+        **{"image_bytes": 700, "crc": crc_of(ONE), "version": b"\0\1\0\0", "build": header_of(ONE)[20:28]},
     }
-    assert told(s, Msp.IMAGE_INFO) == {"running": 0, "banks": [first, second]}
+    assert told(s, Msp.IMAGE_INFO) == {"running": 0, "banks": [first, second], "layout": 2}
     s.core.lib.image_bank_count_start(s.chip.flash, 1)
     s.core.lib.image_bank_reject(s.chip.flash, 1)
     (_, now) = told(s, Msp.IMAGE_INFO)["banks"]
@@ -116,7 +127,7 @@ def test_an_image_is_written_hashed_and_switched_to_when_sent(server: MakeServer
     assert told(s, Msp.IMAGE_END) == {"crc": crc_of(ONE)}
     assert told(s, Msp.IMAGE_HASH, b"\1") == {"sha256": digest(ONE)}
     assert told(s, Msp.IMAGE_HASH, b"\0") == {"sha256": digest(OLD)}
-    assert told(s, Msp.IMAGE_SWITCH, switch_to(ONE)) == {"sequence": 6}
+    assert told(s, Msp.IMAGE_SWITCH, digest(ONE)) == {"sequence": 6}
     assert told(s, Msp.IMAGE_INFO)["banks"][1]["flags"] == MSP_IMAGE_FITS | MSP_IMAGE_NUMBERED
     assert s.chip.region(FLASH_BANKS[1])[:700] == ONE
 
@@ -129,9 +140,9 @@ def test_an_image_is_written_hashed_and_switched_to_when_sent(server: MakeServer
         (Msp.IMAGE_END, b"", (Refusal.ORDER, 0)),
         (Msp.IMAGE_HASH, b"\1", (Refusal.IMAGE, -17)),
         (Msp.IMAGE_HASH, b"\2", (Refusal.INDEX, 0)),
-        (Msp.IMAGE_SWITCH, bytes(33), (Refusal.IMAGE, -17)),
-        (Msp.IMAGE_SWITCH, bytes(32) + b"\2", (Refusal.PAYLOAD, 0)),
-        (Msp.POLICY_SLOT_INFO, b"\3", (Refusal.INDEX, 0)),
+        (Msp.IMAGE_SWITCH, bytes(32), (Refusal.IMAGE, -17)),
+        (Msp.IMAGE_SWITCH, bytes(33), (Refusal.PAYLOAD, 0)),
+        (Msp.POLICY_SLOT_INFO, b"\2", (Refusal.INDEX, 0)),
         (Msp.POLICY_SLOT_REVERT, b"", (Refusal.ORDER, 0)),
     ],
 )
@@ -148,7 +159,7 @@ def test_a_damaged_image_is_refused_and_not_switched_to(server: MakeServer) -> N
     for command, payload in upload(ONE[:-4] + bytes(4))[:-1]:
         s.reply(command, payload)
     assert s.refusal(Msp.IMAGE_END) == (Refusal.IMAGE, -23)
-    assert s.refusal(Msp.IMAGE_SWITCH, switch_to(ONE)) == (Refusal.IMAGE, SHA256 + 1)
+    assert s.refusal(Msp.IMAGE_SWITCH, digest(ONE)) == (Refusal.IMAGE, SHA256 + 1)
 
 
 @pytest.mark.parametrize(
@@ -161,23 +172,43 @@ def test_images_are_absent_when_there_are_no_banks(server: MakeServer, command: 
         Msp.IMAGE_BEGIN: len(header_of(ONE)),
         Msp.IMAGE_WRITE: 8,
         Msp.IMAGE_HASH: 1,
-        Msp.IMAGE_SWITCH: 33,
+        Msp.IMAGE_SWITCH: 32,
     }
     assert s.refusal(command, bytes(sizes.get(command, 0))) == (Refusal.ABSENT, 0)
 
 
-@pytest.mark.parametrize(("keep", "floor"), [(0, 8), (1, 3)])
-def test_a_switch_leaves_policies_behind_unless_they_are_kept(
-    server: MakeServer, scripted_policy_blob: PolicyBlob, keep: int, floor: int
-) -> None:
+def test_nothing_is_switched_to_before_the_image_has_a_policy(server: MakeServer) -> None:
     s = server()
-    s.slots.has_floor, s.slots.floor = True, 3
-    s.chip.fill(FLASH_POLICY_SLOTS[1].address, pack(replace(scripted_policy_blob, sequence=8)))
+    put(s, 0, OLD, state(sequence=5, confirmed=True))
+    s.chip.fill(FLASH_POLICY_SLOTS[0].address, pack(replace(scripted_blob(), build=header_of(OLD)[20:28])))
     for command, payload in upload(ONE):
         s.reply(command, payload)
-    s.reply(Msp.IMAGE_SWITCH, switch_to(ONE, keep=keep))
-    marks = s.core.lib.image_bank_marks(s.chip.flash, 1)
-    assert (marks.has_floor, marks.policy_floor) == (True, floor)
+    assert s.refusal(Msp.IMAGE_SWITCH, digest(ONE)) == (Refusal.BLOB, -27)
+    assert send_policy(s, OTHER).payload[0] == Refusal.BLOB
+    assert s.refusal(Msp.IMAGE_SWITCH, digest(ONE)) == (Refusal.BLOB, -27)
+    assert send_policy(s, ONE).direction is Direction.REPLY
+    assert told(s, Msp.IMAGE_SWITCH, digest(ONE)) == {"sequence": 6}
+
+
+def test_slots_are_left_alone_between_the_switch_and_the_proof(server: MakeServer) -> None:
+    s = server()
+    put(s, 0, OLD, state(sequence=5, confirmed=True))
+    for slot, sequence in enumerate((4, 5)):
+        s.chip.fill(FLASH_POLICY_SLOTS[slot].address, pack(replace(scripted_blob(), sequence=sequence)))
+    s.boot()
+    for command, payload in upload(ONE):
+        s.reply(command, payload)
+    begin = requests.slot_begin(1000)
+    s.reply(Msp.IMAGE_SWITCH, digest(ONE))
+    before = s.chip.content
+    assert s.refusal(Msp.POLICY_SLOT_BEGIN, begin) == (Refusal.ORDER, 0), "ONE is started next"
+    assert s.refusal(Msp.POLICY_SLOT_REVERT) == (Refusal.ORDER, 0)
+    s.core.lib.image_update_init(s.image, s.chip.flash, 1, b"HOST")
+    assert s.refusal(Msp.POLICY_SLOT_BEGIN, begin) == (Refusal.ORDER, 0), "ONE runs and may fail"
+    assert s.refusal(Msp.POLICY_SLOT_REVERT) == (Refusal.ORDER, 0)
+    assert s.chip.content == before
+    assert s.core.lib.image_bank_confirm(s.chip.flash, 1)
+    assert s.reply(Msp.POLICY_SLOT_REVERT) == b""
 
 
 def test_slots_are_told_and_gone_back_to_when_asked(
@@ -197,6 +228,7 @@ def test_slots_are_told_and_gone_back_to_when_asked(
         },
         **{"filters_hash": scripted_policy_blob.filters_hash, "control_rate": 1000, "idle": 0.25},
         **{"aircraft": "craft5", "policy_sha256": bytes.fromhex(scripted_policy_blob.policy_sha256)},
+        "build": bytes(IMAGE_BUILD_BYTES),
     }
     assert told(s, Msp.POLICY_SLOT_INFO, b"\1") == expected
     assert told(s, Msp.POLICY_SLOT_INFO, b"\0") == expected | {
@@ -204,8 +236,6 @@ def test_slots_are_told_and_gone_back_to_when_asked(
         "sequence": 4,
         "aircraft": "craft4",
     }
-    compiled_in = told(s, Msp.POLICY_SLOT_INFO, b"\2")
-    assert (compiled_in["sequence"], compiled_in["aircraft"], compiled_in["found"]) == (0, "scripted", 0)
     for _ in range(2):
         assert s.reply(Msp.POLICY_SLOT_REVERT) == b""
     gone = told(s, Msp.POLICY_SLOT_INFO, b"\1")
@@ -232,7 +262,7 @@ def test_nothing_is_written_when_any_byte_of_a_frame_is_another(server: MakeServ
     s = server()
     put(s, 0, OLD, state(sequence=5, confirmed=True))
     spoilt = 0
-    for command, payload in [*upload(ONE), (Msp.IMAGE_SWITCH, switch_to(ONE))]:
+    for command, payload in [*upload(ONE), (Msp.IMAGE_SWITCH, digest(ONE))]:
         good = frame(command, payload)
         before, written = s.chip.operations, s.image.written
         for at in range(len(good)):
@@ -261,7 +291,7 @@ STEPS = st.one_of(
     st.tuples(
         st.just("send"), st.integers(0, 1), st.integers(0, 8)
     ),  # a request of one of two images' uploads
-    st.tuples(st.just("switch"), st.integers(0, 1), st.integers(0, 1)),
+    st.tuples(st.just("switch"), st.integers(0, 1), st.just(0)),
     st.tuples(st.just("restart"), st.just(0), st.just(0)),
 )
 # Mostly in order, as a line does that loses, doubles and overtakes a frame now and then.
@@ -299,7 +329,7 @@ def test_never_a_wrong_image_is_accepted_when_frames_are_lost_doubled_and_mixed(
                 (whole,) = (image for image in images if crc_of(image) == crc)
                 assert chip.region(FLASH_BANKS[1])[:700] == whole
         elif kind == "switch":
-            answer = s.ask(Msp.IMAGE_SWITCH, switch_to(images[which], keep=detail))
+            answer = s.ask(Msp.IMAGE_SWITCH, digest(images[which]))
             if answer.direction is Direction.REPLY:
                 assert board.boot().image == images[which]
                 return
@@ -310,5 +340,5 @@ def test_never_a_wrong_image_is_accepted_when_frames_are_lost_doubled_and_mixed(
         s.ask(command, payload)
     offset = told(s, Msp.IMAGE_BEGIN, header_of(ONE))["offset"]
     assert offset == len(ONE)
-    assert told(s, Msp.IMAGE_SWITCH, switch_to(ONE))["sequence"] == 6
+    assert told(s, Msp.IMAGE_SWITCH, digest(ONE))["sequence"] == 6
     assert board.boot().image == ONE

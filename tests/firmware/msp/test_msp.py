@@ -204,16 +204,16 @@ def test_who_it_is_comes_from_identity_and_contract_when_asked(server: Callable[
     assert s.ask(Msp.FC_VARIANT) == b"NRFL"
     assert s.ask(Msp.FC_VERSION) == bytes([0, 1, 0])
     assert s.ask(Msp.UID) == struct.pack("<3I", *UNIQUE_ID)
-    assert s.ask(Msp.NAME) == b"scripted"
+    assert s.ask(Msp.NAME) == b"none"
     board = messages.board_info(s.ask(Msp.BOARD_INFO))
     assert (board.identifier, board.target, board.manufacturer) == ("BRD1", "TARGETNAME", "MAKR")
-    assert board.name == "Neuroflight 0.1.0 scripted"
+    assert board.name == "Neuroflight 0.1.0 none"
     assert s.ask(Msp.BUILD_INFO)[26:] == struct.pack("<4H", 4103, 4097, 8231, 0)
     told = layouts.decode(layout_of(Msp.IDENTITY), s.ask(Msp.IDENTITY), whole=True)
     assert told == {
         **{"firmware": "Neuroflight", "major": 0, "minor": 1, "patch": 0, "api_major": 1, "api_minor": 46},
-        **{"target": "TARGETNAME", "variant": "NRFL", "policy": "scripted"},
-        "policy_sha256": bytes.fromhex("00112233445566778899aabbccddeeff0123456789abcdeffedcba9876543210"),
+        **{"target": "TARGETNAME", "variant": "NRFL", "policy": "none"},
+        "policy_sha256": bytes(32),
     }
 
 
@@ -226,10 +226,12 @@ def test_the_board_type_tells_an_osd_chip_when_there_is_one(
     assert s.ask(Msp.BOARD_INFO)[6] == board_type
 
 
-def test_policy_info_is_the_compiled_in_policys_when_asked(server: Callable[..., Server]) -> None:
+def test_policy_info_tells_what_the_code_is_for_when_no_policy_is_there(
+    server: Callable[..., Server],
+) -> None:
     assert messages.policy_info(server(policy_good=True).ask(Msp.POLICY_INFO)) == PolicyInfo(
-        name="scripted",
-        sha256="00112233445566778899aabbccddeeff0123456789abcdeffedcba9876543210",
+        name="none",
+        sha256="00" * 32,
         architecture_hash=0x01234567,
         observation_count=17,
         action_count=4,
@@ -238,9 +240,9 @@ def test_policy_info_is_the_compiled_in_policys_when_asked(server: Callable[...,
         gyro_rate_hz=4000,
         good=True,
         idle=0.0,
-        source=PolicySource.COMPILED_IN,
+        source=PolicySource.NONE,
         sequence=0,
-        found=(0, 0, 0),
+        found=(-7, -7),
         mix=Mix.ATTITUDE_FIRST,
     )
     assert not messages.policy_info(server(policy_good=False).ask(Msp.POLICY_INFO)).good

@@ -11,6 +11,7 @@ import pytest
 
 from flash import messages, records, requests
 from flash.msp import Decoder, Direction, Message, Version, encode
+from tests.firmware.conftest import scripted_blob
 from tests.firmware.images import HEADER_BYTES, header_of, make_image
 from toolchain.contract import (
     CHANNEL_UNTOLD_US,
@@ -121,6 +122,9 @@ class Server:
         self._port = self.core.new("struct msp_port *")
         lib.settings_default(self.settings)
         self.keep_logs(self.log.device)
+        slot = FLASH_POLICY_SLOTS[0]
+        if chip.region(slot)[:4] == b"\xff" * 4:
+            chip.fill(slot.address, pack(scripted_blob()))  # as installed
         self.boot()
         lib.msp_port_init(self._port, self._identity, self.services if offered else self.core.ffi.NULL)
 
@@ -131,7 +135,7 @@ class Server:
 
     def boot(self) -> None:
         """What main does with flash before it serves."""
-        ffi, lib = self.core.ffi, self.core.lib
+        lib = self.core.lib
         lib.scripted_action = [0.0] * 4
         running = {
             "architecture_hash": 0x01234567,
@@ -142,9 +146,7 @@ class Server:
             "action_count": 4,
         }
         known = self.core.new("struct policy_blob_identity *", running)
-        blob = ffi.addressof(lib, "policy_blob")
-        flash, size = self.chip.flash, ffi.sizeof("struct policy_blob")
-        lib.policy_slots_choose(self.slots, flash, known, ffi.NULL, blob, size, self._policy, self._weights)
+        lib.policy_slots_choose(self.slots, self.chip.flash, known, 0, self._policy, self._weights)
 
     def _on(self, name: str) -> Callable[..., int]:
         def call(_context: object, *arguments: int) -> int:
@@ -267,7 +269,7 @@ STORED = {
     Msp.IMAGE_BEGIN: header_of(IMAGE),
     Msp.IMAGE_WRITE: requests.slot_write(0, bytes(8)),
     Msp.IMAGE_END: b"",
-    Msp.IMAGE_SWITCH: bytes(33),
+    Msp.IMAGE_SWITCH: bytes(32),
 }
 
 
@@ -333,7 +335,7 @@ def test_a_command_is_absent_when_nothing_stands_behind_it(server: Callable[...,
         (Msp.IMAGE_WRITE, set(range(8, 100))),
         (Msp.IMAGE_END, {0}),
         (Msp.IMAGE_HASH, {1}),
-        (Msp.IMAGE_SWITCH, {33}),
+        (Msp.IMAGE_SWITCH, {32}),
         (Msp.LOG_INFO, {0}),
         (Msp.LOG_ENTRY, {2}),
         (Msp.LOG_READ, {8}),
@@ -549,15 +551,15 @@ def test_a_policy_is_flown_from_the_next_boot_on_when_sent(
     data = new_policy(scripted_policy_blob, 5)
     send(s, data)
     assert s.reply(Msp.POLICY_SLOT_END) == b""
-    assert s.chip.region(FLASH_POLICY_SLOTS[0])[: len(data)] == data
+    assert s.chip.region(FLASH_POLICY_SLOTS[1])[: len(data)] == data
     now = messages.policy_info(s.reply(Msp.POLICY_INFO))
-    assert (now.source, now.sequence, now.name, now.idle) == (2, 0, "scripted", 0.0)
+    assert (now.source, now.sequence, now.name, now.idle) == (0, 0, "scripted", 0.0)
     assert now.sha256 == scripted_policy_blob.policy_sha256
     s.boot()
     then = messages.policy_info(s.reply(Msp.POLICY_INFO))
-    assert (then.source, then.sequence, then.name, then.idle) == (0, 5, "other", 0.25)
+    assert (then.source, then.sequence, then.name, then.idle) == (1, 5, "other", 0.25)
     assert then.sha256 == "cd" * 32
-    assert then.found == (0, -7, 0)
+    assert then.found == (0, 0)
 
 
 def test_a_policy_is_refused_with_its_error_when_it_is_damaged(
@@ -569,7 +571,7 @@ def test_a_policy_is_refused_with_its_error_when_it_is_damaged(
     assert s.refusal(Msp.POLICY_SLOT_END) == (Refusal.BLOB, -10)
     assert s.refusal(Msp.POLICY_SLOT_END) == (Refusal.ORDER, 0)
     s.boot()
-    assert messages.policy_info(s.reply(Msp.POLICY_INFO)).source == 2
+    assert messages.policy_info(s.reply(Msp.POLICY_INFO)).source == 0
 
 
 def test_a_slot_is_refused_when_no_blob_has_that_size(server: Callable[..., Server]) -> None:
@@ -578,10 +580,13 @@ def test_a_slot_is_refused_when_no_blob_has_that_size(server: Callable[..., Serv
 
 def test_no_policy_is_told_as_flown_when_none_is_good(server: Callable[..., Server]) -> None:
     s = server()
-    s.core.lib.scripted_action = [0.5] * 4
-    s.slots.flown = 3
+    s.chip.fill(FLASH_POLICY_SLOTS[0].address, bytes(4))
+    s.boot()
     info = messages.policy_info(s.reply(Msp.POLICY_INFO))
-    assert (info.source, info.name) == (messages.PolicySource.NONE, "scripted")
+    assert (info.source, info.name, info.sha256) == (messages.PolicySource.NONE, "none", "00" * 32)
+    assert info.found == (-7, -7)
+    assert messages.name(s.reply(Msp.NAME)) == "none"
+    assert messages.board_info(s.reply(Msp.BOARD_INFO)).name.endswith(" none")
 
 
 # --- Power goes ---------------------------------------------------------------------------------

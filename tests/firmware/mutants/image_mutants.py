@@ -53,8 +53,8 @@ IMAGE_MUTANTS = (
     Mutant(
         name="an image that the ROM installed keeps no number",
         file=PROBATION,
-        old="if (installed && !image_bank_number(flash, probation->bank, NULL))",
-        new="if (!installed && !image_bank_number(flash, probation->bank, NULL))",
+        old="if (installed && !image_bank_number(flash, probation->bank))",
+        new="if (!installed && !image_bank_number(flash, probation->bank))",
         tests=(OF_PROBATION,),
     ),
     Mutant(
@@ -73,10 +73,10 @@ IMAGE_MUTANTS = (
         tests=(OF_BANK, OF_UPDATE),
     ),
     Mutant(
-        name="a number's check does not cover its floor",
+        name="a number that was programmed in part counts",
         file=BANK,
-        old="return crc32_more(0, number, offsetof(struct number, check));",
-        new="return crc32_more(0, number, offsetof(struct number, policy_floor));",
+        old="return number->check == ~number->sequence;",
+        new="return (number->check & ~number->sequence) == ~number->sequence;",
         tests=(OF_BANK,),
     ),
     Mutant(
@@ -144,7 +144,7 @@ IMAGE_MUTANTS = (
         tests=(OF_UPDATE, OF_COMMANDS),
     ),
     Mutant(
-        name="an image that was switched to keeps its floor",
+        name="an image that was switched to goes on",
         file=UPDATE,
         old=" ||\n\t    image_bank_marks(update->flash, spare).numbered) {",
         new=") {",
@@ -224,38 +224,8 @@ IMAGE_MUTANTS = (
     Mutant(
         name="an installed running image stays preferred",
         file=UPDATE,
-        old="image_bank_claim(flash, spare) && image_bank_number(flash, update->running, NULL) &&",
+        old="image_bank_claim(flash, spare) && image_bank_number(flash, update->running) &&",
         new="image_bank_claim(flash, spare) &&",
-        tests=(OF_UPDATE,),
-    ),
-    Mutant(
-        name="a switch forgets the policies to leave behind",
-        file=UPDATE,
-        old="floor->counts ? &floor->sequence : NULL",
-        new="!floor->counts ? &floor->sequence : NULL",
-        tests=(OF_UPDATE, OF_COMMANDS),
-    ),
-    Mutant(
-        name="a policy not newer than the floor flies",
-        file=SLOTS,
-        old="\tif (err == NF_OK && bound && "
-        "!serial_number_newer(policy_slots_sequence_of(blob), slots->floor))\n"
-        "\t\treturn NF_ERR_BLOB_OLD;\n",
-        new="\t(void)bound;\n",
-        tests=(OF_UPDATE,),
-    ),
-    Mutant(
-        name="the next number takes no account of the floor",
-        file=SLOTS,
-        old="uint32_t newest = slots->floor;",
-        new="uint32_t newest = 0;",
-        tests=(OF_UPDATE,),
-    ),
-    Mutant(
-        name="a policy is taken that the floor would keep from flying",
-        file=SLOTS,
-        old=" &&\n\t       (!slots->has_floor || serial_number_newer(sequence, slots->floor));",
-        new=";",
         tests=(OF_UPDATE,),
     ),
     Mutant(
@@ -268,8 +238,8 @@ IMAGE_MUTANTS = (
     Mutant(
         name="a policy that waits for the restart is reverted to",
         file=SLOTS,
-        old=" || slots->update.ended)\n\t\treturn NF_REFUSAL_ORDER;",
-        new=")\n\t\treturn NF_REFUSAL_ORDER;",
+        old="source == POLICY_SOURCE_COUNT || slots->update.ended ||",
+        new="source == POLICY_SOURCE_COUNT ||",
         tests=(OF_UPDATE,),
     ),
     Mutant(
@@ -280,11 +250,53 @@ IMAGE_MUTANTS = (
         tests=(OF_UPDATE, OF_COMMANDS),
     ),
     Mutant(
-        name="a policy for another image is no floor",
+        name="a revert leaves an image without a policy",
         file=SLOTS,
-        old="if (header.magic != NF_POLICY_BLOB_MAGIC)\n\t\t\tcontinue;",
-        new="if (policy_slots_check(slots, slot) != NF_OK)\n\t\t\tcontinue;",
+        old=" ||\n\t    !policy_slots_holds(slots, policy_slots_other(source)))",
+        new=")",
         tests=(OF_UPDATE,),
+    ),
+    Mutant(
+        name="a policy of another image flies",
+        file="storage/policy_blob.c",
+        old="\tif (!policy_blob_meant_for(&header, image))\n\t\treturn NF_ERR_BLOB_BUILD;\n",
+        new="\t(void)policy_blob_meant_for;\n",
+        tests=(OF_UPDATE,),
+    ),
+    Mutant(
+        name="a new image's policy is held against the running one",
+        file=SLOTS,
+        old="return policy_blob_check_behind(update->head, blob, update->total, &other);",
+        new="return NF_OK;",
+        tests=(OF_UPDATE,),
+    ),
+    Mutant(
+        name="an image is switched to before it has a policy",
+        file=UPDATE,
+        old="\tif (*why != NF_OK)\n\t\treturn NF_REFUSAL_BLOB;\n",
+        new="",
+        tests=(OF_UPDATE, OF_COMMANDS),
+    ),
+    Mutant(
+        name="the new image's policy is erased before its first start",
+        file=UPDATE,
+        old="return image_update_starts(update) || image_update_needed(update);",
+        new="return image_update_needed(update);",
+        tests=(OF_UPDATE, OF_COMMANDS),
+    ),
+    Mutant(
+        name="the old image's policy is erased while the new one is tried",
+        file=UPDATE,
+        old="return image_update_starts(update) || image_update_needed(update);",
+        new="return image_update_starts(update);",
+        tests=(OF_UPDATE, OF_COMMANDS),
+    ),
+    Mutant(
+        name="a policy is erased though two images need theirs",
+        file=COMMANDS,
+        old="\tif (command_slots_held(q))\n\t\treturn NF_REFUSAL_ORDER;\n",
+        new="",
+        tests=(OF_COMMANDS,),
     ),
     Mutant(
         name="a damaged policy's header is told",
@@ -292,13 +304,6 @@ IMAGE_MUTANTS = (
         old="\tcase NF_ERR_BLOB_CRC:\n",
         new="",
         tests=(OF_UPDATE,),
-    ),
-    Mutant(
-        name="a kept policy is left behind",
-        file=COMMANDS,
-        old="\tif (keep) {\n",
-        new="\tif (!keep) {\n",
-        tests=(OF_COMMANDS,),
     ),
     Mutant(
         name="what is no image is told as one",

@@ -115,8 +115,8 @@ STORAGE_MUTANTS = (
     Mutant(
         name="the slot that flies is written",
         file=SLOTS,
-        old="return slots->flown == POLICY_SLOT_A ? POLICY_SLOT_B : POLICY_SLOT_A;",
-        new="return slots->flown == POLICY_SLOT_A ? POLICY_SLOT_A : POLICY_SLOT_B;",
+        old="return policy_slots_other(slots->flown);",
+        new="return slots->flown;",
         tests=(OF_SLOTS,),
     ),
     Mutant(
@@ -129,9 +129,10 @@ STORAGE_MUTANTS = (
     Mutant(
         name="an update is good although it has an old number",
         file=SLOTS,
-        old="\tif (!policy_slots_takes(slots, policy_slots_sequence_of(blob)))\n"
+        old="\tif (!serial_number_newer(policy_slots_sequence_of(blob), "
+        "policy_slots_newest_sequence(slots)))\n"
         "\t\treturn policy_slots_give_up(slots, NF_REFUSAL_SEQUENCE);\n",
-        new="",
+        new="\t(void)blob;\n",
         tests=(OF_SLOTS,),
     ),
     Mutant(
@@ -166,7 +167,7 @@ STORAGE_MUTANTS = (
     Mutant(
         name="a policy behind other filters is good",
         file=BLOB,
-        old="\tif (header.filters_hash != running->filters_hash)\n\t\treturn NF_ERR_BLOB_FILTERS;\n",
+        old="\tif (header.filters_hash != image->filters_hash)\n\t\treturn NF_ERR_BLOB_FILTERS;\n",
         new="",
         tests=(OF_BLOB,),
     ),

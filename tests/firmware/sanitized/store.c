@@ -59,8 +59,7 @@ static void boot(void)
 
 	flash_model_init(&model, model.bytes);
 	sets += settings_load(&settings, &flash);
-	policies += policy_slots_choose(&slots, &flash, &running, NULL, &policy_blob, sizeof policy_blob, &policy,
-					weights) == NF_OK;
+	policies += policy_slots_choose(&slots, &flash, &running, 0, &policy, weights) == NF_OK;
 	fault_log_boot(&faults, &flash, faults.boots % 3 ? NULL : &record);
 }
 

@@ -5,14 +5,17 @@ Stands for what runs on the chip: the functions are the core's own, the order of
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from tests.firmware.images import LEAST_BYTES, header_of, make_image
-from tests.firmware.storage.test_policy_slots import Slots
-from toolchain.contract import FLASH_BANKS, IMAGE_TAIL_BYTES, Refusal
+from tests.firmware.conftest import scripted_blob
+from tests.firmware.images import IDENTITY, LEAST_BYTES, header_of, make_image
+from tests.firmware.storage.test_policy_slots import Slots, like
+from toolchain.contract import FLASH_BANKS, IMAGE_TAIL_BYTES, Refusal, image_header, policy_header
 from toolchain.image.bank_state import state
+from toolchain.policy.blob import pack
 
 NAME = b"HOST"
 BOARD = NAME.ljust(16, b"\0")
@@ -26,7 +29,7 @@ class Started:
 
     bank: int
     image: bytes  # as long as the one that was expected to be there
-    weights: bytes  # of the policy that flies
+    weights: bytes  # of the policy that flies; empty: none does
     flown: int  # where that came from
 
 
@@ -84,12 +87,13 @@ class BankBoard:
         self.running = bank
         self.chip.model.running = bank
         self.lib.image_update_init(self.update, self.chip.flash, bank, NAME)
-        marks = self.lib.image_bank_marks(self.chip.flash, bank)
-        flown = self.slots.boot(floor=marks.policy_floor if marks.has_floor else None)
-        assert flown.error == 0, "no policy is good"
         size = int(self.lib.image_bank_header(self.chip.flash, bank).image_bytes)
         image = self.chip.region(FLASH_BANKS[bank])[:size]
-        return Started(bank, image, flown.weights, flown.flown)
+        header = image_header(image)
+        assert header is not None
+        asks = {name: getattr(header, name) for name in IDENTITY}
+        flown = self.slots.boot(bank=bank, build=header.build, **asks)
+        return Started(bank, image, b"" if flown.error else flown.weights, flown.flown)
 
     def settle(self) -> bool:
         """What boot part and firmware mark of an image that runs well."""
@@ -98,7 +102,7 @@ class BankBoard:
             return True
         return bool(
             self.lib.image_bank_count_start(flash, bank)
-            and self.lib.image_bank_number(flash, bank, self.core.ffi.NULL)
+            and self.lib.image_bank_number(flash, bank)
             and self.lib.image_bank_confirm(flash, bank)
         )
 
@@ -136,10 +140,14 @@ class BankBoard:
         error = int(self.lib.image_update_hash(self.update, bank, self._digest))
         return bytes(self._digest) if error == 0 else error
 
-    def switch(self, digest: bytes, floor: int | None = None) -> int:
-        bound = self.core.new("struct image_update_floor *", (floor is not None, floor or 0))
-        told = self.lib.image_update_switch(self.update, digest, bound, self._sequence, self._why)
-        return int(told)
+    def switch(self, digest: bytes) -> int:
+        slots = self.slots.slots
+        return int(self.lib.image_update_switch(self.update, slots, digest, self._sequence, self._why))
+
+    @property
+    def holds_slots(self) -> bool:
+        """Whether both images need the policies that they have."""
+        return bool(self.lib.image_update_holds_slots(self.update))
 
     def arrive(self, image: bytes, chunk: int = CHUNK) -> int:
         """All up to the switch; the first refusal, if there is one."""
@@ -149,10 +157,25 @@ class BankBoard:
             at += chunk
         return refusal if refusal != Refusal.NONE else self.end()
 
-    def policy_floor(self) -> int | None:
-        """Of the slots as they are now."""
-        floor = self.core.new("uint32_t *")
-        return int(floor[0]) if self.lib.policy_slots_floor(self.slots.slots, floor) else None
+    def policy_of(self, image: bytes, *weights: float, sequence: int | None = None) -> bytes:
+        """A policy that comes with that image, with the number that is due or `sequence`."""
+        header = image_header(image)
+        assert header is not None
+        number = self.slots.next_sequence if sequence is None else sequence
+        return pack(like(self.slots.image, number, *weights, build=header.build))
+
+    def install(self, image: bytes, *weights: float) -> int:
+        """An image and its policy, and the switch; the first refusal, if there is one."""
+        refusal = self.arrive(image)
+        if refusal == Refusal.NONE:
+            refusal = self.slots.begin(size := len(self.policy_of(image, *weights)))
+        if refusal == Refusal.NONE:
+            policy = self.policy_of(image, *weights)
+            assert len(policy) == size
+            refusal = self.slots.write(0, policy)
+        if refusal == Refusal.NONE:
+            refusal, _ = self.slots.end()
+        return refusal if refusal != Refusal.NONE else self.switch(hashlib.sha256(image).digest())
 
 
 def confirmed(image: bytes, sequence: int, *, written: bool = True) -> Held:
@@ -161,5 +184,5 @@ def confirmed(image: bytes, sequence: int, *, written: bool = True) -> Held:
 
 
 def small_image(seed: int, bank: int) -> bytes:
-    """One of the least size."""
-    return make_image(seed, LEAST_BYTES, bank=bank)
+    """One of the least size, that flies the scripted policy."""
+    return make_image(seed, LEAST_BYTES, bank=bank, policy=policy_header(pack(scripted_blob())))

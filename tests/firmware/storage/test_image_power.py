@@ -2,7 +2,7 @@
 
 A story is what a sender does: it looks at what runs and goes on from there until all is as it wants, so
 that the same story, told again, is the recovery. After every cut a whole image runs, the old one or the
-new one, with a policy that passed its self-test; the new ones only after the operation that decides.
+new one, with its own policy, which passed its self-test; the new ones only after the operation that decides.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.firmware.images import build_of
 from tests.firmware.storage.bank_board import BankBoard, Held, Started, confirmed, small_image
 from tests.firmware.storage.test_policy_slots import SLOT_A, SLOT_B, floats, like
 from toolchain.contract import Refusal
@@ -24,7 +25,7 @@ from toolchain.policy.blob import pack
 
 MakeChip = Callable[..., Any]
 BEFORE, AFTER, BETWEEN, WORDS, NOISE = KINDS = range(5)
-OLD_POLICY, NEW_POLICY, COMPILED_IN = floats(4, 0.5), floats(9, 0.25), floats(1, -2)
+OLD_POLICY, NEW_POLICY, NO_POLICY = floats(4, 0.5), floats(9, 0.25), b""
 Cut = tuple[int, int]  # operation, kind
 
 
@@ -73,15 +74,20 @@ class Story(ABC):
 
 
 class FlashStory(Story):
-    """An image into the spare bank, the switch, and the new image's first run."""
+    """An image into the spare bank, its policy, the switch, and the new image's first run."""
 
-    def __init__(self, chip: Any, *, running: int, installed: bool, keep: bool) -> None:
+    def __init__(
+        self, chip: Any, *, running: int, installed: bool, keep: bool = False, slot: int = SLOT_A
+    ) -> None:
         self.images = small_image(1, running), small_image(3, 1 - running)
         spare = Held() if installed else confirmed(small_image(2, 1 - running), 6)
         own = Held(self.images[0]) if installed else confirmed(self.images[0], 7)
         super().__init__(chip, [own, spare] if running == 0 else [spare, own])
         self.keep = keep
-        self.board.slots.put(SLOT_A, like(self.board.slots.image, 4, 4, 0.5))
+        self.board.slots.put(
+            slot, like(self.board.slots.image, 4, 4, 0.5, build=bytes(8) if keep else build_of(1))
+        )
+        self.board.slots.put(1 - slot, like(self.board.slots.image, 3, 3, 0.5, build=build_of(2)))
 
     @property
     def old(self) -> State:
@@ -89,15 +95,17 @@ class FlashStory(Story):
 
     @property
     def new(self) -> State:
-        return State(self.images[1], OLD_POLICY if self.keep else COMPILED_IN)
+        return State(self.images[1], OLD_POLICY if self.keep else NEW_POLICY)
 
     def act(self, started: Started) -> bool:
         board, image = self.board, self.images[1]
         if started.image != image:
-            floor = None if self.keep else board.policy_floor()
-            self.refusal = board.arrive(image)
-            if self.refusal == Refusal.NONE:
-                self.refusal = board.switch(hashlib.sha256(image).digest(), floor)
+            if self.keep:
+                self.refusal = board.arrive(image)
+                if self.refusal == Refusal.NONE:
+                    self.refusal = board.switch(hashlib.sha256(image).digest())
+            else:
+                self.refusal = board.install(image, 9, 0.25)
             if self.refusal != Refusal.NONE:
                 return False
             self.decided = board.chip.operations
@@ -122,7 +130,7 @@ class SwapStory(Story):
             if sequence:
                 weights = (4.0, 0.5) if sequence == max(held) else (3.0, 0.5)
                 self.board.slots.put(slot, like(self.board.slots.image, sequence, *weights))
-        self.before = OLD_POLICY if any(held) else COMPILED_IN
+        self.before = OLD_POLICY if any(held) else NO_POLICY
 
     @property
     def old(self) -> State:
@@ -145,12 +153,10 @@ class SwapStory(Story):
 class RevertStory(Story):
     """From a policy back to the one before."""
 
-    def __init__(self, chip: Any, *, only_one: bool) -> None:
+    def __init__(self, chip: Any) -> None:
         super().__init__(chip, [confirmed(small_image(1, 0), 7), Held()])
-        self.only_one = only_one
         self.board.slots.put(SLOT_B, like(self.board.slots.image, 5, 4, 0.5))
-        if not only_one:
-            self.board.slots.put(SLOT_A, like(self.board.slots.image, 4, 9, 0.25))
+        self.board.slots.put(SLOT_A, like(self.board.slots.image, 4, 9, 0.25, build=build_of(1)))
 
     @property
     def old(self) -> State:
@@ -158,7 +164,7 @@ class RevertStory(Story):
 
     @property
     def new(self) -> State:
-        return State(small_image(1, 0), COMPILED_IN if self.only_one else NEW_POLICY)
+        return State(small_image(1, 0), NEW_POLICY)
 
     def act(self, started: Started) -> bool:
         if started.weights == OLD_POLICY:
@@ -170,15 +176,14 @@ class RevertStory(Story):
 
 
 STORIES: dict[str, Callable[[Any], Story]] = {
-    "image": lambda chip: FlashStory(chip, running=0, installed=False, keep=False),
+    "image": lambda chip: FlashStory(chip, running=0, installed=False),
     "image-kept-policy": lambda chip: FlashStory(chip, running=0, installed=False, keep=True),
-    "image-into-bank-a": lambda chip: FlashStory(chip, running=1, installed=False, keep=False),
-    "image-after-the-rom": lambda chip: FlashStory(chip, running=0, installed=True, keep=False),
+    "image-into-bank-a": lambda chip: FlashStory(chip, running=1, installed=False, slot=SLOT_B),
+    "image-after-the-rom": lambda chip: FlashStory(chip, running=0, installed=True),
     "swap-into-empty-slots": lambda chip: SwapStory(chip, (0, 0)),
     "swap": lambda chip: SwapStory(chip, (3, 4)),
     "swap-into-slot-a": lambda chip: SwapStory(chip, (4, 5)),
-    "revert": lambda chip: RevertStory(chip, only_one=False),
-    "revert-to-compiled-in": lambda chip: RevertStory(chip, only_one=True),
+    "revert": RevertStory,
 }
 
 

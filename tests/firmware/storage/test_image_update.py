@@ -5,21 +5,33 @@ from __future__ import annotations
 import hashlib
 import struct
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
+import numpy as np
 import pytest
 
-from tests.firmware.images import HEADER_BYTES, MOST_BYTES, changed, crc_of, header_of, make_image
+from tests.firmware.conftest import scripted_blob
+from tests.firmware.images import HEADER_BYTES, LEAST_BYTES, MOST_BYTES, changed, crc_of, header_of
+from tests.firmware.images import make_image as any_image
 from tests.firmware.storage.bank_board import BankBoard, Held, confirmed
-from tests.firmware.storage.test_policy_slots import COMPILED_IN, SLOT_A, SLOT_B, floats, like
-from toolchain.contract import FLASH_BANKS, IMAGE_HEADER_OFFSET, Refusal
+from tests.firmware.storage.test_policy_slots import BUILD, NONE, SLOT_A, SLOT_B, floats, like
+from toolchain.contract import FLASH_BANKS, IMAGE_HEADER_OFFSET, Refusal, policy_header
 from toolchain.image.bank_state import state
-from toolchain.policy.blob import pack
+from toolchain.policy.blob import pack, parse
 
 MakeChip = Callable[..., Any]
 MAGIC, LAYOUT, BOARD, BANK, SIZE, HEADER, CRC, SHA256 = range(-17, -25, -1)  # enum nf_err
 BEFORE = 0  # kind of a cut: enum flash_cut
-BLOB_MAGIC, BLOB_OLD = -7, -16
+BLOB_MAGIC, BLOB_CRC, ARCHITECTURE = -7, -10, -13
+POLICY = policy_header(pack(scripted_blob()))
+
+
+def make_image(seed: int, size: int = LEAST_BYTES + 64, *, bank: int = 1) -> bytes:
+    """An image that flies the scripted policy."""
+    return any_image(seed, size, bank=bank, policy=POLICY)
+
+
 OLD, OLDER, NEW = make_image(1, bank=0), make_image(2), make_image(3, 4000)
 
 
@@ -29,11 +41,12 @@ def digest(image: bytes) -> bytes:
 
 @pytest.fixture
 def board(chip: MakeChip) -> BankBoard:
-    """It runs bank A's image; bank B has one from before."""
+    """It runs bank A's image; bank B has one from before. Slot A has a policy that any of them flies."""
     chip_ = chip()
     chip_.core.lib.scripted_action = [0.0] * 4
     made = BankBoard(chip_, [confirmed(OLD, 7), confirmed(OLDER, 6)])
-    assert made.boot().image == OLD
+    made.slots.put(SLOT_A, made.slots.image)
+    assert (made.boot().image, made.slots.slots.flown) == (OLD, SLOT_A)
     return made
 
 
@@ -50,7 +63,7 @@ def test_the_new_image_is_started_when_all_of_it_arrived_and_it_was_switched_to(
     assert board.sequence == 8
     assert board.boot().image == NEW
     marks = board.lib.image_bank_marks(board.chip.flash, 1)
-    assert (marks.numbered, marks.confirmed, marks.starts, marks.has_floor) == (True, False, 0, False)
+    assert (marks.numbered, marks.confirmed, marks.starts) == (True, False, 0)
     assert board.settle()
     assert board.boot().image == NEW
 
@@ -75,7 +88,7 @@ def test_the_next_image_goes_into_the_other_bank_when_bank_b_runs(board: BankBoa
         (bytes(HEADER_BYTES), MAGIC),
         (b"\xff" * HEADER_BYTES, MAGIC),
         (header_of(changed(NEW, "magic", b"NFPB")), MAGIC),
-        (header_of(changed(NEW, "layout", b"\2\0")), LAYOUT),
+        (header_of(changed(NEW, "layout", b"\1\0")), LAYOUT),
         (header_of(changed(NEW, "board", b"MATEKF722\0")), BOARD),
         (header_of(make_image(3, bank=0)), BANK),
         (header_of(changed(NEW, "bank", b"\2")), BANK),
@@ -259,25 +272,22 @@ def test_nothing_is_switched_when_it_is_not_the_image_of_that_hash(board: BankBo
 
 def test_a_switch_changes_nothing_when_it_is_repeated(board: BankBoard) -> None:
     assert board.arrive(NEW) == Refusal.NONE
-    assert board.switch(digest(NEW), floor=5) == Refusal.NONE
+    assert board.switch(digest(NEW)) == Refusal.NONE
     operations = board.chip.operations
-    for floor in (5, 6, None):
-        assert board.switch(digest(NEW), floor=floor) == Refusal.NONE
+    for _ in range(3):
+        assert board.switch(digest(NEW)) == Refusal.NONE
         assert board.sequence == 8
     assert board.chip.operations == operations
-    marks = board.lib.image_bank_marks(board.chip.flash, 1)
-    assert (marks.has_floor, marks.policy_floor) == (True, 5)
 
 
-def test_an_image_is_written_anew_when_it_was_switched_to_with_another_floor(board: BankBoard) -> None:
-    assert board.arrive(NEW) == Refusal.NONE
-    assert board.switch(digest(NEW), floor=5) == Refusal.NONE
-    assert board.begin(header_of(NEW)) == (Refusal.NONE, 0)
-    assert board.boot().image == OLD, "that takes the switch back"
+def test_a_switch_is_taken_back_when_an_image_is_begun_again(board: BankBoard) -> None:
     assert board.arrive(NEW) == Refusal.NONE
     assert board.switch(digest(NEW)) == Refusal.NONE
-    marks = board.lib.image_bank_marks(board.chip.flash, 1)
-    assert (marks.has_floor, marks.sequence) == (False, 8)
+    assert board.begin(header_of(NEW)) == (Refusal.NONE, 0)
+    assert board.boot().image == OLD
+    assert board.arrive(NEW) == Refusal.NONE
+    assert board.switch(digest(NEW)) == Refusal.NONE
+    assert board.boot().image == NEW
 
 
 def test_a_switch_needs_no_update_when_the_image_is_there_already(board: BankBoard) -> None:
@@ -317,6 +327,7 @@ def test_a_switch_counts_when_the_rom_has_installed_what_runs(chip: MakeChip, sp
     unproven = Held(OLDER, state(sequence=3, confirmed=False, written=True))
     held = {"erased": Held(), "written": unproven, "installed": Held(NEW)}
     b = BankBoard(made, [Held(OLD), held[spare]])
+    b.slots.put(SLOT_A, b.slots.image)
     assert b.boot().image == OLD
     if spare != "installed":
         assert b.arrive(NEW) == Refusal.NONE
@@ -325,46 +336,35 @@ def test_a_switch_counts_when_the_rom_has_installed_what_runs(chip: MakeChip, sp
     assert b.boot().image == NEW
 
 
-# --- Policies that a new image leaves behind ------------------------------------------------------
+# --- An image and its policy ----------------------------------------------------------------------
 def put_policies(board: BankBoard, a: int | None, b: int | None, **changes: Any) -> None:
     for slot, sequence in ((SLOT_A, a), (SLOT_B, b)):
+        board.slots.put(slot, b"\xff" * 4)
         if sequence is not None:
             board.slots.put(slot, like(board.slots.image, sequence, sequence % 1000, 0.5, **changes))
 
 
-@pytest.mark.parametrize(
-    ("a", "b", "floor"),
-    [
-        *((None, None, None), (3, None, 3), (None, 3, 3), (3, 4, 4), (4, 3, 4), (2**32 - 1, 0, 0)),
-        *((0, 2**32 - 1, 0), (5, 5, 5), (0, 2**31, 0), (2**31 + 3, 3, 2**31 + 3)),
-    ],
-)
-@pytest.mark.parametrize("foreign", [False, True])
-def test_no_policy_of_before_is_flown_by_the_new_image_unless_it_is_to(
-    board: BankBoard, a: int | None, b: int | None, floor: int | None, foreign: bool
+@pytest.mark.parametrize(("a", "b"), [(5, None), (None, 5), (4, 5), (5, 4), (2**32 - 1, 0), (2**31, None)])
+def test_each_image_flies_its_own_policy_when_it_came_with_one(
+    board: BankBoard, a: int | None, b: int | None
 ) -> None:
-    changes = {"control_rate_hz": 500} if foreign else {}
-    put_policies(board, a, b, **changes)
-    board.boot()
-    assert board.policy_floor() == floor
-    assert board.arrive(NEW) == Refusal.NONE
-    assert board.switch(digest(NEW), floor=board.policy_floor()) == Refusal.NONE
-    started = board.boot()
-    assert (started.image, started.flown) == (NEW, COMPILED_IN)
-    if foreign:  # the new image is made for them, and yet they are none of its
-        flown = board.slots.boot(floor=floor, control_rate_hz=500)
-        assert flown.flown == 3, "the compiled-in one does not fit this test's rate either"
-        assert {flown.found[SLOT_A], flown.found[SLOT_B]} <= {BLOB_OLD, BLOB_MAGIC}
-    board.boot()
-    following = board.slots.next_sequence
-    assert following == ((floor + 1) % 2**32 if floor is not None else 1)
-    assert board.slots.update(pack(like(board.slots.image, following, 9, 9))) == Refusal.NONE
-    assert board.boot().weights == floats(9, 9)
-    board.lib.image_bank_reject(board.chip.flash, 1)
-    assert board.boot().image == OLD
+    put_policies(board, a, b)
+    old = board.boot()
+    assert board.install(NEW, 9, 0.25) == Refusal.NONE
+    assert board.slots.slots.found[1 - old.flown] == BUILD, "the running image does not fly it"
+    new = board.boot()
+    assert (new.image, new.weights, new.flown) == (NEW, floats(9, 0.25), 1 - old.flown)
+    assert board.lib.image_bank_reject(board.chip.flash, 1)
+    assert board.boot() == old, "which goes back to its own"
+    assert board.install(NEW, 7, 0.25) == Refusal.NONE
+    assert board.boot().weights == floats(7, 0.25)
+    assert board.settle()
+    newer = make_image(4, 3000, bank=0)
+    assert board.install(newer, 8, 0.5) == Refusal.NONE
+    assert (board.boot().image, board.boot().weights) == (newer, floats(8, 0.5))
 
 
-def test_policies_are_kept_when_the_floor_is_that_of_the_running_image(board: BankBoard) -> None:
+def test_a_new_image_flies_the_policy_of_before_when_it_is_for_any_and_none_came(board: BankBoard) -> None:
     put_policies(board, 4, 5)
     assert board.boot().flown == SLOT_B
     assert board.arrive(NEW) == Refusal.NONE
@@ -373,40 +373,90 @@ def test_policies_are_kept_when_the_floor_is_that_of_the_running_image(board: Ba
     assert (started.image, started.flown) == (NEW, SLOT_B)
 
 
-@pytest.mark.parametrize("floor", [0, 7, 2**31 - 1, 2**31, 2**32 - 1])
-def test_only_policies_above_the_floor_count_whatever_it_is(board: BankBoard, floor: int) -> None:
-    for ahead, flown in ((0, False), (1, True), (2**31 - 1, True), (2**31, False), (2**32 - 1, False)):
-        board.slots.put(SLOT_A, like(board.slots.image, (floor + ahead) % 2**32, 3, 4))
-        found = board.slots.boot(floor=floor)
-        assert (found.flown == SLOT_A) == flown
-        assert found.found == ((0 if flown else BLOB_OLD), BLOB_MAGIC, 0)
-    for a, b, flown_slot in ((1, 2, SLOT_B), (2, 1, SLOT_A), (2**31 - 1, 1, SLOT_A), (0, 1, SLOT_B)):
-        put = [like(board.slots.image, (floor + ahead) % 2**32, ahead % 99, 4) for ahead in (a, b)]
-        board.slots.put(SLOT_A, put[0])
-        board.slots.put(SLOT_B, put[1])
-        assert board.slots.boot(floor=floor).flown == flown_slot
+OTHER_CODE = changed(NEW, "architecture_hash", struct.pack("<I", 5))
 
 
-@pytest.mark.parametrize("floor", [0, 7, 2**31 - 1, 2**32 - 1])
-def test_a_policy_is_refused_when_it_would_not_be_flown_for_its_number(board: BankBoard, floor: int) -> None:
-    s = board.slots
-    for ahead, refusal in ((0, 9), (-1, 9), (2**31, 9), (2**31 + 1, 9), (1, 0)):
-        s.boot(floor=floor)
-        assert s.next_sequence == (floor + 1) % 2**32
-        assert s.update(pack(like(s.image, (floor + ahead) % 2**32, 3, 4))) == refusal, ahead
-        assert s.boot(floor=floor).flown == (COMPILED_IN if refusal else SLOT_A)
-    assert s.update(pack(like(s.image, (floor + 2**31) % 2**32, 5, 6))) == Refusal.SEQUENCE
-    assert s.boot(floor=floor).weights == floats(3, 4)
+@pytest.mark.parametrize(
+    ("image", "change", "why"),
+    [
+        (NEW, {"architecture_hash": 5}, ARCHITECTURE),
+        (NEW, {"build": b"whatever"}, BUILD),
+        (OTHER_CODE, {}, ARCHITECTURE),
+        (OTHER_CODE, {"control_rate_hz": 500}, -11),
+        (OTHER_CODE, {"filters_hash": 1}, -12),
+        (OTHER_CODE, {"idle": 0.0}, ARCHITECTURE),
+    ],
+)
+def test_a_policy_is_refused_when_it_does_not_fit_the_image_that_it_came_with(
+    board: BankBoard, image: bytes, change: dict[str, Any], why: int
+) -> None:
+    assert board.arrive(image) == Refusal.NONE
+    policy = parse(board.policy_of(image, 9, 0.25, sequence=1))
+    data = pack(replace(policy, **change))
+    assert board.slots.begin(len(data)) == Refusal.NONE
+    assert board.slots.write(0, data) == Refusal.NONE
+    assert board.slots.end() == (Refusal.BLOB, why)
+    fits = pack(replace(policy, architecture_hash=5)) if image is OTHER_CODE else pack(policy)
+    assert board.slots.update(fits) == Refusal.NONE
+    assert board.switch(digest(image)) == Refusal.NONE
 
 
-def test_a_slot_that_does_not_count_is_written_before_the_one_that_does(board: BankBoard) -> None:
-    s = board.slots
-    s.put(SLOT_A, like(s.image, 5, 3, 4))
-    s.put(SLOT_B, like(s.image, 9, 5, 6))
-    assert s.boot(floor=5).flown == SLOT_B
-    assert s.update(pack(like(s.image, s.next_sequence, 7, 8))) == Refusal.NONE
-    booted = s.boot(floor=5)
-    assert (booted.flown, booted.sequence, booted.weights) == (SLOT_A, 10, floats(7, 8))
+def test_a_policy_of_the_other_image_is_refused_when_that_is_not_there(board: BankBoard) -> None:
+    data = board.policy_of(NEW, 9, 0.25, sequence=1)
+    assert board.slots.update(data) == Refusal.BLOB, "the spare bank holds an older one"
+    assert board.slots.update(board.policy_of(OLDER, 9, 0.25, sequence=1)) == Refusal.NONE
+    assert board.begin(header_of(NEW)) == (Refusal.NONE, 0)
+    assert board.slots.update(data) == Refusal.BLOB, "nor is any of it"
+
+
+@pytest.mark.parametrize("image", [NEW, OTHER_CODE])
+def test_nothing_is_switched_to_an_image_before_a_slot_holds_its_policy(
+    board: BankBoard, image: bytes
+) -> None:
+    put_policies(board, 5, None, build=b"theother")
+    assert board.boot().flown == NONE
+    assert board.arrive(image) == Refusal.NONE
+    own = parse(board.policy_of(image, 9, 0.25, sequence=6))
+    hashed = 5 if image is OTHER_CODE else own.architecture_hash
+    fits = pack(replace(own, architecture_hash=hashed))
+    operations = board.chip.operations
+    for held, why in (
+        (b"\xff" * 4, BUILD),  # what the other slot holds
+        (pack(replace(own, architecture_hash=hashed + 1)), ARCHITECTURE),
+        (fits[:-1] + bytes([fits[-1] ^ 1]), BLOB_CRC),
+        (bytes(4), BUILD),
+    ):
+        board.slots.put(SLOT_B, held)
+        assert board.switch(digest(image)) == Refusal.BLOB
+        assert board.why == why
+    board.slots.put(SLOT_A, bytes(4))
+    assert (board.switch(digest(image)), board.why) == (Refusal.BLOB, BLOB_MAGIC)
+    assert board.chip.operations == operations
+    assert board.boot().image == OLD
+    board.slots.put(SLOT_B, fits)
+    assert board.switch(digest(image)) == Refusal.NONE
+    assert (board.boot().image, board.boot().weights) == (image, floats(9, 0.25))
+
+
+def test_both_policies_are_held_from_the_switch_until_the_new_image_has_run_well(board: BankBoard) -> None:
+    assert not board.holds_slots
+    assert board.arrive(NEW) == Refusal.NONE
+    assert not board.holds_slots, "it is not started"
+    assert board.switch(digest(NEW)) == Refusal.NONE
+    assert board.holds_slots, "it is started next"
+    assert board.boot().image == NEW
+    assert board.holds_slots, "the board may go back"
+    content = board.chip.content
+    assert board.settle()
+    assert not board.holds_slots
+    board.chip.content = content
+    assert board.lib.image_bank_reject(board.chip.flash, 1)
+    assert board.boot().image == OLD
+    assert not board.holds_slots, "it has gone back"
+    board.chip.content = content
+    board.boot()
+    board.chip.fill(FLASH_BANKS[0].address + 100, b"\0")
+    assert not board.holds_slots, "it cannot go back to what is damaged"
 
 
 # --- Going back to the policy before --------------------------------------------------------------
@@ -414,7 +464,7 @@ def revert(board: BankBoard) -> int:
     return int(board.lib.policy_slots_revert(board.slots.slots))
 
 
-@pytest.mark.parametrize(("a", "b", "then"), [(4, 5, SLOT_A), (5, 4, SLOT_B), (5, None, COMPILED_IN)])
+@pytest.mark.parametrize(("a", "b", "then"), [(4, 5, SLOT_A), (5, 4, SLOT_B)])
 def test_the_policy_before_is_flown_when_it_is_gone_back_to(
     board: BankBoard, a: int | None, b: int | None, then: int
 ) -> None:
@@ -426,17 +476,34 @@ def test_the_policy_before_is_flown_when_it_is_gone_back_to(
     assert board.slots.begin(1000) == Refusal.ORDER, "it would erase what is flown next"
     started = board.boot()
     assert started.flown == then
-    assert started.weights == (floats(1, -2) if then == COMPILED_IN else floats(4, 0.5))
+    assert started.weights == floats(4, 0.5)
     assert board.slots.update(pack(like(board.slots.image, board.slots.next_sequence, 8, 8))) == Refusal.NONE
     assert board.boot().weights == floats(8, 8)
 
 
-def test_nothing_is_gone_back_to_when_the_compiled_in_policy_flies(board: BankBoard) -> None:
+@pytest.mark.parametrize(
+    "before",
+    [
+        None,
+        {"build": b"another1"},
+        {"architecture_hash": 1},
+        {"selftest_action": np.ones((3, 4), np.float32)},
+    ],
+)
+@pytest.mark.parametrize("flown", [SLOT_A, SLOT_B])
+def test_nothing_is_gone_back_to_when_the_other_slot_holds_nothing_for_this_image(
+    board: BankBoard, flown: int, before: dict[str, Any] | None
+) -> None:
+    put_policies(board, None, None)
+    board.slots.put(flown, like(board.slots.image, 5, 5, 0.5))
+    if before is not None:
+        board.slots.put(1 - flown, like(board.slots.image, 6, 4, 0.5, **before))
+    assert board.boot().flown == flown
     assert revert(board) == Refusal.ORDER
-    put_policies(board, 5, None)
-    board.slots.boot(floor=5)
-    assert revert(board) == Refusal.ORDER, "the one in the slot is not flown"
     assert board.chip.operations == 0
+    board.slots.put(flown, bytes(4))
+    assert board.boot().flown == NONE
+    assert revert(board) == Refusal.ORDER, "nor where none flies"
 
 
 def test_nothing_is_gone_back_to_when_another_policy_waits_for_the_restart(board: BankBoard) -> None:
@@ -451,14 +518,15 @@ def test_nothing_is_gone_back_to_when_another_policy_waits_for_the_restart(board
     assert board.boot().weights == floats(5, 0.5)
 
 
-def test_an_update_under_way_ends_when_it_is_gone_back(board: BankBoard) -> None:
-    put_policies(board, None, 5)
+def test_nothing_is_gone_back_to_when_an_update_is_under_way(board: BankBoard) -> None:
+    put_policies(board, 4, 5)
     board.boot()
     new = pack(like(board.slots.image, 6, 8, 8))
     assert board.slots.begin(len(new)) == Refusal.NONE
-    assert revert(board) == Refusal.NONE
-    assert board.slots.write(0, new) == Refusal.ORDER
-    assert board.boot().flown == COMPILED_IN
+    assert revert(board) == Refusal.ORDER, "the slot that it would go back to is erased"
+    assert board.slots.write(0, new) == Refusal.NONE, "the update goes on"
+    assert board.slots.end() == (Refusal.NONE, 0)
+    assert board.boot().weights == floats(8, 8)
 
 
 def test_flash_is_told_to_have_refused_when_it_cannot_be_gone_back(board: BankBoard) -> None:
@@ -480,7 +548,7 @@ def test_a_slot_tells_what_it_holds_now(board: BankBoard) -> None:
     put_policies(board, 4, 5)
     board.slots.put(SLOT_B, like(board.slots.image, 5, control_rate_hz=500))
     board.boot()
-    assert [info(source) for source in range(3)] == [(0, 4, 1000), (-11, 5, 500), (0, 0, 1000)]
+    assert [info(source) for source in range(2)] == [(0, 4, 1000), (-11, 5, 500)]
     assert board.slots.begin(1000) == Refusal.NONE
     assert info(SLOT_B) == (BLOB_MAGIC, 0, 0)
     board.slots.put(SLOT_B, flipped(pack(like(board.slots.image, 5)), 300))
@@ -488,5 +556,7 @@ def test_a_slot_tells_what_it_holds_now(board: BankBoard) -> None:
     board.slots.put(SLOT_B, like(board.slots.image, 9, selftest_action=board.slots.image.selftest_action + 1))
     assert board.boot().flown == SLOT_A
     assert info(SLOT_B) == (-5, 9, 1000)
+    board.slots.put(SLOT_B, like(board.slots.image, 3))
+    board.boot()
     assert revert(board) == Refusal.NONE
     assert info(SLOT_A) == (BLOB_MAGIC, 0, 0)

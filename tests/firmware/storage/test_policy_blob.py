@@ -20,7 +20,7 @@ from toolchain.rendering.contract_header import blob_header_fields
 Check = Callable[..., int]
 SUCCESS, SHORT, MAGIC, LAYOUT, SIZE, CRC, RATE, FILTERS, ARCHITECTURE, IDLE = 0, *range(-6, -15, -1)
 NO_MODEL = -26
-HEADER_BYTES = 576
+HEADER_BYTES = 584
 
 BLOB = PolicyBlob(
     sequence=3,

@@ -15,8 +15,8 @@ from toolchain.ir.float32 import Float32
 from toolchain.policy.blob import PolicyBlob, pack, parse
 
 MakeChip = Callable[..., Any]
-SLOT_A, SLOT_B, COMPILED_IN, NONE = range(4)
-POLICY, MAGIC, CRC, RATE, FILTERS, ARCHITECTURE = -5, -7, -10, -11, -12, -13
+SLOT_A, SLOT_B, NONE = range(3)
+POLICY, MAGIC, CRC, RATE, FILTERS, ARCHITECTURE, BUILD = -5, -7, -10, -11, -12, -13, -27
 KINDS = range(5)  # of cuts: enum flash_cut
 CHUNK = 256
 
@@ -34,16 +34,12 @@ class Boot:
 
 
 class Slots:
-    """The slots of a chip, around the policy that is compiled into `core`."""
+    """The slots of a chip, of an image that was built around the policy of `core`."""
 
-    def __init__(self, chip: Any, compiled_in: bytes | None = None) -> None:
+    def __init__(self, chip: Any) -> None:
         self.chip, self.core = chip, chip.core
         ffi, lib = self.core.ffi, self.core.lib
-        self.own = bytes(ffi.buffer(ffi.addressof(lib, "policy_blob")))
-        self.compiled_in = self.own if compiled_in is None else compiled_in
-        self.image = parse(self.own)
-        self._blob = self.core.new("uint64_t[]", len(self.compiled_in) // 8 + 1)
-        ffi.memmove(self._blob, self.compiled_in, len(self.compiled_in))
+        self.image = parse(bytes(ffi.buffer(ffi.addressof(lib, "policy_blob"))))
         self.running = {
             "architecture_hash": self.image.architecture_hash,
             "filters_hash": self.image.filters_hash,
@@ -56,15 +52,13 @@ class Slots:
         self.policy = self.core.new("struct policy *")
         self.weights = self.core.new("uint64_t[]", self.image.weights.size // 2 + 1)
 
-    def boot(self, *, floor: int | None = None, **running: int) -> Boot:
+    def boot(self, *, bank: int = 0, **running: int | bytes) -> Boot:
+        """bank: that it runs from; running: what of the image is another than told by its policy."""
         ffi, lib = self.core.ffi, self.core.lib
         known = self.core.new("struct policy_blob_identity *", self.running | running)
         weights = ffi.cast("float *", self.weights)
         ffi.memmove(self.weights, bytes(len(ffi.buffer(self.weights))), len(ffi.buffer(self.weights)))
-        bound = ffi.NULL if floor is None else self.core.new("uint32_t *", floor)
-        error = lib.policy_slots_choose(
-            self.slots, self.chip.flash, known, bound, self._blob, len(self.compiled_in), self.policy, weights
-        )
+        error = lib.policy_slots_choose(self.slots, self.chip.flash, known, bank, self.policy, weights)
         s, count = self.slots, 4 * self.image.weights.size
         return Boot(error, s.flown, s.sequence, s.idle, tuple(s.found), bytes(ffi.buffer(weights, count)))
 
@@ -102,8 +96,8 @@ class Slots:
 def slots(chip: MakeChip) -> Callable[..., Slots]:
     """Makes empty slots; the scripted policy answers 0, as in its self-test."""
 
-    def make(compiled_in: bytes | None = None) -> Slots:
-        made = Slots(chip(), compiled_in)
+    def make() -> Slots:
+        made = Slots(chip())
         made.core.lib.scripted_action = [0.0] * 4
         return made
 
@@ -122,9 +116,13 @@ def floats(*values: float) -> bytes:
 
 
 # --- Which one is flown -------------------------------------------------------------------------
-def test_the_compiled_in_policy_is_flown_when_slots_are_empty(slots: Callable[..., Slots]) -> None:
+def test_no_policy_is_flown_when_slots_are_empty(slots: Callable[..., Slots]) -> None:
     s = slots()
-    assert s.boot() == Boot(0, COMPILED_IN, 0, 0.0, (MAGIC, MAGIC, 0), floats(1, -2))
+    assert s.boot() == Boot(POLICY, NONE, 0, 0.0, (MAGIC, MAGIC), floats(0, 0))
+    assert s.next_sequence == 1
+    assert s.core.lib.policy_slots_revert(s.slots) == Refusal.ORDER
+    s.put(SLOT_B, s.image)
+    assert s.boot() == Boot(0, SLOT_B, 0, 0.0, (MAGIC, 0), floats(1, -2))
     assert s.policy.weights == s.core.ffi.cast("float *", s.weights)
     assert s.next_sequence == 1
 
@@ -139,7 +137,7 @@ def test_the_highest_sequence_is_flown_when_slots_are_good(
     s.put(SLOT_A, like(s.image, a, 3, 4, idle=0.125))
     s.put(SLOT_B, like(s.image, b, 5, 6, idle=0.25))
     booted = s.boot()
-    assert booted.found == (0, 0, 0)
+    assert booted.found == (0, 0)
     assert (booted.flown, booted.sequence) == (flown, max(a, b))
     assert (booted.idle, booted.weights) == ((0.25, floats(5, 6)) if flown else (0.125, floats(3, 4)))
 
@@ -160,10 +158,10 @@ def test_the_next_best_is_flown_when_a_policy_fails_its_selftest(slots: Callable
     s.put(SLOT_A, like(s.image, 8, 3, 4))
     s.put(SLOT_B, like(s.image, 9, 5, 6, selftest_action=wrong))
     booted = s.boot()
-    assert (booted.flown, booted.found, booted.weights) == (SLOT_A, (0, POLICY, 0), floats(3, 4))
+    assert (booted.flown, booted.found, booted.weights) == (SLOT_A, (0, POLICY), floats(3, 4))
     s.put(SLOT_A, like(s.image, 8, 3, 4, selftest_action=wrong))
     booted = s.boot()
-    assert (booted.flown, booted.found, booted.weights) == (COMPILED_IN, (POLICY, POLICY, 0), floats(1, -2))
+    assert (booted.error, booted.flown, booted.found) == (POLICY, NONE, (POLICY, POLICY))
     assert s.next_sequence == 10, "one that failed still counts, or the new one would not be tried first"
 
 
@@ -174,7 +172,7 @@ def test_each_vector_of_the_selftest_counts_when_replayed(slots: Callable[..., S
             actions = np.zeros((3, 4), np.float32)
             actions[row, motor] = 1e-45
             s.put(SLOT_A, like(s.image, 8, selftest_action=actions))
-            assert s.boot().found == (POLICY, MAGIC, 0)
+            assert s.boot().found == (POLICY, MAGIC)
 
 
 def test_the_selftest_begins_anew_when_its_steps_are_over(slots: Callable[..., Slots]) -> None:
@@ -203,6 +201,7 @@ def test_the_selftest_begins_anew_when_its_steps_are_over(slots: Callable[..., S
         ({"filters_hash": 5}, FILTERS),
         ({"architecture_hash": 5}, ARCHITECTURE),
         ({"weights": np.ones(3, np.float32)}, ARCHITECTURE),
+        ({"build": b"another1"}, BUILD),
     ],
 )
 def test_a_slot_is_passed_over_when_it_is_for_another_image(
@@ -210,27 +209,32 @@ def test_a_slot_is_passed_over_when_it_is_for_another_image(
 ) -> None:
     s = slots()
     s.put(SLOT_A, like(s.image, 8, **changes))
-    assert s.boot().found == (error, MAGIC, 0)
-    assert s.slots.flown == COMPILED_IN
+    assert s.boot().found == (error, MAGIC)
+    assert s.slots.flown == NONE
+    s.put(SLOT_B, like(s.image, 7, 3, 4))
+    assert s.boot().flown == SLOT_B, "however old"
 
 
 def test_no_policy_is_flown_when_none_is_good(slots: Callable[..., Slots]) -> None:
     s = slots()
     s.put(SLOT_B, like(s.image, 8, 3, 4))
     booted = s.boot(filters_hash=1)
-    assert (booted.error, booted.flown, booted.found) == (POLICY, NONE, (MAGIC, FILTERS, FILTERS))
+    assert (booted.error, booted.flown, booted.found) == (POLICY, NONE, (MAGIC, FILTERS))
     header = s.core.new("struct nf_policy_blob_header *")
     assert not s.core.lib.policy_slots_header(s.slots, header)
 
 
-def test_a_slot_is_flown_when_the_compiled_in_policy_is_damaged(slots: Callable[..., Slots]) -> None:
-    good = slots().own
-    s = slots(good[:400] + bytes([good[400] ^ 1]) + good[401:])
-    assert s.boot().found == (MAGIC, MAGIC, CRC)
+@pytest.mark.parametrize("build", [bytes(8), b"ownbuild", b"ownbuil\0", b"\0wnbuild"])
+def test_a_policy_is_flown_by_the_build_that_it_came_with_and_no_other(
+    slots: Callable[..., Slots], build: bytes
+) -> None:
+    s = slots()
     s.put(SLOT_A, like(s.image, 1, 3, 4))
-    assert s.boot() == Boot(0, SLOT_A, 1, 0.0, (0, MAGIC, CRC), floats(3, 4))
-    short = slots(good[:100])
-    assert short.boot().found == (MAGIC, MAGIC, -6)
+    s.put(SLOT_B, like(s.image, 2, 5, 6, build=build))
+    flown = SLOT_B if build in (bytes(8), b"ownbuild") else SLOT_A
+    assert s.boot(build=b"ownbuild").flown == flown
+    assert s.boot(build=bytes(8)).flown == (SLOT_B if build == bytes(8) else SLOT_A)
+    assert s.next_sequence == 3, "for whichever image it is"
 
 
 # --- Writing a slot -----------------------------------------------------------------------------
@@ -264,7 +268,7 @@ def test_a_slot_that_failed_its_selftest_is_the_one_to_be_written_when_updated(
     s.put(SLOT_A, like(s.image, 8, 3, 4))
     s.put(SLOT_B, like(s.image, 3, 5, 6))
     s.core.lib.scripted_action = [0.25] * 4
-    assert s.boot().found == (POLICY, POLICY, POLICY)
+    assert s.boot().found == (POLICY, POLICY)
     good = like(s.image, 9, 7, 8, selftest_action=np.full((3, 4), 0.25, np.float32))
     assert s.update(pack(good)) == Refusal.NONE
     assert s.begin(1000) == Refusal.NONE
@@ -287,7 +291,7 @@ def test_no_slot_is_valid_before_it_is_ended_when_all_is_written(slots: Callable
     data = pack(like(s.image, 1, 3, 4))
     assert s.begin(len(data)) == Refusal.NONE
     assert s.write(0, data) == Refusal.NONE
-    assert Slots(s.chip).boot().flown == COMPILED_IN
+    assert Slots(s.chip).boot().flown == NONE
     assert s.end() == (Refusal.NONE, 0)
     assert Slots(s.chip).boot().flown == SLOT_A
 
@@ -376,7 +380,7 @@ def test_a_policy_is_refused_when_it_is_none_for_this_image(
     s.begin(len(data))
     s.write(0, data)
     assert s.end() == (Refusal.BLOB, why)
-    assert s.boot().flown == COMPILED_IN
+    assert s.boot().flown == NONE
     assert s.update(pack(like(s.image, 1, 3, 4))) == Refusal.NONE
 
 
@@ -447,7 +451,7 @@ def test_the_newer_one_is_flown_when_numbers_wrap(
     s.put(SLOT_B, like(s.image, b, 5, 6))
     assert s.boot().flown == flown
     s.put(flown, like(s.image, 0, 7, 8, selftest_action=np.full((3, 4), 0.5, np.float32)))
-    assert s.boot().flown == 1 - flown, "never the compiled-in one, whose number is 0"
+    assert s.boot().flown == 1 - flown, "the next best"
 
 
 def test_the_newest_stays_when_numbers_wrap_and_slots_are_written_without_a_boot(
@@ -482,9 +486,8 @@ def power_goes(s: Slots, new: bytes, cuts: Iterable[tuple[int, int, int]]) -> in
         assert s.update(new) == Refusal.FLASH, (at, kind)
         s.chip.power_on()
         booted = s.boot()
-        assert booted.error == 0, "it always boots"
         if booted.weights == old.weights:
-            assert (booted.sequence, booted.idle, booted.flown) == (old.sequence, old.idle, old.flown)
+            assert replace(booted, found=()) == replace(old, found=()), (at, kind, seed)
         else:
             assert (booted.weights, booted.sequence) == (fresh, parse(new).sequence), (at, kind, seed)
             arrived += 1
@@ -513,6 +516,7 @@ def shipped_update(core: Any, chip: Any) -> tuple[Slots, bytes]:
     """Slots around the shipped policy, and another policy of its architecture with a self-test that holds."""
     s = Slots(chip)
     image = s.image
+    s.put(SLOT_A, image)
     weights: Float32 = (image.weights * np.float32(0.999)).astype(np.float32)
     table = core.new("uint64_t[]", weights.size // 2 + 1)
     core.ffi.memmove(table, weights.tobytes(), weights.nbytes)

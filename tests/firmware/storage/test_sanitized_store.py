@@ -138,4 +138,4 @@ def test_no_sanitizer_speaks_when_requests_and_flash_are_wild(
     replies, sets, policies = map(int, done.stdout.split())
     assert replies > PIECES / 3
     assert sets > 20, "settings were saved and found again"
-    assert policies == 1 + boots, "every boot finds a policy, the compiled-in one at least"
+    assert 50 < policies < boots, "some boots find a policy, and some slots hold none"

@@ -14,14 +14,24 @@ from dataclasses import dataclass, field
 from enum import Enum, auto
 
 from flash.msp import Decoder, Direction, Message, encode
-from toolchain.contract import FLASH_BANK_A, Mix, Msp, Refusal, image_checksum, image_header
+from toolchain.contract import (
+    FLASH_BANK_A,
+    IMAGE_HEADER_FORMAT,
+    IMAGE_LAYOUT,
+    Mix,
+    Msp,
+    Refusal,
+    image_checksum,
+    image_header,
+    policy_header,
+)
 from toolchain.errors import LinkError
 
 BOARD = "MATEKF722"
 BOOT_S = 0.3
 PROOF_S = 2.0
 ERASE_S = 1.0
-HEADER_BYTES = 80 - 32  # of the fields
+HEADER_BYTES = 64  # of the fields
 
 
 class Fate(Enum):
@@ -79,13 +89,17 @@ class BoardModel:
     header: bytes = b""  # of the update under way
     written: int = 0
     erased: int = 0  # times
-    keep_policy: bool | None = None
+    layout: int | None = IMAGE_LAYOUT  # of images; None: it does not tell
+    slots: list[bytes] = field(default_factory=lambda: [b"", b""])  # blobs
+    flown: int = 0  # slot
+    coming: bytes = b""  # of a policy under way
+    ended: bool = False
     commands: list[int] = field(default_factory=list)
 
     # --- What the boot part does ---------------------------------------------------------------------
     def restart(self) -> None:
         """Start anew; a new image meets its fate."""
-        self.header, self.written = b"", 0
+        self.header, self.written, self.coming, self.ended = b"", 0, b"", False
         self.boots += 1
         other = 1 - self.running
         new = self.banks[other]
@@ -96,6 +110,7 @@ class BoardModel:
             delay = delay if self.fate is Fate.CRASHES else 1e9
         elif newer:
             new.starts, self.running = 1, other
+            self.choose()
             if self.of_new_image is not None:
                 self.settings = self.of_new_image
         self.started_at = self.answers_from = self.now + delay
@@ -109,8 +124,24 @@ class BoardModel:
         if self.fate is Fate.CRASHES_LATE and bank.starts:
             bank.rejected, self.running = True, 1 - self.running
             self.restart()
+            self.choose()
         elif self.fate is not Fate.UNPROVEN:
             bank.confirmed = True
+
+    def fits(self, slot: int, bank: int) -> bool:
+        """Whether that bank's image flies what is in a slot."""
+        policy, image = policy_header(self.slots[slot]), image_header(self.banks[bank].data)
+        return policy is not None and image is not None and policy.build in (bytes(8), image.build)
+
+    def choose(self) -> None:
+        """The newest policy that the running image flies."""
+        fitting = [slot for slot in range(2) if self.fits(slot, self.running)]
+        assert fitting, "an image without a policy was switched to"
+        self.flown = max(fitting, key=self.number)
+
+    def number(self, slot: int) -> int:
+        header = policy_header(self.slots[slot])
+        return -1 if header is None else header.sequence
 
     # --- What the firmware answers -------------------------------------------------------------------
     def answer(self, message: Message) -> Message:
@@ -138,7 +169,56 @@ class BoardModel:
     def policy(self, _: bytes) -> bytes:
         bad = self.fate is Fate.POLICY_BAD and self.running == 1
         head = struct.pack("<IHHIHHB", 1, 6, 4, 100, 1000, 4000, not bad)
-        return head + b"\x03nf1" + bytes(32) + struct.pack("<fBI3bB", 0.1, 2, 0, 0, 0, 0, Mix.CENTRED)
+        return (
+            head
+            + b"\x03nf1"
+            + bytes(32)
+            + struct.pack(
+                "<fBI2bB", 0.1, self.flown, self.number(self.flown), *map(self.found, range(2)), Mix.CENTRED
+            )
+        )
+
+    def found(self, slot: int) -> int:
+        if policy_header(self.slots[slot]) is None:
+            return -7
+        return 0 if self.fits(slot, self.running) else -27
+
+    def slot_info(self, payload: bytes) -> bytes:
+        slot = payload[0]
+        header = policy_header(self.slots[slot])
+        told = struct.pack("<bB", self.found(slot), slot == self.flown)
+        if header is None:
+            return told + bytes(4 * 5 + 1 + 32 + 8)
+        told += struct.pack("<4If", header.sequence, header.architecture_hash, header.filters_hash, 1000, 0.1)
+        return told + b"\x03nf1" + bytes.fromhex(header.policy_sha256) + header.build
+
+    def slot_begin(self, payload: bytes) -> bytes | Refusal:
+        spare, now = self.banks[1 - self.running], self.banks[self.running]
+        if spare.numbered and not spare.rejected and spare.sequence > now.sequence:
+            return Refusal.ORDER
+        self.slots[1 - self.flown], self.coming, self.ended = b"", b"", False
+        self.answers_from = self.now + ERASE_S
+        return struct.pack("<I", self.number(self.flown) + 1)
+
+    def slot_write(self, payload: bytes) -> bytes | Refusal:
+        offset, data = struct.unpack_from("<I", payload)[0], payload[4:]
+        if offset + len(data) == len(self.coming) and self.coming[offset:] == data:
+            return b""
+        if offset != len(self.coming):
+            return Refusal.ORDER
+        self.coming += data
+        return b""
+
+    def slot_end(self, _: bytes) -> bytes | Refusal:
+        if self.ended:
+            return b""
+        policy, image = policy_header(self.coming), image_header(self.banks[1 - self.running].data)
+        if policy is None or len(self.coming) != policy.total_bytes:
+            return Refusal.ORDER
+        if image is None or policy.build != image.build:
+            return Refusal.BLOB
+        self.slots[1 - self.flown], self.ended = self.coming, True
+        return b""
 
     def version(self, _: bytes) -> bytes:
         header = image_header(self.banks[self.running].data)
@@ -178,7 +258,7 @@ class BoardModel:
             flags = 1 | bank.numbered << 1 | bank.confirmed << 2 | bank.rejected << 3
             told += struct.pack("<BBIII", flags, bank.starts, bank.sequence, header.image_bytes, header.crc)
             told += bytes((*map(int, header.version.split(".")), 0)) + header.build
-        return told
+        return told if self.layout is None else told + bytes([self.layout])
 
     def image_begin(self, payload: bytes) -> bytes | Refusal:
         if self.armed:
@@ -220,7 +300,8 @@ class BoardModel:
         bank = self.banks[1 - self.running]
         if hashlib.sha256(bank.data).digest() != payload[:32]:
             return Refusal.IMAGE
-        self.keep_policy = bool(payload[32])
+        if not any(self.fits(slot, 1 - self.running) for slot in range(2)):
+            return Refusal.BLOB
         bank.numbered, bank.sequence = True, self.banks[self.running].sequence + 1
         return struct.pack("<I", bank.sequence)
 
@@ -239,6 +320,10 @@ HANDLERS: dict[int, Callable[[BoardModel, bytes], bytes | Refusal]] = {
     Msp.STATUS_EX: BoardModel.status,
     Msp.BATTERY_STATE: BoardModel.battery,
     Msp.POLICY_INFO: BoardModel.policy,
+    Msp.POLICY_SLOT_INFO: BoardModel.slot_info,
+    Msp.POLICY_SLOT_BEGIN: BoardModel.slot_begin,
+    Msp.POLICY_SLOT_WRITE: BoardModel.slot_write,
+    Msp.POLICY_SLOT_END: BoardModel.slot_end,
     Msp.FAULTS: lambda board, _: struct.pack("<IB", board.boots, 0),
     Msp.SETTING_INFO: BoardModel.setting_info,
     Msp.SETTING_GET: BoardModel.setting_get,
@@ -291,10 +376,11 @@ class ModelLine:
         return self.board.now
 
 
-def board_with(image: bytes, **facts: object) -> BoardModel:
-    """A board that has run `image` well in bank A."""
+def board_with(image: bytes, policy: bytes, **facts: object) -> BoardModel:
+    """A board that has run `image` well in bank A, with that policy in slot A."""
     bank = Bank(image, numbered=True, confirmed=True, sequence=3)
-    return BoardModel([bank, Bank()], started_at=-100.0, **facts)  # type: ignore[arg-type]
+    slots = [policy, b""]
+    return BoardModel([bank, Bank()], started_at=-100.0, slots=slots, **facts)  # type: ignore[arg-type]
 
 
-assert HEADER_BYTES == 48
+assert struct.calcsize(IMAGE_HEADER_FORMAT) == HEADER_BYTES

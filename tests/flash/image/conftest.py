@@ -10,7 +10,15 @@ from pathlib import Path
 
 import pytest
 
-from toolchain.contract import IMAGE_BOARD_BYTES, image_checksum, image_field_offset, image_header
+from flash.image.files import Policy, read_images
+from toolchain.contract import (
+    IMAGE_BOARD_BYTES,
+    bound_policy,
+    image_checksum,
+    image_field_offset,
+    image_header,
+    policy_header,
+)
 
 Stamp = Callable[..., bytes]
 
@@ -48,16 +56,32 @@ def board_images(board_image: Path) -> list[bytes]:
 
 
 @pytest.fixture(scope="session")
+def board_policy(board_image: Path) -> Policy:
+    """That comes with them."""
+    policy = read_images(board_image.with_suffix(".nfi")).policy
+    assert policy is not None
+    return policy
+
+
+def policy_of_build(policy: Policy, build: bytes) -> Policy:
+    """The same as if it came with another build."""
+    data = bound_policy(policy.data, build)
+    header = policy_header(data)
+    assert header is not None
+    return Policy(policy.file, header, data)
+
+
+@pytest.fixture(scope="session")
 def host_images(board_images: list[bytes]) -> list[bytes]:
     """Likewise, such as the host program takes."""
     return [for_board(image, "HOST") for image in board_images]
 
 
 @pytest.fixture
-def host_file(host_images: list[bytes], tmp_path: Path) -> Path:
-    """Both of them in a file."""
+def host_file(host_images: list[bytes], board_policy: Policy, tmp_path: Path) -> Path:
+    """Both of them and their policy in a file."""
     path = tmp_path / "host.nfi"
-    path.write_bytes(b"".join(host_images))
+    path.write_bytes(b"".join(host_images) + board_policy.data)
     return path
 
 

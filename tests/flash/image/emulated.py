@@ -67,7 +67,7 @@ class Wired:
             client, plan, self.transport, lambda *step: None, lambda: self.seconds, self.sleep
         )
         try:
-            done = installation.run(settings, keep_policy=False)
+            done = installation.run(settings)
             assert done is not None
             return done
         finally:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from flash.image.files import Image, ImageFile
+from flash.image.files import Image, ImageFile, Policy
 from flash.image.trial import Ending
 from sim.board.serial.idle_board import configured
 from tests.firmware.board.banks import (
@@ -18,13 +18,13 @@ from tests.firmware.board.banks import (
     B,
     Build,
     Trial,
+    bad_policy,
     patched,
     read_build,
-    with_bad_policy,
 )
 from tests.flash.image.conftest import stamped
 from tests.flash.image.emulated import BAUD, Wired
-from toolchain.contract import FLASH_BANKS, IMAGE_STARTS_MAX, image_header
+from toolchain.contract import FLASH_BANKS, IMAGE_STARTS_MAX, bound_policy, image_header, policy_header
 
 UP_S = 2.0
 
@@ -68,7 +68,7 @@ FAILING: dict[str, tuple[Callable[[Build], bytes], str]] = {
         "was started 2 time(s) and did not come up",
     ),
     "its policy fails its self-test": (
-        lambda build: with_bad_policy(build, B),
+        lambda build: build.images[B],
         "was started and failed",
     ),
 }
@@ -84,7 +84,11 @@ def test_the_old_image_flies_within_three_starts_and_the_tool_says_why(
     data = stamped(make(build), build=b"newbuild")
     header = image_header(data)
     assert header is not None
-    file = ImageFile(Path("new.nfi"), (Image(header, data),))
+    bad = "policy" in name
+    blob = bad_policy(build, b"newbuild") if bad else bound_policy(build.policy, b"newbuild")
+    told = policy_header(blob)
+    assert told is not None
+    file = ImageFile(Path("new.nfi"), (Image(header, data),), Policy("new.nfi", told, blob))
     starts = trial.starts
     done = Wired(trial).install(file)
     assert done.trial.ending is Ending.WENT_BACK and done.kept is None

@@ -5,12 +5,13 @@ from __future__ import annotations
 import random
 import shutil
 import struct
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from flash.image.files import NFI_BYTES_MAX, image_for, read_images
-from tests.flash.image.conftest import for_board, stamped
+from flash.image.files import NFI_BYTES_MAX, Policy, image_for, read_images
+from tests.flash.image.conftest import for_board, policy_of_build, stamped
 from toolchain.contract import FLASH_BANK_A, FLASH_BASE, IMAGE_LAYOUT, image_header
 from toolchain.errors import NeuroflightError
 
@@ -59,36 +60,43 @@ def test_a_whole_copy_of_flash_gives_the_image_when_marks_lie_behind_it(
 
 
 # --- The other bank -----------------------------------------------------------------------------------
-def test_the_file_beside_it_gives_bank_b_when_it_is_of_the_same_build(
-    board_image: Path, board_images: list[bytes]
+def test_the_file_beside_it_gives_what_is_missing_when_it_is_of_the_same_build(
+    board_image: Path, board_images: list[bytes], board_policy: Policy
 ) -> None:
     for suffix in (".elf", ".hex", ".bin"):
-        assert image_for(read_images(board_image.with_suffix(suffix)), 1).data == board_images[1]
+        image, policy = image_for(read_images(board_image.with_suffix(suffix)), 1)
+        assert (image.data, policy) == (board_images[1], replace(board_policy, file=policy.file))
+        own, policy = image_for(read_images(board_image.with_suffix(suffix)), 0)
+        assert (own.data, policy.file) == (board_images[0], board_image.with_suffix(suffix).name)
+        assert policy.data == board_policy.data
+    b, policy = image_for(read_images(board_image.with_name("neuroflight-b.elf")), 1)
+    assert (b.data, policy.data) == (board_images[1], board_policy.data)
 
 
 def test_the_nfi_is_asked_for_when_none_lies_beside_it_or_one_of_another_build(
-    board_image: Path, board_images: list[bytes], tmp_path: Path
+    board_image: Path, board_images: list[bytes], board_policy: Policy, tmp_path: Path
 ) -> None:
     path = Path(shutil.copy(board_image.with_suffix(".bin"), tmp_path))
     file = read_images(path)
     with pytest.raises(NeuroflightError, match=r"bank A alone .* no neuroflight\.nfi lies beside it; give"):
         image_for(file, 1)
     other = [stamped(image, build=b"12345678") for image in board_images]
-    path.with_name("neuroflight.nfi").write_bytes(b"".join(other))
+    policy = policy_of_build(board_policy, b"12345678")
+    path.with_name("neuroflight.nfi").write_bytes(b"".join(other) + policy.data)
     with pytest.raises(NeuroflightError, match=r"the neuroflight\.nfi beside it is of another build; give"):
         image_for(file, 1)
 
 
 # --- No image -------------------------------------------------------------------------------------------
 def test_one_line_says_what_is_wrong_when_the_header_does_not_fit(
-    board_images: list[bytes], tmp_path: Path
+    board_images: list[bytes], board_policy: Policy, tmp_path: Path
 ) -> None:
-    a, b = board_images
+    (a, b), policy = board_images, board_policy.data
     path = tmp_path / "wrong.nfi"
     size = struct.pack("<I", len(a) + 4)
     for content, words in (
-        (stamped(a, layout=struct.pack("<H", IMAGE_LAYOUT - 1)), "its layout is 0, older than 1"),
-        (stamped(a, layout=struct.pack("<H", IMAGE_LAYOUT + 1)), "its layout is 2, newer than 1"),
+        (stamped(a, layout=struct.pack("<H", IMAGE_LAYOUT - 1)), "its layout is 1, older than 2"),
+        (stamped(a, layout=struct.pack("<H", IMAGE_LAYOUT + 1)), "its layout is 3, newer than 2"),
         (stamped(a, magic=b"NFIN"), "got no header of a Neuroflight image"),
         (stamped(a, bank=b"\x02"), "bank number 2"),
         (stamped(a, image_bytes=struct.pack("<I", 128 << 10)), "its header tells of 131072 bytes"),
@@ -96,9 +104,18 @@ def test_one_line_says_what_is_wrong_when_the_header_does_not_fit(
         (stamped(a, image_bytes=size), f"it ends after {len(a)} of an image's {len(a) + 4} bytes"),
         (stamped(a, crc=b"\1\2\3\4"), "expected 04030201 as its header says: it is damaged"),
         (a + a, "got two images for bank A, expected one"),
-        (a + for_board(b, "OTHER"), "its images are of different builds"),
-        (a + stamped(b, build=b"12345678"), "its images are of different builds"),
-        (a + b + b"\n", "got no header of a Neuroflight image"),
+        (a + for_board(b, "OTHER") + policy, "its images are of different builds"),
+        (a + stamped(b, build=b"12345678") + policy, "its images are of different builds"),
+        (a + b, "it ends behind its images, expected their policy"),
+        (a + b + b"\n", "got no policy, expected one"),
+        (a + b + policy[:-1], "got a policy that is damaged"),
+        (a + b + policy[:700] + b"\1" + policy[701:], "got a policy that is damaged"),
+        (a + b + policy[:4] + b"\4" + policy[5:], "got a policy of layout 4, expected 5"),
+        (a + b + policy_of_build(board_policy, bytes(8)).data, "got the policy of build 0000000000000000"),
+        (
+            stamped(a, weight_count=b"\1\0\0\0") + policy,
+            "got a policy that does not fit the image: its weight_count is",
+        ),
         (b"", "got 0 bytes, expected images of 1 to"),
         (bytes(10 << 20), f"got {10 << 20} bytes, expected images of 1 to {NFI_BYTES_MAX}"),
     ):

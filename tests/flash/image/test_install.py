@@ -11,32 +11,32 @@ import pytest
 
 from flash.client import Client
 from flash.image.board import check_ready, read_board
-from flash.image.files import Image, ImageFile
+from flash.image.files import Image, ImageFile, Policy
 from flash.image.install import Installation, Installed, Stage
 from flash.image.plan import make_plan
 from flash.image.settings_kept import read_settings
 from flash.image.trial import Ending
 from flash.transport import Transport
 from tests.flash.image.board_model import HANDLERS, BoardModel, Fate, ModelLine, Setting, board_with
-from tests.flash.image.conftest import stamped
-from toolchain.contract import Msp, image_header
+from tests.flash.image.conftest import policy_of_build, stamped
+from toolchain.contract import Msp, Refusal, image_header
 from toolchain.errors import LinkError, NeuroflightError
 
 OLD, NEW = b"oldbuild", b"newbuild"
 
 
 @pytest.fixture
-def board(board_images: list[bytes]) -> BoardModel:
-    return board_with(stamped(board_images[0], build=OLD))
+def board(board_images: list[bytes], board_policy: Policy) -> BoardModel:
+    return board_with(stamped(board_images[0], build=OLD), policy_of_build(board_policy, OLD).data)
 
 
 @pytest.fixture
-def file(board_images: list[bytes]) -> ImageFile:
+def file(board_images: list[bytes], board_policy: Policy) -> ImageFile:
     """A newer build than the one that the board runs."""
-    return file_of(board_images, NEW)
+    return file_of(board_images, board_policy, NEW)
 
 
-def file_of(contents: list[bytes], build: bytes, **fields: bytes) -> ImageFile:
+def file_of(contents: list[bytes], policy: Policy, build: bytes, **fields: bytes) -> ImageFile:
     """The images as those of another build."""
     images = []
     for content in contents:
@@ -44,20 +44,27 @@ def file_of(contents: list[bytes], build: bytes, **fields: bytes) -> ImageFile:
         header = image_header(data)
         assert header is not None
         images.append(Image(header, data))
-    return ImageFile(Path("new.nfi"), tuple(images))
+    return ImageFile(Path("new.nfi"), tuple(images), policy_of_build(policy, build))
 
 
 class Tried:
     """An installation, and what it told."""
 
-    def __init__(self, board: BoardModel, file: ImageFile, line: ModelLine | None = None) -> None:
+    def __init__(
+        self,
+        board: BoardModel,
+        file: ImageFile,
+        line: ModelLine | None = None,
+        *,
+        keep_policy: bool = False,
+    ) -> None:
         self.board = board
         self.line = line or ModelLine(board)
         self.steps: list[tuple[str, int, int]] = []
         client = Client(self.line, self.line.clock)
         state = read_board(client)
         check_ready(state)
-        plan = make_plan(state, file)
+        plan = make_plan(state, file, keep_policy=keep_policy)
         self.settings = read_settings(client)
         self.installation = Installation(
             client, plan, self.reopen, lambda *step: self.steps.append(step), self.line.clock, board.advance
@@ -66,8 +73,8 @@ class Tried:
     def reopen(self) -> Transport:
         return ModelLine(self.board)
 
-    def run(self, *, keep_policy: bool = False) -> Installed:
-        done = self.installation.run(self.settings, keep_policy=keep_policy)
+    def run(self) -> Installed:
+        done = self.installation.run(self.settings)
         assert done is not None
         return done
 
@@ -78,7 +85,8 @@ def test_the_new_image_runs_when_it_is_good(board: BoardModel, file: ImageFile) 
     done = tried.run()
     assert done.trial.ending is Ending.KEPT and done.restarts == 1
     assert board.running == 1 and board.banks[1].data == file.images[1].data
-    assert board.banks[1].confirmed and board.keep_policy is False
+    assert board.banks[1].confirmed
+    assert (board.flown, board.slots[1]) == (1, file.policy.blob(1) if file.policy else b"")
     assert done.kept is not None and done.kept.lines == []
     assert tried.steps[-1] == ("prove", 1, 1)
     assert [step[1] for step in tried.steps if step[0] == "write"][-1] == len(file.images[1].data)
@@ -87,16 +95,54 @@ def test_the_new_image_runs_when_it_is_good(board: BoardModel, file: ImageFile) 
 
 def test_the_hash_is_asked_for_before_the_switch(board: BoardModel, file: ImageFile) -> None:
     Tried(board, file).run()
-    order = [c for c in board.commands if c in (Msp.IMAGE_END, Msp.IMAGE_HASH, Msp.IMAGE_SWITCH, Msp.REBOOT)]
-    assert order == [Msp.IMAGE_END, Msp.IMAGE_HASH, Msp.IMAGE_SWITCH, Msp.REBOOT, Msp.IMAGE_HASH]
+    wanted = (Msp.IMAGE_END, Msp.IMAGE_HASH, Msp.POLICY_SLOT_END, Msp.IMAGE_SWITCH, Msp.REBOOT)
+    order = [c for c in board.commands if c in wanted]
+    assert order == [*wanted, Msp.IMAGE_HASH]
 
 
-def test_the_board_flashes_the_other_way_when_it_runs_bank_b(board: BoardModel, file: ImageFile) -> None:
+def test_the_board_flashes_the_other_way_when_it_runs_bank_b(
+    board: BoardModel, file: ImageFile, board_policy: Policy
+) -> None:
     Tried(board, file).run()
-    older = file_of([image.data for image in file.images], OLD)
-    done = Tried(board, older).run(keep_policy=True)
+    older = file_of([image.data for image in file.images], board_policy, OLD)
+    done = Tried(board, older).run()
     assert done.trial.ending is Ending.KEPT
-    assert board.running == 0 and board.banks[0].data == older.images[0].data and board.keep_policy is True
+    assert board.running == 0 and board.banks[0].data == older.images[0].data
+    assert (board.flown, board.number(0)) == (0, 2)
+
+
+def test_the_policy_that_is_flown_stays_when_it_is_kept(
+    board: BoardModel, file: ImageFile, board_policy: Policy
+) -> None:
+    with pytest.raises(NeuroflightError, match=r"slot A .* came with the image that runs .* leave it out"):
+        Tried(board, file, keep_policy=True)
+    board.slots[0] = policy_of_build(board_policy, bytes(8)).data
+    done = Tried(board, file, keep_policy=True).run()
+    assert done.trial.ending is Ending.KEPT and board.running == 1
+    assert board.flown == 0 and board.slots[1] == b"" and Msp.POLICY_SLOT_BEGIN not in board.commands
+
+
+def test_a_policy_of_other_code_cannot_be_kept(
+    board: BoardModel, board_images: list[bytes], board_policy: Policy
+) -> None:
+    board.slots[0] = policy_of_build(board_policy, bytes(8)).data
+    other = file_of(board_images, board_policy, NEW, architecture_hash=b"\1\2\3\4")
+    with pytest.raises(NeuroflightError, match="is of another architecture than the new image's"):
+        Tried(board, other, keep_policy=True)
+
+
+def test_the_new_image_is_not_switched_to_when_its_policy_does_not_arrive(
+    board: BoardModel, file: ImageFile
+) -> None:
+    handlers = pytest.MonkeyPatch()
+    handlers.setitem(HANDLERS, Msp.POLICY_SLOT_END, lambda _, payload: Refusal.BLOB)
+    try:
+        with pytest.raises(LinkError, match=r"was not written.*not started before its policy is there"):
+            Tried(board, file).run()
+    finally:
+        handlers.undo()
+    assert not board.banks[1].numbered and Msp.IMAGE_SWITCH not in board.commands
+    assert Tried(board, file).run().trial.ending is Ending.KEPT, "the same command goes on"
 
 
 @pytest.mark.parametrize(
@@ -279,12 +325,21 @@ def test_it_is_written_anew_when_it_arrives_damaged_though_every_frame_was_right
             {"has_images": False},
             "takes no images over MSP: it is of an older layout, expected one with two banks",
         ),
+        (
+            {"layout": None},
+            "takes images of layout 1, older than 2, which this tool writes; install Neuroflight with",
+        ),
+        ({"layout": 3}, "takes images of layout 3, newer than 2, which this tool writes; use this tool"),
     ],
 )
 def test_a_board_is_refused_when_it_is_not_ready(
-    board_images: list[bytes], file: ImageFile, facts: dict[str, object], words: str
+    board_images: list[bytes],
+    board_policy: Policy,
+    file: ImageFile,
+    facts: dict[str, object],
+    words: str,
 ) -> None:
-    board = board_with(board_images[0], **facts)
+    board = board_with(board_images[0], board_policy.data, **facts)
     with pytest.raises(LinkError) as caught:
         Tried(board, file)
     assert words in str(caught.value)
@@ -308,8 +363,10 @@ def test_usb_power_alone_is_enough(board: BoardModel, file: ImageFile) -> None:
         Tried(board, file)
 
 
-def test_an_image_of_another_board_is_refused(board: BoardModel, board_images: list[bytes]) -> None:
-    other = file_of(board_images, NEW, board=b"MAMBAF405".ljust(16, b"\0"))
+def test_an_image_of_another_board_is_refused(
+    board: BoardModel, board_images: list[bytes], board_policy: Policy
+) -> None:
+    other = file_of(board_images, board_policy, NEW, board=b"MAMBAF405".ljust(16, b"\0"))
     with pytest.raises(NeuroflightError, match=r"it is built for the board MAMBAF405, and .* is a MATEKF722"):
         Tried(board, other)
 

@@ -14,13 +14,14 @@ from flash.transport import Transport
 from sim.board.peripherals.usart import Format
 from sim.board.serial.bridge import Bridge, End, LineTransport, UartLine
 from sim.board.serial.idle_board import STEP, IdleBoard
-from toolchain.contract import FLASH_BANK_A, FLASH_BASE, FLASH_BYTES
+from toolchain.contract import FLASH_BANK_A, FLASH_BASE, FLASH_BYTES, FLASH_POLICY_SLOTS
 
 BAUD = 115_200
 # Vectors and two instructions, which wait for ever; and what stands for a bank.
 BOOT = bytes.fromhex("00000120 41000008") + bytes(56) + bytes.fromhex("30bf fde7")
 BANK = bytes(range(1, 252)) + b"in two pieces"
 SMALL = (Segment(FLASH_BASE, BOOT), Segment(FLASH_BANK_A.address, BANK))
+SLOT_B = Segment(FLASH_POLICY_SLOTS[1].address, bytes(4))  # which every installation clears
 
 
 def flash_with(segments: tuple[Segment, ...], under: bytes = b"\xff" * FLASH_BYTES) -> bytes:

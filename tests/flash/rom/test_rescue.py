@@ -16,7 +16,7 @@ from flash.rom.segments import Segment, read_segments
 from flash.transport import Transport
 from sim.board.peripherals.flash import Cut
 from sim.board.serial.idle_board import IdleBoard
-from tests.flash.rom.conftest import BANK, BOOT, SMALL, Rig, flash_with
+from tests.flash.rom.conftest import BANK, BOOT, SLOT_B, SMALL, Rig, flash_with
 from toolchain.contract import (
     FLASH_BANK_A,
     FLASH_BASE,
@@ -102,6 +102,7 @@ def test_the_rom_takes_an_image_when_msp_asked_the_firmware_for_it(board_image: 
     flash = read_flashable(board_image.with_suffix(".bin"))
     with closing(IdleBoard(flash, elf=board_image)) as idle:
         idle.boot()
+        idle.board.engine.set_memory(SLOT_B.address, SLOT_B.data)  # which a .bin leaves as it is
         with idle.client() as client:
             enter_rom(client)
         rig = Rig(idle)
@@ -139,7 +140,7 @@ def test_the_image_flies_its_loop_when_an_erased_chip_gets_it(
     assert chip.idle.board.engine.resets == ["power"]
 
 
-@pytest.mark.parametrize(("all_banks", "erased"), [(False, (0, 5)), (True, (0, 5, 6))])
+@pytest.mark.parametrize(("all_banks", "erased"), [(False, (0, 5, 7)), (True, (0, 5, 6, 7))])
 def test_other_sectors_stay_when_an_image_is_put_on_a_chip_in_use(
     rig: Callable[..., Rig], all_banks: bool, erased: tuple[int, ...]
 ) -> None:
@@ -152,7 +153,7 @@ def test_other_sectors_stay_when_an_image_is_put_on_a_chip_in_use(
         sector = FLASH_SECTORS[number]
         start_, end = sector.address - FLASH_BASE, sector.address - FLASH_BASE + sector.size
         under[start_:end] = b"\xff" * sector.size
-    assert chip.idle.flash() == flash_with(SMALL, bytes(under))
+    assert chip.idle.flash() == flash_with((*SMALL, SLOT_B), bytes(under))
 
 
 def test_the_boot_part_is_erased_first_and_written_last(rig: Callable[..., Rig]) -> None:
@@ -162,8 +163,8 @@ def test_the_boot_part_is_erased_first_and_written_last(rig: Callable[..., Rig])
     put(chip.client())
     places = [int(order[0], 16) for order in orders]  # type: ignore[call-overload]
     assert places[0] == FLASH_BASE
-    written = places[2:]
-    assert written[0] == FLASH_BANK_A.address
+    written = places[3:]
+    assert written[:5] == [*(SLOT_B.address + i for i in range(4)), FLASH_BANK_A.address]
     assert written[-len(BOOT) :] == [FLASH_BASE + i for i in range(len(BOOT))]
 
 
@@ -178,12 +179,13 @@ def test_words_are_filled_up_when_segments_begin_and_end_within_them() -> None:
         Segment(FLASH_BASE, BOOT),
         Segment(FLASH_BASE + 0x100, b"\xffabc"),
         Segment(FLASH_BASE + 0x104, b"\xffd\xffefg\xff\xff"),
+        SLOT_B,
     )
 
 
 # --- Compared ------------------------------------------------------------------------------------
 def test_difference_is_told_by_its_first_address_when_only_compared(rig: Callable[..., Rig]) -> None:
-    spoilt = bytearray(flash_with(SMALL))
+    spoilt = bytearray(flash_with((*SMALL, SLOT_B)))
     spoilt[4], spoilt[0x20010] = 0, 0
     chip = rig(bytes(spoilt))
     client = chip.client()
@@ -385,7 +387,7 @@ def test_the_line_is_told_when_the_board_is_gone_amid_writing(rig: Callable[...,
         return b"" if chip.idle.board.hardware.flash.operations > 100 else data
 
     line = failure(chip.client(lambda line: Spoilt(line, sent=gone, heard=gone)))
-    assert "sector 0, 5 erased, " in line and "none compared" in line and "silence" in line
+    assert "sector 0, 5, 7 erased, " in line and "none compared" in line and "silence" in line
     put(chip.client())
     assert chip.idle.flash()[: len(BOOT)] == BOOT
 

@@ -20,7 +20,7 @@ from flash.rom.segments import (
     read_segments,
     touched_sectors,
 )
-from toolchain.contract import FLASH_BANK_A, FLASH_BASE, FLASH_BOOT, FLASH_BYTES
+from toolchain.contract import FLASH_BANK_A, FLASH_BASE, FLASH_BOOT, FLASH_BYTES, FLASH_POLICY_SLOTS
 from toolchain.errors import LinkError
 
 END = b":00000001FF\n"
@@ -50,6 +50,9 @@ def test_three_forms_hold_the_same_parts_when_of_one_image(board_image: Path) ->
     for segment in elf:
         start = segment.address - FLASH_BASE
         flash[start : start + len(segment.data)] = segment.data
+    slot_b = FLASH_POLICY_SLOTS[1].address - FLASH_BASE
+    assert flash[slot_b : slot_b + 4] == bytes(4), "cleared, but by a .bin, which ends before it"
+    flash[slot_b : slot_b + 4] = b"\xff" * 4
     content = board_image.with_suffix(".bin").read_bytes()
     assert bytes(flash[: len(content)]) == content
     from_bin = read_segments(board_image.with_suffix(".bin"))
@@ -59,14 +62,17 @@ def test_three_forms_hold_the_same_parts_when_of_one_image(board_image: Path) ->
     assert again == flash
 
 
-@pytest.mark.parametrize("suffix", [".elf", ".hex", ".bin"])
-def test_only_boot_part_and_bank_are_touched_when_the_image_is_the_build_s(
-    board_image: Path, suffix: str
+@pytest.mark.parametrize(
+    ("suffix", "sectors"), [(".elf", (0, 4, 5, 7)), (".hex", (0, 4, 5, 7)), (".bin", (0, 4, 5))]
+)
+def test_only_boot_part_bank_and_slots_are_touched_when_the_image_is_the_build_s(
+    board_image: Path, suffix: str, sectors: tuple[int, ...]
 ) -> None:
     segments = read_segments(board_image.with_suffix(suffix))
-    assert touched_sectors(segments) == (0, 5)
+    assert touched_sectors(segments) == sectors
     assert segments[0].address == FLASH_BOOT.address
-    assert all(s.end <= FLASH_BANK_A.address + FLASH_BANK_A.size for s in segments)
+    places = (FLASH_BOOT, FLASH_BANK_A, *FLASH_POLICY_SLOTS)
+    assert all(any(p.address <= s.address and s.end <= p.address + p.size for p in places) for s in segments)
 
 
 # --- Intel HEX -----------------------------------------------------------------------------------

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from toolchain.contract import FLASH_BANK_A, FLASH_BASE
+from toolchain.contract import FLASH_BANK_A, FLASH_BASE, FLASH_POLICY_SLOTS
 from toolchain.image.dfu import Loaded, dfu_file, loaded_parts, main
 
 PARTS = (Loaded(FLASH_BASE, b"boot" * 3), Loaded(FLASH_BANK_A.address, b"bank" * 70))
@@ -30,9 +30,13 @@ def test_each_field_stands_where_the_format_has_it() -> None:
     assert int.from_bytes(file[-4:], "little") == zlib.crc32(file[:-4]) ^ 0xFFFFFFFF
 
 
-def test_the_build_s_file_holds_boot_part_and_bank_as_its_binary_does(board_image: Path) -> None:
-    parts = loaded_parts(board_image)
-    assert [part.address for part in parts] == [FLASH_BASE, FLASH_BANK_A.address]
+def test_the_build_s_file_holds_boot_part_policy_and_bank_as_its_binary_does_and_clears_slot_b(
+    board_image: Path,
+) -> None:
+    *parts, slot_b = everything = loaded_parts(board_image)
+    slots = [slot.address for slot in FLASH_POLICY_SLOTS]
+    assert [part.address for part in parts] == [FLASH_BASE, slots[0], FLASH_BANK_A.address]
+    assert slot_b == Loaded(slots[1], bytes(4))
     flash = board_image.with_suffix(".bin").read_bytes()
     for part in parts:
         start = part.address - FLASH_BASE
@@ -44,7 +48,7 @@ def test_the_build_s_file_holds_boot_part_and_bank_as_its_binary_does(board_imag
             b"\xff\xff",
             b"\xff" * 3,
         )
-    assert board_image.with_suffix(".dfu").read_bytes() == dfu_file(parts)
+    assert board_image.with_suffix(".dfu").read_bytes() == dfu_file(everything)
 
 
 def test_one_line_says_it_when_the_elf_is_none(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

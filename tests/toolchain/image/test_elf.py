@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from toolchain.contract import DTCM, FLASH_BANK_A, FLASH_BASE
+from flash.rom.segments import read_segments
+from toolchain.contract import DTCM, FLASH_BANK_A, FLASH_BASE, FLASH_POLICY_SLOTS
 from toolchain.errors import BuildError
 from toolchain.image.elf import BANK, RAM, image_budgets, memory_use, read_image
 
@@ -27,7 +28,8 @@ def test_board_image_stays_in_its_budget_when_built(board_image: Path) -> None:
     image = read_image(board_image)
     use = {part.region: part for part in memory_use(image)}
     budgets = {part.region: part for part in image_budgets(image)}
-    assert budgets["boot part"].used + budgets["bank"].used == use["flash"].used
+    parts = [budgets[name].used for name in ("boot part", "bank", "policy slot")]
+    assert sum(parts) + 4 == use["flash"].used, "and a word that empties the other slot"
     assert all(0 < part.used <= part.size for part in budgets.values())
     assert (budgets["boot part"].size, budgets["bank"].size) == (16 * 1024, 128 * 1024 - 128)
     apart = sum(section.size for section in image.sections if section.name in (".weights", ".sram_noinit"))
@@ -74,12 +76,22 @@ def test_code_of_the_policy_lies_in_fast_memory_when_built(board_image: Path) ->
     assert read_image(board_image).symbols["policy_step"] < 16 * 1024  # ITCM
 
 
-def test_loaded_bytes_lie_in_the_boot_sector_and_bank_a_when_built(board_image: Path) -> None:
+def test_loaded_bytes_lie_in_the_boot_sector_bank_a_and_the_slots_when_built(board_image: Path) -> None:
     for segment in read_image(board_image).segments:
         end = segment.address + segment.size
         boot = segment.address >= FLASH_BASE and end <= FLASH_BASE + 0x4000
-        bank = FLASH_BANK_A.address <= segment.address and end <= FLASH_BANK_A.address + FLASH_BANK_A.size
-        assert boot or bank
+        others = (FLASH_BANK_A, *FLASH_POLICY_SLOTS)
+        assert boot or any(
+            region.address <= segment.address and end <= region.address + region.size for region in others
+        )
+
+
+def test_an_image_has_no_policy_of_its_own_when_built(board_image: Path) -> None:
+    assert "policy_weights" not in read_image(board_image.with_name("neuroflight-b.elf")).symbols
+    parts = read_segments(board_image)
+    (blob,) = (part.data for part in parts if part.address == FLASH_POLICY_SLOTS[0].address)
+    for part in parts:
+        assert (blob[600:800] in part.data) == (part.address == FLASH_POLICY_SLOTS[0].address)
 
 
 def test_use_is_counted_when_flash_and_ram_are_known(tmp_path: Path) -> None:

@@ -9,14 +9,16 @@ from pathlib import Path
 
 import pytest
 
+from flash.rom.segments import read_segments
 from toolchain.contract import (
     FLASH_BANKS,
     FLASH_BASE,
+    FLASH_POLICY_SLOTS,
     IMAGE_FIELDS,
     IMAGE_HEADER_FORMAT,
     IMAGE_HEADER_OFFSET,
     IMAGE_MAGIC,
-    POLICY_BLOB_MAGIC,
+    policy_header,
 )
 from toolchain.errors import BuildError
 from toolchain.image.stamp import stamp
@@ -30,15 +32,15 @@ def header(image: bytes) -> dict[str, object]:
 @pytest.fixture(scope="module")
 def images(board_image: Path) -> tuple[bytes, bytes]:
     """Of bank A and of bank B."""
-    both = board_image.with_suffix(".nfi").read_bytes()
-    size = header(both)["image_bytes"]
+    content = board_image.with_suffix(".nfi").read_bytes()
+    size = header(content)["image_bytes"]
     assert isinstance(size, int)
-    return both[:size], both[size:]
+    return content[:size], content[size : 2 * size]
 
 
 @pytest.mark.parametrize("bank", [0, 1])
 def test_an_image_says_its_bank_board_size_and_checksum_when_built(
-    bank: int, images: tuple[bytes, bytes]
+    bank: int, images: tuple[bytes, bytes], board_image: Path
 ) -> None:
     image, region = images[bank], FLASH_BANKS[bank]
     told = header(image)
@@ -49,8 +51,38 @@ def test_an_image_says_its_bank_board_size_and_checksum_when_built(
     assert told["crc"] == zlib.crc32(image[:crc_at] + image[crc_at + 4 :])
     _, reset = struct.unpack_from("<II", image)
     assert region.address < reset < region.address + len(image)
-    policy = int(str(told["policy_address"])) - region.address
-    assert struct.unpack_from("<I", image, policy) == (POLICY_BLOB_MAGIC,)
+    asked = {name: told[name] for name in ("architecture_hash", "weight_count", "action_count")}
+    policy = policy_header(board_image.with_suffix(".nfi").read_bytes()[2 * len(image) :])
+    assert policy is not None and asked == {name: getattr(policy, name) for name in asked}
+
+
+def test_the_policy_is_bound_to_the_build_and_whole_when_it_comes_with_an_image(
+    images: tuple[bytes, bytes], board_image: Path
+) -> None:
+    blob = board_image.with_suffix(".nfi").read_bytes()[2 * len(images[0]) :]
+    policy = policy_header(blob)
+    assert policy is not None and policy.total_bytes == len(blob)
+    assert policy.build == header(images[0])["build"] and policy.sequence == 0
+    assert zlib.crc32(blob[:-4]) == int.from_bytes(blob[-4:], "little")
+    at = FLASH_POLICY_SLOTS[0].address - FLASH_BASE
+    flash = board_image.with_suffix(".bin").read_bytes()
+    assert flash[at : at + len(blob)] == blob
+    assert not flash[at + len(blob) : FLASH_BANKS[0].address - FLASH_BASE].strip(b"\xff")
+
+
+def test_the_build_is_another_when_the_policy_alone_is(board_image: Path, tmp_path: Path) -> None:
+    copy = Path(shutil.copy(board_image, tmp_path))
+    content = bytearray(copy.read_bytes())
+    at = content.find(b"NFPB\x05\0")
+    content[at + 600] ^= 1  # a weight
+    copy.write_bytes(content)
+    stamp(copy)
+    assert _build(copy) != _build(board_image)
+
+
+def _build(elf: Path) -> object:
+    (bank,) = (part.data for part in read_segments(elf) if part.address == FLASH_BANKS[0].address)
+    return header(bank)["build"]
 
 
 def test_both_banks_are_of_one_build_when_linked_from_the_same_objects(images: tuple[bytes, bytes]) -> None:

@@ -31,7 +31,7 @@ from toolchain.policy.model_constants import ModelConstants
 from toolchain.rendering.contract_header import blob_header_fields
 
 PAGE = Path(__file__).resolve().parents[3] / "docs" / "policy-blob.md"
-HEADER_BYTES = 576
+HEADER_BYTES = 584
 WEIGHTS = np.array([1.5, -0.0, 1e-45, 3.4028235e38, -2.0], np.float32)
 OBSERVATION = np.array([[0, np.nan, np.inf, -np.inf, 1e-45, -0.0], [1, 2, 3, 4, 5, 6]], np.float32)
 ACTION = np.array([[0, 1, 0.5, 1e-45], [0.25, 0.75, 1, 0]], np.float32)
@@ -57,11 +57,11 @@ BLOB = PolicyBlob(
     selftest_action=ACTION,
     selftest_steps=2,
 )
-# The first bytes of layout version 4, by hand. Changing them means another layout version.
+# The first bytes of layout version 5, by hand. Changing them means another layout version.
 NUMBERS = struct.pack(
     "<4sHHIIIIIHHIIIHHI",
     b"NFPB",
-    4,
+    5,
     HEADER_BYTES,
     HEADER_BYTES + 4 * (5 + 12 + 8) + 4,
     7,
@@ -80,7 +80,7 @@ NUMBERS = struct.pack(
 TERMS = bytes([2, 3]).ljust(32, b"\0") + bytes([0, 3]).ljust(32, b"\0") + bytes(4)
 TERMS += struct.pack("<f", 1 - np.exp(-2 * np.pi * 15 / 1000)).ljust(4 * 31, b"\0")
 NAMES = b"nf1".ljust(32, b"\0") + b"\x0f" * 32 + b"\xa1" * 32
-REST = TERMS + NAMES + struct.pack("<fII", 0.25, 0, 0) + bytes(32 + 96 + 96)
+REST = TERMS + NAMES + struct.pack("<fII", 0.25, 0, 0) + bytes(32 + 96 + 96) + bytes(8)
 # A model of four rotors; every number is exactly a float32.
 MODEL = ModelConstants(
     delay_steps=3,
@@ -124,7 +124,7 @@ def same(a: PolicyBlob, b: PolicyBlob) -> bool:
 
 
 # --- Bytes out, bytes in ----------------------------------------------------------------------
-def test_bytes_are_those_of_layout_four_when_packed() -> None:
+def test_bytes_are_those_of_layout_five_when_packed() -> None:
     data = pack(BLOB)
     floats = WEIGHTS.tobytes() + OBSERVATION.tobytes() + ACTION.tobytes()
     assert data[:52] == NUMBERS
@@ -137,7 +137,7 @@ def test_mix_and_model_stand_behind_the_idle_when_packed() -> None:
     data = pack(replace(BLOB, mix=contract.Mix.CENTRED, model=MODEL))
     rotor = struct.pack("<8f", -900, 4000, 150, 0.0625, 0.03125, 1e9, 40, 0.0625)
     rows = [struct.pack("<8f", *row, 0, 0, 0, 0) for row in (*MODEL.turn, *MODEL.reaction)]
-    assert data[344:HEADER_BYTES] == struct.pack("<II", 1, 3) + rotor + b"".join(rows)
+    assert data[344:HEADER_BYTES] == struct.pack("<II", 1, 3) + rotor + b"".join(rows) + bytes(8)
 
 
 def test_nothing_is_lost_when_packed_and_parsed() -> None:
@@ -219,7 +219,7 @@ def test_a_blob_is_refused_when_cut_or_longer() -> None:
     for length in range(len(data)):
         text = refusal(lambda length=length: parse(data[:length]))  # type: ignore[misc]
         assert f"is {length} bytes, expected" in text
-    assert "is 681 bytes, expected 680 by its header" in refusal(lambda: parse(data + b"\0"))
+    assert "is 689 bytes, expected 688 by its header" in refusal(lambda: parse(data + b"\0"))
 
 
 def test_nothing_but_a_refusal_comes_out_when_bytes_are_random() -> None:
@@ -235,16 +235,16 @@ def test_nothing_but_a_refusal_comes_out_when_bytes_are_random() -> None:
     ("name", "value", "text"),
     [
         ("magic", b"NFPX", r"begins with b'NFPX', expected b'NFPB'; is it a policy blob\?"),
-        ("layout", b"\x01\x00", "layout version 1, expected 4"),
-        ("header_bytes", b"\xe0\x00", "header_bytes is 224, expected 576"),
-        ("total_bytes", b"\xff" * 4, "total_bytes is 4294967295, expected 680 by its counts"),
-        ("weight_offset", b"\0" * 4, "weight_offset is 0, expected 576"),
-        ("weight_count", b"\xff" * 4, "selftest_offset is 596, expected 17179869756"),
-        ("weight_count", b"\x04\0\0\0", "selftest_offset is 596, expected 592"),
-        ("selftest_offset", b"\x55\2\0\0", "selftest_offset is 597, expected 596"),
-        ("selftest_count", b"\xff\xff", "total_bytes is 680, expected"),
-        ("observation_count", b"\x05\x00", "total_bytes is 680, expected"),
-        ("action_count", b"\x00\x00", "total_bytes is 680, expected"),
+        ("layout", b"\x01\x00", "layout version 1, expected 5"),
+        ("header_bytes", b"\xe0\x00", "header_bytes is 224, expected 584"),
+        ("total_bytes", b"\xff" * 4, "total_bytes is 4294967295, expected 688 by its counts"),
+        ("weight_offset", b"\0" * 4, "weight_offset is 0, expected 584"),
+        ("weight_count", b"\xff" * 4, "selftest_offset is 604, expected 17179869764"),
+        ("weight_count", b"\x04\0\0\0", "selftest_offset is 604, expected 600"),
+        ("selftest_offset", b"\x5d\2\0\0", "selftest_offset is 605, expected 604"),
+        ("selftest_count", b"\xff\xff", "total_bytes is 688, expected"),
+        ("observation_count", b"\x05\x00", "total_bytes is 688, expected"),
+        ("action_count", b"\x00\x00", "total_bytes is 688, expected"),
         ("selftest_steps", b"\0\0", "self-test steps is 0, expected 1 to 2"),
         ("selftest_steps", b"\3\0", "self-test steps is 3, expected 1 to 2"),
         ("control_rate_hz", b"\0" * 4, "control rate is 0, expected 1 to"),

@@ -14,7 +14,12 @@ __attribute__((section(".image_header"), used)) const struct nf_image_header ima
 	.magic = NF_IMAGE_MAGIC,
 	.layout = NF_IMAGE_LAYOUT,
 	.image_bytes = (uint32_t)image_bytes,
-	.policy_address = (uint32_t)&policy_blob,
 	.version = NF_VERSION,
 	.board = BOARD_TARGET,
+	.architecture_hash = POLICY_ARCHITECTURE_HASH,
+	.filters_hash = POLICY_FILTERS_HASH,
+	.control_rate_hz = POLICY_CONTROL_RATE_HZ,
+	.weight_count = POLICY_WEIGHT_COUNT,
+	.observation_count = POLICY_OBSERVATION_COUNT,
+	.action_count = POLICY_ACTION_COUNT,
 };

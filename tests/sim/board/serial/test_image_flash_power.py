@@ -8,10 +8,12 @@ from pathlib import Path
 
 import pytest
 
+from flash import requests
 from flash.image.files import Image, read_images
 from flash.image.messages import DATA_BYTES_MAX, Banks, image_ended, image_info, image_switch, image_write
 from flash.info import read_info
 from flash.msp import Decoder, Message, encode, request
+from flash.policy.slots import read_policies
 from sim.board.core.context import TIME_HZ
 from sim.board.debug.snapshot import Snapshot, restore_snapshot, take_snapshot
 from sim.board.peripherals.flash import Cut
@@ -24,6 +26,7 @@ from toolchain.contract import (
     IMAGE_PROBATION_MS,
     IMAGE_TAIL_BYTES,
     Msp,
+    bound_policy,
     image_header,
 )
 from toolchain.image.bank_state import state
@@ -49,15 +52,23 @@ class Stage:
 
 BEGIN = Stage("begin", 3)  # the old image's header, the sector, the mark that the firmware writes
 END = Stage("end")
-SWITCH = Stage("switch", 4)  # the number's words; the last makes it one
+SLOT_BEGIN = Stage("slot_begin", 1)  # the slot that is not flown
+SLOT_END = Stage("slot_end", 1)  # the policy's first word makes it one
+SWITCH = Stage("switch", 2)  # the number and its complement, which makes it one
 RESTART = Stage("restart", 26)  # the boot part counts the start, the image logs it
 CONFIRM = Stage("confirm", 1)
 BLOCK_WORDS = DATA_BYTES_MAX // 4
+SLOT_WORDS = requests.SLOT_BYTES_MAX // 4
 SAMPLED = (0, 100)  # blocks
 
 
 def block(number: int) -> Stage:
     return Stage("block", BLOCK_WORDS, number)
+
+
+def policy_block(number: int) -> Stage:
+    """The first one's first word waits for the end."""
+    return Stage("policy", SLOT_WORDS - (number == 0), number)
 
 
 def built(image: bytes, build: bytes) -> Image:
@@ -69,13 +80,17 @@ def built(image: bytes, build: bytes) -> Image:
 
 
 class Bench:
-    """An idle board that runs bank A's image and gets another one."""
+    """An idle board that runs bank A's image with the policy in slot A, and gets other ones."""
 
-    def __init__(self, idle: IdleBoard, old: Image, new: Image) -> None:
-        self.idle, self.old, self.new = idle, old, new
+    def __init__(self, idle: IdleBoard, old: Image, new: Image, policy: bytes) -> None:
+        """policy: the new image's, with the number that is due."""
+        self.idle, self.old, self.new, self.policy = idle, old, new, policy
         self.wired = Wired(idle)
         self.engine, self.flash = idle.board.engine, idle.board.hardware.flash
         self.blocks = [block(number) for number in range(-(-len(new.data) // DATA_BYTES_MAX))]
+        self.policy_blocks = [
+            policy_block(number) for number in range(-(-len(policy) // requests.SLOT_BYTES_MAX))
+        ]
 
     # --- What the tool does, frame by frame -------------------------------------------------------
     def frame(self, command: Msp, payload: bytes = b"") -> bytes | None:
@@ -102,7 +117,17 @@ class Bench:
             reply = self.frame(Msp.IMAGE_END)
             return reply is not None and image_ended(reply) == self.new.header.crc
         if stage == SWITCH:
-            return self.frame(Msp.IMAGE_SWITCH, image_switch(self.new.sha256, keep_policy=False)) is not None
+            return self.frame(Msp.IMAGE_SWITCH, image_switch(self.new.sha256)) is not None
+        if stage == SLOT_BEGIN:
+            reply = self.frame(Msp.POLICY_SLOT_BEGIN, requests.slot_begin(len(self.policy)))
+            assert reply is None or requests.slot_begun(reply) == 1
+            return reply is not None
+        if stage == SLOT_END:
+            return self.frame(Msp.POLICY_SLOT_END) is not None
+        if stage.name == "policy" and stage.block is not None:
+            at = stage.block * requests.SLOT_BYTES_MAX
+            piece = self.policy[at : at + requests.SLOT_BYTES_MAX]
+            return self.frame(Msp.POLICY_SLOT_WRITE, requests.slot_write(at, piece)) is not None
         if stage.block is not None:
             at = stage.block * DATA_BYTES_MAX
             data = self.new.data[at : at + DATA_BYTES_MAX]
@@ -121,7 +146,8 @@ class Bench:
         """What is left to do until the new image has confirmed itself."""
         banks = self.banks()
         if banks.running == A:
-            return [BEGIN, *self.blocks, END, SWITCH, RESTART, CONFIRM]
+            policy = (SLOT_BEGIN, *self.policy_blocks, SLOT_END)
+            return [BEGIN, *self.blocks, END, *policy, SWITCH, RESTART, CONFIRM]
         return [] if banks.now.confirmed else [CONFIRM]
 
     def update(self) -> dict[Stage, tuple[Snapshot, int]]:
@@ -144,13 +170,15 @@ class Bench:
         return image_info(reply)
 
     def running(self) -> Image:
-        """The whole image that runs, whose policy passed its self-test."""
+        """The whole image that runs with its own policy, which passed its self-test."""
         with self.wired.client() as client:
             info = read_info(client)
+            flown = read_policies(client).flown
         assert info.policy is not None and info.policy.good
         assert not SHOWN & set(info.arming_reasons)
         region, image = FLASH_BANKS[self.banks().running], (self.old, self.new)[self.banks().running]
         assert self.engine.memory(region.address, len(image.data)) == image.data
+        assert flown is not None and flown.build == image.header.build.hex()
         return image
 
     def cut(self, stage: Stage, operation: int, cut: Cut) -> Image:
@@ -186,19 +214,29 @@ class Kept:
 
     def ready_for(self, stage: Stage) -> Bench:
         """One of the stages that need no block sent before."""
+        policy = [SLOT_BEGIN, *self.bench.policy_blocks, SLOT_END]
+        before: dict[Stage, list[Stage]] = {
+            block(0): [BEGIN],
+            **{part: policy[:number] for number, part in enumerate(policy)},
+            SWITCH: policy,
+            RESTART: [*policy, SWITCH],
+            CONFIRM: [*policy, SWITCH, RESTART],
+        }
         bench = self.bench.at(self.before if stage in (BEGIN, block(0)) else self.arrived)
-        for earlier in {block(0): [BEGIN], RESTART: [SWITCH], CONFIRM: [SWITCH, RESTART]}.get(stage, []):
+        for earlier in before.get(stage, []):
             assert bench.carry_out(earlier)
         return bench
 
 
 @pytest.fixture(scope="module")
 def kept(board_image: Path) -> Iterator[Kept]:
-    old, other = read_images(board_image.with_suffix(".nfi")).images
+    file = read_images(board_image.with_suffix(".nfi"))
+    (old, other), policy = file.images, file.policy
+    assert policy is not None
     flash = configured(board_image.with_suffix(".bin").read_bytes(), board_image, {"msp_baud": BAUD})
     older, new = built(other.data, b"olderone"), built(other.data, b"newbuild")
     idle = IdleBoard(with_bank_b(flash, older, state(sequence=0, confirmed=True)))
-    bench = Bench(idle, old, new)
+    bench = Bench(idle, old, new, bound_policy(policy.data, b"newbuild", 1))
     idle.boot()
     before = take_snapshot(bench.engine)
     idle.board.engine.set_memory(FLASH_BASE, with_bank_b(flash, new, WRITTEN))
@@ -209,7 +247,9 @@ def kept(board_image: Path) -> Iterator[Kept]:
 
 
 # --- Once -------------------------------------------------------------------------------------------
-@pytest.mark.parametrize("stage", [BEGIN, SWITCH, RESTART, CONFIRM, block(0)], ids=str)
+@pytest.mark.parametrize(
+    "stage", [BEGIN, SLOT_BEGIN, SLOT_END, SWITCH, RESTART, CONFIRM, block(0), policy_block(0)], ids=str
+)
 def test_a_stage_takes_as_many_operations_as_are_cut(kept: Kept, stage: Stage) -> None:
     bench = kept.ready_for(stage)
     operations = bench.flash.operations
@@ -220,6 +260,9 @@ def test_a_stage_takes_as_many_operations_as_are_cut(kept: Kept, stage: Stage) -
 ONCE = [
     *((BEGIN, at) for at in range(BEGIN.operations)),
     *((block(0), at) for at in (0, 1, 60, BLOCK_WORDS - 1)),
+    (SLOT_BEGIN, 0),
+    *((policy_block(0), at) for at in (0, 1, 60, SLOT_WORDS - 2)),
+    (SLOT_END, 0),
     *((SWITCH, at) for at in range(SWITCH.operations)),
     *((RESTART, at) for at in range(RESTART.operations)),
     (CONFIRM, 0),
@@ -227,8 +270,11 @@ ONCE = [
 SAMPLE = {
     *((BEGIN, at, cut) for at, cut in ((0, Cut.BETWEEN), (1, Cut.NOISE), (2, Cut.WORDS))),
     (block(0), 60, Cut.NOISE),
-    *((SWITCH, at, cut) for at, cut in ((0, Cut.NOISE), (1, Cut.BEFORE), (2, Cut.BETWEEN))),
-    *((SWITCH, 3, cut) for cut in (Cut.AFTER, Cut.BETWEEN, Cut.NOISE)),
+    (SLOT_BEGIN, 0, Cut.NOISE),
+    (policy_block(0), 60, Cut.WORDS),
+    *((SLOT_END, 0, cut) for cut in (Cut.BETWEEN, Cut.AFTER)),
+    *((SWITCH, 0, cut) for cut in (Cut.NOISE, Cut.AFTER)),
+    *((SWITCH, 1, cut) for cut in (Cut.BEFORE, Cut.AFTER, Cut.BETWEEN, Cut.NOISE)),
     *((RESTART, at, cut) for at, cut in ((0, Cut.BETWEEN), (12, Cut.NOISE))),
     *((CONFIRM, 0, cut) for cut in (Cut.BEFORE, Cut.NOISE)),
 }
@@ -257,7 +303,7 @@ def test_a_whole_image_runs_when_power_goes(kept: Kept, stage: Stage, operation:
 
 def test_the_switch_is_done_again_when_it_was_cut_twice(kept: Kept) -> None:
     bench = kept.ready_for(SWITCH)
-    for operation in (3, 0):
+    for operation in (1, 0):
         assert bench.cut(SWITCH, operation, Cut.NOISE) is bench.old
     for stage in (SWITCH, RESTART, CONFIRM):
         assert bench.carry_out(stage)
@@ -269,7 +315,10 @@ FIRST = [
     *((BEGIN, at, cut) for at in range(BEGIN.operations) for cut in (Cut.BETWEEN, Cut.NOISE)),
     (block(0), 60, Cut.NOISE),
     *((SWITCH, at, cut) for at in range(SWITCH.operations) for cut in (Cut.BETWEEN, Cut.NOISE)),
-    (SWITCH, 3, Cut.AFTER),
+    (SWITCH, 1, Cut.AFTER),
+    (SLOT_BEGIN, 0, Cut.NOISE),
+    (policy_block(0), 60, Cut.NOISE),
+    *((SLOT_END, 0, cut) for cut in (Cut.BETWEEN, Cut.AFTER)),
     *((RESTART, 0, cut) for cut in (Cut.AFTER, Cut.NOISE)),
     (RESTART, 12, Cut.NOISE),
     *((CONFIRM, 0, cut) for cut in (Cut.BEFORE, Cut.BETWEEN, Cut.NOISE)),
@@ -277,8 +326,11 @@ FIRST = [
 SECOND = [
     *((BEGIN, at, Cut.NOISE) for at in range(BEGIN.operations)),
     *((block(number), 60, Cut.NOISE) for number in SAMPLED),
-    *((SWITCH, at, Cut.NOISE) for at in (0, 3)),
-    (SWITCH, 3, Cut.BETWEEN),
+    (SLOT_BEGIN, 0, Cut.NOISE),
+    (policy_block(0), 60, Cut.NOISE),
+    (SLOT_END, 0, Cut.NOISE),
+    *((SWITCH, at, Cut.NOISE) for at in (0, 1)),
+    (SWITCH, 1, Cut.BETWEEN),
     *((RESTART, 0, cut) for cut in (Cut.AFTER, Cut.BETWEEN)),
     *((CONFIRM, 0, cut) for cut in (Cut.BEFORE, Cut.NOISE)),
 ]

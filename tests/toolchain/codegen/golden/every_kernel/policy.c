@@ -5,7 +5,8 @@
  * Every rounding is written out: a sum starts from the bias and takes its inputs in ascending order, each by
  * one fused multiply-add. Compile with -ffp-contract=off (implied by -std=c11) and without -ffast-math. Kernels
  * for a Cortex-M7 are written for its registers; -DPOLICY_PORTABLE takes the C beside them, which gives the
- * same bits. A Cortex-M4, which no macro tells from it, needs that. */
+ * same bits. A Cortex-M4, which no macro tells from it, needs that. With -DPOLICY_TABLE_APART no code refers to
+ * policy_blob, so that a linker may leave it out or put it elsewhere: policy_init then needs its table. */
 #include "policy.h"
 
 #if defined(__ARM_ARCH_7EM__) && defined(__ARM_FEATURE_FMA) && !defined(POLICY_PORTABLE)
@@ -507,7 +508,11 @@ static void clear(float *y, unsigned count)
 
 void policy_init(struct policy *p, const float *weights)
 {
+#ifdef POLICY_TABLE_APART
+    p->weights = weights;
+#else
     p->weights = weights ? weights : policy_weights;
+#endif
     clear(p->state, POLICY_STATE_COUNT);
     clear(p->scratch, POLICY_SCRATCH_COUNT);
 }
@@ -598,31 +603,31 @@ const float policy_observation_gains[POLICY_OBSERVATION_TERM_COUNT] = {
 #define POLICY_PART(name, offset, bytes)                                            \
     __asm__(".globl " #name "\n\t.type " #name ", %object\n\t"                      \
             ".set " #name ", policy_blob + " #offset "\n\t.size " #name ", " #bytes)
-POLICY_PART(policy_weights, 576, 5552);
-POLICY_PART(policy_selftest_observation, 6128, 192);
-POLICY_PART(policy_selftest_action, 6320, 256);
-_Static_assert(offsetof(struct policy_blob, weights) == 576, "weights");
+POLICY_PART(policy_weights, 584, 5552);
+POLICY_PART(policy_selftest_observation, 6136, 192);
+POLICY_PART(policy_selftest_action, 6328, 256);
+_Static_assert(offsetof(struct policy_blob, weights) == 584, "weights");
 _Static_assert(sizeof policy_blob.weights == 5552, "weights");
-_Static_assert(offsetof(struct policy_blob, selftest_observation) == 6128, "selftest_observation");
+_Static_assert(offsetof(struct policy_blob, selftest_observation) == 6136, "selftest_observation");
 _Static_assert(sizeof policy_blob.selftest_observation == 192, "selftest_observation");
-_Static_assert(offsetof(struct policy_blob, selftest_action) == 6320, "selftest_action");
+_Static_assert(offsetof(struct policy_blob, selftest_action) == 6328, "selftest_action");
 _Static_assert(sizeof policy_blob.selftest_action == 256, "selftest_action");
 
 _Alignas(8) const struct policy_blob policy_blob = {
     .header = {
         .magic = 0x4250464Eu,
-        .layout = 4,
-        .header_bytes = 576,
-        .total_bytes = 6580,
+        .layout = 5,
+        .header_bytes = 584,
+        .total_bytes = 6588,
         .sequence = 0,
         .architecture_hash = 0xD84E5F09u,
         .filters_hash = 0x0D4CBB29u,
         .control_rate_hz = 1000,
         .observation_count = 3,
         .action_count = 4,
-        .weight_offset = 576,
+        .weight_offset = 584,
         .weight_count = 1388,
-        .selftest_offset = 6128,
+        .selftest_offset = 6136,
         .selftest_count = 16,
         .selftest_steps = 16,
         .observation_term_count = 1,
@@ -638,6 +643,7 @@ _Alignas(8) const struct policy_blob policy_blob = {
         .model_rotor = { 0x0p+0f },
         .model_turn = { 0x0p+0f },
         .model_reaction = { 0x0p+0f },
+        .build = { 0, 0, 0, 0, 0, 0, 0, 0 },
     },
     .weights = {
         0x1p+0f, 0x0p+0f, -0x1.556908p-2f, 0x1.a95dbp-8f, 0x1.ff559ap-1f, -0x1.5444eap-5f,
@@ -909,5 +915,5 @@ _Alignas(8) const struct policy_blob policy_blob = {
         { 0x1.1b929ap-2f, 0x1.10aaa8p-2f, 0x1.08033ep-2f, 0x1.023584p-2f },
         { 0x1.28e25p-2f, 0x1.196c24p-2f, 0x1.0cc5acp-2f, 0x1.03e52ep-2f },
     },
-    .crc32 = 0x730C888Du,
+    .crc32 = 0x20ED1D70u,
 };

@@ -34,7 +34,7 @@ struct policy_blob_header {
     uint16_t layout; /* version of this layout */
     uint16_t header_bytes; /* bytes: where the weights begin, a multiple of 8 */
     uint32_t total_bytes; /* bytes: of the whole blob, CRC included */
-    uint32_t sequence; /* 0: compiled in; of valid slots the newest is flown */
+    uint32_t sequence; /* 0: as built; of valid slots the newest is flown */
     uint32_t architecture_hash; /* same: weights may be exchanged */
     uint32_t filters_hash; /* CRC-32 of the gyro filters' JSON list */
     uint32_t control_rate_hz; /* Hz: of policy_step, at least 1 */
@@ -58,6 +58,7 @@ struct policy_blob_header {
     float model_rotor[8]; /* rad/s, 1: a, b, c, rise, fall, gain, loss, correction */
     float model_turn[24]; /* s/rad: roll, pitch, yaw, a value a motor */
     float model_reaction[24]; /* 1: likewise */
+    uint8_t build[8]; /* of the image that it came with; zeros: for any of its architecture */
 };
 _Static_assert(offsetof(struct policy_blob_header, magic) == 0, "magic");
 _Static_assert(offsetof(struct policy_blob_header, layout) == 4, "layout");
@@ -87,7 +88,8 @@ _Static_assert(offsetof(struct policy_blob_header, model_delay) == 348, "model_d
 _Static_assert(offsetof(struct policy_blob_header, model_rotor) == 352, "model_rotor");
 _Static_assert(offsetof(struct policy_blob_header, model_turn) == 384, "model_turn");
 _Static_assert(offsetof(struct policy_blob_header, model_reaction) == 480, "model_reaction");
-_Static_assert(sizeof(struct policy_blob_header) == 576, "policy_blob_header");
+_Static_assert(offsetof(struct policy_blob_header, build) == 576, "build");
+_Static_assert(sizeof(struct policy_blob_header) == 584, "policy_blob_header");
 
 /* The policy in the layout that a policy slot holds, CRC-32 over all before it at the end. */
 struct policy_blob {
@@ -111,7 +113,7 @@ extern const float policy_selftest_observation[POLICY_SELFTEST_COUNT][POLICY_OBS
 extern const float policy_selftest_action[POLICY_SELFTEST_COUNT][POLICY_ACTION_COUNT];
 
 /* Make `p` ready. `weights`: a table of this architecture that outlives `p`; 0 takes the
- * compiled-in one. */
+ * compiled-in one, unless policy.c was compiled with -DPOLICY_TABLE_APART. */
 void policy_init(struct policy *p, const float *weights);
 
 /* One control step: motor fractions in [0, 1] from one observation. Takes the same path whatever the values.
