@@ -12,7 +12,6 @@ import argparse
 import hashlib
 import struct
 import sys
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -97,19 +96,6 @@ def _spans(path: Path, region: Region) -> tuple[_Span, ...]:
         for address, position, size in loads
         if size and region.address <= address < region.address + region.size
     )
-
-
-def _stored_sections(elf: ELFFile) -> Iterator[tuple[int, int, int]]:
-    """Load address, position in the file and size of each section that is programmed."""
-    for segment in elf.iter_segments("PT_LOAD"):
-        for section in elf.iter_sections():
-            if (
-                section["sh_type"] != "SHT_NOBITS"
-                and section["sh_size"]
-                and segment.section_in_segment(section)
-            ):
-                behind = section["sh_offset"] - segment["p_offset"]
-                yield segment["p_paddr"] + behind, section["sh_offset"], section["sh_size"]
 
 
 def _image(file: bytes | bytearray, spans: tuple[_Span, ...]) -> bytearray:

@@ -114,7 +114,7 @@ static size_t frame_around(const uint8_t *content, size_t count, uint8_t frame[F
 	return body + 3;
 }
 
-/* After whatever came, and a gap, the next frame is read. */
+/* After whatever came, a gap, and the time for which the receiver's word that it is in failsafe counts, the next frame is read. */
 static void expect_frame(struct pair *pair)
 {
 	uint8_t content[SBUS_CONTENT] = { 0 }, frame[FRAME_MAX];
@@ -126,7 +126,7 @@ static void expect_frame(struct pair *pair)
 	for (unsigned i = 0; i < NF_CHANNEL_COUNT; ++i)
 		for (unsigned bit = 0; bit < 11; ++bit)
 			channels[(11 * i + bit) / 8] |= (uint8_t)((ROLL_COUNTS >> bit & 1u) << (11 * i + bit) % 8);
-	pass(pair, GAP);
+	pass(pair, GAP + pair->whole.flagged);
 	const unsigned long before = pair->frames;
 	feed(pair, frame, frame_around(content, sizeof content, frame));
 	PROMISE(pair->frames == before + 1);

@@ -203,7 +203,7 @@ def test_a_parameter_is_read_by_name_and_by_number(lockstep: MakeLockstep) -> No
     gateway.settle()
     assert sorted((m.param_id, number(m)) for m in gateway.station.got("PARAM_VALUE")) == [
         ("gyro_rate_hz", 4000.0),
-        ("roll_rate", 1000.0),
+        ("roll_rate", 70.0),
     ]
 
 
@@ -426,7 +426,7 @@ def test_garbage_changes_nothing(lockstep: MakeLockstep) -> None:
     assert len(gateway.station.got("HEARTBEAT")) >= 1
     gateway.station.link.mav.param_request_read_send(1, 1, b"roll_rate", -1)
     gateway.settle()
-    assert [number(m) for m in gateway.station.got("PARAM_VALUE")] == [1000.0]
+    assert [number(m) for m in gateway.station.got("PARAM_VALUE")] == [70.0]
 
 
 def test_nothing_arms_and_nothing_is_raised_whatever_good_packets_hold(lockstep: MakeLockstep) -> None:

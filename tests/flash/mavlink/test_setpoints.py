@@ -21,9 +21,11 @@ from toolchain.contract import (
     SETTINGS,
 )
 
-STICKS = sticks_of({setting.name: setting.default for setting in SETTINGS})  # 2 deg/s a microsecond
+STICKS = sticks_of({setting.name: setting.default for setting in SETTINGS})
 RATES = 0x80
-FULL = math.radians(1000)
+FULL = math.radians(670)
+# Three quarters of a stick by Betaflight's rates "actual" 70/670/0: 70 x + (670 - 70) x^2 deg/s.
+PART = math.radians(70 * 0.75 + 600 * 0.75**2)
 
 
 def target(
@@ -47,9 +49,9 @@ def told(channels: dict[int, int]) -> tuple[int, ...]:
 @pytest.mark.parametrize(
     ("message", "channels"),
     [
-        (target(roll=FULL / 2), (1750, 1500, 1500, 1000)),  # right: the channel's upper half
-        (target(pitch=FULL / 2), (1500, 1250, 1500, 1000)),  # nose up: the lower half
-        (target(yaw=FULL / 2), (1500, 1500, 1750, 1000)),  # clockwise: the upper half
+        (target(roll=PART), (1875, 1500, 1500, 1000)),  # right: the channel's upper half
+        (target(pitch=PART), (1500, 1125, 1500, 1000)),  # nose up: the lower half
+        (target(yaw=PART), (1500, 1500, 1875, 1000)),  # clockwise: the upper half
         (target(thrust=0.25), (1500, 1500, 1500, 1250)),
     ],
 )
