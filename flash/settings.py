@@ -26,7 +26,7 @@ from flash.setting_text import (
     shortest,
     value_text,
 )
-from toolchain.contract import Msp
+from toolchain.contract import SETTINGS, Msp, Setting
 from toolchain.errors import LinkError
 
 __all__ = ["Settings", "as_stored", "in_order", "parse_change"]
@@ -101,9 +101,7 @@ class Settings:
         for name in in_order(changes):
             info = self.info(name)
             if STYLE in changes and name in RATES and name in BY_NAME:
-                known = beside_style(BY_NAME[name][1], float(changes[STYLE]))
-                low, high = (as_stored(name, limit) for limit in (known.low, known.high))
-                info = SettingInfo(info.count, name, known.unit, low, high, known.default, info.kind)
+                info = _as_told(beside_style(known_setting(name), float(changes[STYLE])))
             check_value(name, changes[name], info)
 
     def check_together(self, changes: Mapping[str, Value]) -> None:
@@ -211,6 +209,21 @@ class Settings:
         info = requests.setting_info(told)
         self._known[info.name] = index, info
         return info
+
+
+def _as_told(setting: Setting) -> SettingInfo:
+    """The contract's `setting` as a firmware of this version tells it."""
+    low, high = (as_stored(setting.name, limit) for limit in (setting.low, setting.high))
+    return SettingInfo(len(SETTINGS), setting.name, setting.unit, low, high, setting.default, setting.kind)
+
+
+def check_known(changes: Mapping[str, Value]) -> None:
+    """Raise LinkError for changes of the defaults that a firmware of this version refuses."""
+    style = float(changes.get(STYLE, known_setting(STYLE).default))
+    for name, value in changes.items():
+        check_value(name, value, _as_told(beside_style(known_setting(name), style)))
+    for broken in broken_rules(changes, lambda name: default_of(beside_style(known_setting(name), style))):
+        raise LinkError(broken)
 
 
 def check_value(name: str, value: Value, info: SettingInfo) -> None:

@@ -61,10 +61,10 @@ def open_firmware(args: argparse.Namespace, aircraft: Aircraft) -> Entry:
 
 
 def _open_firmware(args: argparse.Namespace, aircraft: Aircraft, log: FlightLog | None) -> Entry:
-    from flash.settings import parse_change
+    from flash.settings import check_known, parse_change
     from sim.ports.host import HostPort
     from sim.ports.library import ReferencePort
-    from sim.ports.port import twin_settings
+    from sim.ports.port import flight_settings, twin_settings
     from toolchain.image.report import built_motors
 
     if args.on == "betaflight":
@@ -75,6 +75,7 @@ def _open_firmware(args: argparse.Namespace, aircraft: Aircraft, log: FlightLog 
         if name in settings:
             raise NeuroflightError(f"--set {name}: has an option of its own; use {option}")
     settings = {name: int(value) if value == int(value) else value for name, value in settings.items()}
+    check_known(flight_settings(settings))
     if args.on == "emulator":
         return _open_emulator(args, {**settings, **emulated_settings(args)}, log)
     product = (args.build or BUILD) / ("neuroflight" if args.on == "host" else "libneuroflight.so")
