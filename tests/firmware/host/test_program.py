@@ -75,7 +75,8 @@ def test_trace_tells_the_control_step_when_it_is_asked_for(start: Start) -> None
     magic, step, *rates, throttle, motors, flags = traces[-1][:11]
     assert (magic, step, motors, flags) == (contract.SIM_TRACE_MAGIC, steps - 1, 4, 0)
     half_count = math.radians(2000) / 32768 / 2
-    np.testing.assert_allclose(rates[:3], [math.radians(200), 0, 0], rtol=1e-6)
+    asked = 70 * 0.2 + (670 - 70) * 0.2**2  # deg/s at a fifth of the stick, by the default rates
+    np.testing.assert_allclose(rates[:3], [math.radians(asked), 0, 0], rtol=1e-6)
     np.testing.assert_allclose(rates[3:], [0.5, 0.25, -0.125], atol=1.01 * half_count)
     assert throttle == pytest.approx(0.25)
 
