@@ -210,13 +210,26 @@ def every_cut(operations: int) -> Iterator[Cut]:
     return product(range(operations), KINDS)
 
 
+def near_an_end(at: int, operations: int) -> bool:
+    """Whether it is one of the operations that make marks, or that begin."""
+    return at < 4 or at >= operations - 12
+
+
 def some_cuts(operations: int, count: int, seed: int) -> list[Cut]:
     """All around the ends, where all the marks are made, and others in between; with one kind or all."""
-    ends = [at for at in range(operations) if at < 4 or at >= operations - 12]
+    ends = [at for at in range(operations) if near_an_end(at, operations)]
     rng = np.random.default_rng(seed)
     between = rng.integers(0, operations, count)
     kinds = rng.integers(0, len(KINDS), count)
     return [*product(ends, KINDS), *((int(at), int(kind)) for at, kind in zip(between, kinds, strict=True))]
+
+
+def by_turns(operations: int, number: int) -> Iterator[Cut]:
+    """All around the ends with each kind, each operation in between with one, another for each `number`."""
+    for at in range(operations):
+        yield from product(
+            [at], KINDS if near_an_end(at, operations) else [KINDS[(at + number) % len(KINDS)]]
+        )
 
 
 def strike(story: Story, content: bytes, cut: Cut, allowed: set[State]) -> State:
@@ -298,7 +311,7 @@ def test_the_old_or_the_new_runs_when_power_goes_again_at_any_operation_of_the_r
     story: Story, record_property: Callable[[str, object], None]
 ) -> None:
     operations = length(story, story.board.chip.content)
-    tried = twice(story, every_cut(operations), lambda operations, _: every_cut(operations))
+    tried = twice(story, every_cut(operations), by_turns)
     record_property("second cuts", tried)
     print(f"{operations} operations, {tried} second cuts")
     assert tried > 0

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, closing
+from contextlib import ExitStack, closing, contextmanager
 from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -21,6 +21,7 @@ from pymavlink.dialects.v20 import common as mavlink
 from flash.client import Client
 from flash.mavlink.endpoint import UdpPeer, parse_address
 from flash.mavlink.session import Options, Session
+from flash.setting_text import RATES, STYLE
 from flash.settings import Settings
 from flash.transport import TcpPort, TcpTransport, Transport
 from sim.aircraft.model import load_aircraft
@@ -220,13 +221,27 @@ def flash_of(program: Path, settings: tuple[tuple[str, float], ...]) -> bytes:
 
 def store(program: Path, flash: Path, settings: dict[str, float]) -> None:
     """Store settings in the flash of a host program."""
+    with asked(program, flash) as kept:
+        kept.change(settings, save=True)
+
+
+def rates_of(program: Path, flash: Path) -> dict[str, float]:
+    """Read the rates that the flash of a host program holds: a port would fly those of scenarios."""
+    with asked(program, flash) as kept:
+        rates = {one.name: float(one.value) for one in kept.read(sorted(RATES))}
+        return {STYLE: int(float(kept.get(STYLE))), **rates}
+
+
+@contextmanager
+def asked(program: Path, flash: Path) -> Iterator[Settings]:
+    """Settings of a host program that runs with that flash."""
     free = [f"--{name}-port=0" for name in ("state", "receiver", "power", "msp")]
     command = [str(program), f"--settings={flash}", *free, "--with-parent"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
         ready = dict(word.split("=") for word in process.stdout.readline().split()[1:])
         with Client(TcpTransport(TcpPort(LOOPBACK, int(ready["msp"])))) as client:
-            Settings(client).change(settings, save=True)
+            yield Settings(client)
         process.terminate()
 
 
@@ -247,13 +262,18 @@ class MakeLockstep:
         self._program = flash.with_suffix(".sh")
         self._program.write_text(f'#!/bin/sh\nexec "{self._built}" "--settings={flash}" "$@"\n')
         self._program.chmod(0o755)
-        self._last = Lockstep(self._program, self._stack, options, **more)
+        self._flash = flash
+        self._last = self._start(options, **more)
         return self._last
 
     def again(self, options: Options = Options()) -> Lockstep:  # noqa: B008
         """Another start with what the last one stored."""
         self._last.port.close()  # it holds its flash until it has ended
-        return Lockstep(self._program, self._stack, options)
+        return self._start(options)
+
+    def _start(self, options: Options, *, flown: dict[str, float] | None = None, **more: Any) -> Lockstep:
+        rates = rates_of(self._built, self._flash)
+        return Lockstep(self._program, self._stack, options, flown={**rates, **(flown or {})}, **more)
 
 
 @pytest.fixture

@@ -13,7 +13,6 @@ from pymavlink.dialects.v20 import common as mavlink
 from flash.mavlink.session import Options
 from tests.flash.mavlink.conftest import FLYING, GYRO_HZ, Lockstep, MakeLockstep
 from toolchain.contract import (
-    RATE_FULL_STICK_DEG_S,
     RECEIVER_HOLD_MS,
     RECEIVER_LOST_MS,
     FlightState,
@@ -23,10 +22,14 @@ from toolchain.contract import (
 ACCEPTED, REJECTED = mavlink.MAV_RESULT_ACCEPTED, mavlink.MAV_RESULT_TEMPORARILY_REJECTED
 IN_PROGRESS = mavlink.MAV_RESULT_IN_PROGRESS
 ARM = mavlink.MAV_CMD_COMPONENT_ARM_DISARM
-STEP = math.radians(RATE_FULL_STICK_DEG_S) / 500  # rad/s of one microsecond
 SETTLED_MS = 400  # of the aircraft, to a new rate
 SENT_MS = 20  # between two frames
 STEPS = [(2.0, 0.0, 0.0), (0.0, 3.0, 0.0), (0.0, 0.0, -1.5), (-1.0, -2.0, 1.0), (0.0, 0.0, 0.0)]
+
+
+def rate_at(us: float) -> float:
+    """Default rate so many microseconds from a stick's centre [rad/s]: 70 x + (670 - 70) x^2 deg/s."""
+    return math.copysign(math.radians(70 * abs(us / 500) + 600 * (us / 500) ** 2), us)
 
 
 def armed(lockstep: MakeLockstep, options: Options = FLYING, **more: Any) -> Lockstep:
@@ -96,10 +99,10 @@ def test_a_joystick_and_channels_fly_too(lockstep: MakeLockstep) -> None:
     gateway = armed(lockstep)
     mav = gateway.station.link.mav
     gateway.run(100, lambda: mav.manual_control_send(1, 0, 100, 250, -60, 0))
-    assert gateway.reply.setpoint.tolist() == pytest.approx([50 * STEP, 0, 30 * STEP])
+    assert gateway.reply.setpoint.tolist() == pytest.approx([rate_at(50), 0, rate_at(30)])
     assert gateway.reply.throttle == pytest.approx(0.25)
     gateway.run(100, lambda: mav.rc_channels_override_send(1, 1, 1450, 1500, 1300, 1500, 1000, *[0] * 13))
-    assert gateway.reply.setpoint.tolist() == pytest.approx([-50 * STEP, 0, 0])
+    assert gateway.reply.setpoint.tolist() == pytest.approx([rate_at(-50), 0, 0])
     assert gateway.reply.armed, "the arm switch is not the companion's channel"
     gateway.run(100, lambda: mav.rc_channels_override_send(1, 1, 1500, 1500, 1300, 1500, 0, 1900, *[0] * 12))
     gateway.run(100, lambda: mav.rc_channels_override_send(1, 1, 1500, 1500, 1300, 1500, 0, 1900, *[0] * 12))
