@@ -14,7 +14,7 @@ from sim.flight.trace import Trace
 from sim.ports.host import HostPort
 from sim.ports.library import ReferencePort
 from sim.ports.python_controller import ControllerPort
-from toolchain.contract import RECEIVER_LOST_MS
+from toolchain.contract import RECEIVER_HOLD_MS, RECEIVER_LOST_MS
 from toolchain.policy.model import read_policy
 
 Flown = Callable[..., Trace]
@@ -98,7 +98,7 @@ def test_the_firmware_centres_then_stays_stopped_when_the_receiver_falls_silent_
     stopped = int(np.argmin(armed))
     centred = int(np.argmax(trace.setpoint[:, 0] == 0))
     # The last frame went out at most 10 ms before the silence began.
-    assert 300 + 90 <= centred <= 300 + 100
+    assert 300 + RECEIVER_HOLD_MS - 10 <= centred <= 300 + RECEIVER_HOLD_MS
     assert 300 + RECEIVER_LOST_MS - 10 <= stopped <= 300 + RECEIVER_LOST_MS
     assert not trace.dshot[stopped:].any()  # the switch is still on when the frames return: locked
     assert not trace.motors[stopped:].any()
