@@ -85,7 +85,7 @@ def through_c(library: Path, observation: Float32, actions: int) -> Float32:
     """The policy inside the firmware's core."""
     core = ctypes.CDLL(str(library))
     state = (ctypes.c_uint64 * 8192)()  # struct policy, whatever its network needs
-    core.policy_init(state, None)
+    core.policy_init(state, ctypes.byref(ctypes.c_float.in_dll(core, "policy_weights")))
     result = np.full((len(observation), actions), np.nan, np.float32)
     for row, out in zip(observation, result, strict=True):
         core.policy_step(state, ctypes.c_void_p(row.ctypes.data), ctypes.c_void_p(out.ctypes.data))
