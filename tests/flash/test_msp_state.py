@@ -96,7 +96,7 @@ def test_tasks_are_told_in_microseconds(msp: Run, resting_host: str) -> None:
 def test_no_fault_is_told_when_there_is_none(msp: Run, resting_host: str) -> None:
     assert msp(resting_host, "faults", "--ack") == (0, "no fault is pending; this is boot 1\n", "")
     told = json.loads(msp(resting_host, "faults", "--json")[1])
-    assert told == {"boots": 1, "fault": None, "acknowledged": False}
+    assert told == {"boots": 1, "fault": None, "acknowledged": False, "gyro": ""}  # the host has no chip
 
 
 def test_it_says_so_when_a_firmware_does_not_come_back(
@@ -135,7 +135,8 @@ API = {int(Msp.API_VERSION): b"\x00\x01\x2e"}
 
 def test_a_fault_is_told_in_words_when_one_is_pending(msp: Run, tcp_server: Serve) -> None:
     asked: list[tuple[int, bytes]] = []
-    port = tcp_server(peer(API | {Msp.FAULTS: fault(FaultKind.ASSERT, "src/control/mixer.c", 77)}, asked))
+    record = fault(FaultKind.ASSERT, "src/control/mixer.c", 77)
+    port = tcp_server(peer(API | {Msp.FAULTS: record, Msp.SAFETY: safety()}, asked))
     code, out, _ = msp(port, "faults")
     assert code == 0
     words = " ".join(out.split())
@@ -152,7 +153,8 @@ def test_a_fault_is_told_in_words_when_one_is_pending(msp: Run, tcp_server: Serv
 
 def test_the_faults_own_boot_is_acknowledged_once_when_asked_to(msp: Run, tcp_server: Serve) -> None:
     asked: list[tuple[int, bytes]] = []
-    code, out, _ = msp(tcp_server(peer(API | {Msp.FAULTS: fault(FaultKind.HARD)}, asked)), "faults", "--ack")
+    told = API | {Msp.FAULTS: fault(FaultKind.HARD), Msp.SAFETY: safety()}
+    code, out, _ = msp(tcp_server(peer(told, asked)), "faults", "--ack")
     assert code == 0
     assert out.endswith("acknowledged: the fault that boot 11 found\n")
     assert [payload for command, payload in asked if command == Msp.FAULTS] == [b"", struct.pack("<I", 11)]
