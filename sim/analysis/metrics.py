@@ -124,7 +124,7 @@ def figures(
     steps = len(trace.t)
     if episodes < 1 or steps % episodes:
         raise ValueError(f"{steps} rows do not divide into {episodes} equal episodes")
-    step_s = float(trace.t[1] - trace.t[0]) if steps > 1 else CHANGE_S
+    step_s = trace.step_s or CHANGE_S
     setpoint, rate, gyro = (
         array.reshape(episodes, -1, 3) for array in (trace.setpoint, trace.rate, trace.gyro)
     )

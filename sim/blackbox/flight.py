@@ -56,7 +56,7 @@ def cut(trace: Trace, part: Part) -> Trace:
 def part_rows(what: str, t: NDArray[np.float64], part: Part) -> slice:
     """Rows of `part` in times t (N,) [s] that begin with 0. Raises TraceError where there are none."""
     # Half a row's tolerance: 0.3 s are 300 rows at 1 kHz, whatever 0.3 is in binary.
-    half = 0.5 * float(t[1]) if len(t) > 1 else 0.0
+    half = 0.5 * float(np.median(np.diff(t))) if len(t) > 1 else 0.0
     start = int(np.searchsorted(t, part.start_s - half))
     stop = len(t) if part.stop_s is None else int(np.searchsorted(t, part.stop_s - half))
     if start >= stop:
@@ -89,9 +89,9 @@ def log_trace(log: Log, part: Part = WHOLE, told: Channels | None = None) -> Tra
             "them: log them (blackbox_disabled_mask)"
         )
     assert told.throttle is not None  # it comes with the setpoint
-    if told.tick_hz < RATE_MIN_HZ * log.stride:
+    if log.rate_hz < RATE_MIN_HZ:
         raise TraceError(
-            f"{log.path}: log {log.number} has {told.tick_hz / log.stride:.3g} rows a second, figures of a "
+            f"{log.path}: log {log.number} has {log.rate_hz:.3g} rows a second, figures of a "
             f"flight need {RATE_MIN_HZ:g}"
         )
     rows = armed_rows(log, told, part)

@@ -81,9 +81,14 @@ class Log:
 
     @cached_property
     def time_us(self) -> Integers:
-        """Time (N,) [us] of the firmware's clock, which goes on beyond 32 bits; 0 where the log has none."""
-        time = self.columns.get("time")
-        return np.zeros(len(self), np.int64) if time is None else time
+        """Time (N,) [us] of the firmware's clock, which goes on beyond 32 bits.
+
+        Where the log has none it is that of steps of `looptime`, or of 1 ms where that is not told either.
+        """
+        if (time := self.columns.get("time")) is not None:
+            return time
+        steps = self.columns.get("loopIteration", np.arange(len(self), dtype=np.int64))
+        return steps * max(1, self.headers.integer("looptime", 1000))
 
     @cached_property
     def t(self) -> Array:

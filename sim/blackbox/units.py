@@ -31,8 +31,7 @@ CENTIVOLTS_FROM = (4, 0)  # Betaflight's version since which vbatLatest is in 0.
 class Channels:
     """N rows of a flight with M motors; None: the log does not have it."""
 
-    ticks: NDArray[np.int64]  # (N,) control steps, or microseconds where the log does not count steps
-    tick_hz: float
+    clock_us: NDArray[np.int64]  # (N,) the log's own clock
     armed: NDArray[np.bool_]  # (N,)
     exact: bool  # setpoint, gyro and throttle are the bits that the controller had
     setpoint: Floats | None  # (N, 3) [rad/s]
@@ -50,8 +49,7 @@ class Channels:
 
     def time(self, start: int = 0) -> Array:
         """Time (N - start,) [s] of the rows from `start` on, 0 at that row, as a trace's t has it."""
-        seconds: Array = (self.ticks[start:] - self.ticks[start]) / self.tick_hz
-        return seconds
+        return np.asarray((self.clock_us[start:] - self.clock_us[start]) / 1e6, np.float64)
 
 
 def channels(log: Log) -> Channels:
@@ -64,7 +62,6 @@ def channels(log: Log) -> Channels:
     unfiltered = log.matrix("gyroUnfilt", 3)
     dshot, motors, digital = _motors(log)
     forces, one_g = log.matrix("accSmooth", 3), log.headers.integer("acc_1G", 0)
-    ticks, tick_hz = _clock(log)
     armed = _armed(log, dshot)
     rates: Floats | None
     wanted: Floats | None
@@ -76,8 +73,7 @@ def channels(log: Log) -> Channels:
         wanted = None if setpoint is None else np.deg2rad(setpoint[:, :3] / fine).astype(np.float32)
         throttle = None if setpoint is None else np.clip(setpoint[:, 3] / 1000.0, 0, 1).astype(np.float32)
     return Channels(
-        ticks=ticks,
-        tick_hz=tick_hz,
+        clock_us=log.time_us,
         armed=armed,
         exact=exact,
         setpoint=wanted,
@@ -121,13 +117,6 @@ def _gyro_scale(log: Log) -> float:
     if scale is None or scale <= 0:
         scale = 1.0
     return scale * 1e6 if scale < BASEFLIGHT_SCALE else float(np.deg2rad(scale))
-
-
-def _clock(log: Log) -> tuple[NDArray[np.int64], float]:
-    """The count of control steps, which no rounding to microseconds disturbs; else the clock."""
-    steps = log.columns.get("loopIteration")
-    rate = control_rate_hz(log)
-    return (log.time_us, 1e6) if steps is None or not rate else (steps, rate)
 
 
 def _armed(log: Log, dshot: NDArray[np.uint16] | None) -> NDArray[np.bool_]:

@@ -14,6 +14,7 @@ from toolchain.errors import TraceError
 from toolchain.files import replacing
 
 BYTES_MAX = 1 << 30  # of a file's arrays: about three hours at 1 kHz
+EVEN = 1e-6  # of the time from row to row: what rounding makes of even ones
 _MEMBER = ".npy"
 
 
@@ -54,6 +55,15 @@ class Trace:
     def control_rate_hz(self) -> int:
         """Control steps a second; 0 for a single step."""
         return round((len(self.t) - 1) / float(self.t[-1] - self.t[0])) if len(self.t) > 1 else 0
+
+    @property
+    def step_s(self) -> float:
+        """Time from row to row [s], the mean where a log's clock is uneven; 0 for a single row."""
+        if len(self.t) < 2:
+            return 0.0
+        first, mean = float(self.t[1] - self.t[0]), float(self.t[-1] - self.t[0]) / (len(self.t) - 1)
+        # A mean of even times may be another number by a bit, and figures with it.
+        return first if abs(first - mean) < EVEN * mean else mean
 
     def by_gyro(self) -> Trace:
         """The flight as a log tells it: no true rate, the gyro stands in its place."""

@@ -52,10 +52,11 @@ def test_rows_are_those_of_orangebox_and_every_command_takes_them(
 @pytest.mark.slow
 def test_axes_and_units_are_ours_when_the_twin_tells_what_flew(roll: tuple[Path, Trace]) -> None:
     path, trace = roll
-    told = channels(read_log(path))
+    log = read_log(path)
+    told = channels(log)
     assert told.gyro_unfiltered is not None and told.setpoint is not None and told.motors is not None
     # The log begins later than the trace: the rolls are laid over each other where they are fastest.
-    every = round(told.tick_hz / trace.control_rate_hz)
+    every = round(log.rate_hz / trace.control_rate_hz)
     gyro, rate = told.gyro_unfiltered[::every], trace.gyro
     shift = int(np.abs(rate[:, 0]).argmax()) - int(np.abs(gyro[:, 0]).argmax())
     count = min(len(gyro), len(rate) - shift)

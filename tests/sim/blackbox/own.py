@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from sim.flight.trace import Trace
@@ -39,8 +41,15 @@ COLUMNS = [
 ]
 
 
-def log_of(flown: Trace, *, exact: bool = True, divider: int = 1, **headers: object) -> bytes:
-    """The log: LEAD disarmed rows, the flight, and LEAD disarmed rows."""
+def log_of(
+    flown: Trace,
+    *,
+    exact: bool = True,
+    divider: int = 1,
+    clock: Sequence[int] | None = None,
+    **headers: object,
+) -> bytes:
+    """The log: LEAD disarmed rows, the flight, and LEAD disarmed rows. clock: of each row [us]."""
     deg = np.rad2deg(flown.setpoint), np.rad2deg(flown.gyro)
     wanted = np.column_stack((deg[0], 1000 * flown.throttle))
     bits = np.column_stack((flown.gyro, flown.setpoint, flown.throttle)).astype(np.float32).view(np.int32)
@@ -59,6 +68,7 @@ def log_of(flown: Trace, *, exact: bool = True, divider: int = 1, **headers: obj
         "P interval": f"1/{divider}",
         **headers,
     }
-    frames = flight(columns, whole, period=1_000_000 * divider // rate, divider=divider)
+    period = 1_000_000 * divider // rate
+    frames = flight(columns, whole, period=period, divider=divider, clock=clock)
     parts = (PRODUCT, header(told), fields(columns, ["flightModeFlags"]), event(0, 5_000_000), slow([1]))
     return b"".join((*parts, frames, event(15, 4), END))

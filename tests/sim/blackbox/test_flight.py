@@ -20,6 +20,7 @@ from sim.blackbox.quality import Answer, quality, replay_obstacles
 from sim.blackbox.units import channels
 from sim.flight.trace import save_trace
 from sim.identification.recording import read_recording
+from sim.recorded.files import load_commands
 from tests.sim.blackbox.own import LEAD, log_of, trace
 from tests.sim.blackbox.writer import event
 from toolchain.contract import FallbackCause, FlightState, Mix
@@ -85,6 +86,36 @@ def test_time_goes_by_control_steps_when_only_some_are_logged(tmp_path: Path) ->
     assert told.control_rate_hz == 250 and log.stride == 4 and log.lost == 0
     assert "it holds each 4th control step only (blackbox_divider)" in replay_obstacles(log)
     assert answers(log.path)["vibration"] is Answer.PARTLY
+
+
+def test_time_is_the_logs_own_clock_in_every_command_when_rows_come_unevenly(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Rows 1 ms apart, but every sixth 7 ms, across the wrap of the clock's 32 bits."""
+    apart = np.where(np.arange(STEPS + 2 * LEAD - 1) % 6 == 5, 7000, 1000)
+    clock = (1 << 32) - 2_000_000 + np.concatenate(([0], np.cumsum(apart)))
+    path = save(tmp_path, log_of(trace(STEPS), clock=(clock % (1 << 32)).tolist()))
+    seconds = (clock - clock[0]) / 1e6
+    armed = (clock[LEAD : LEAD + STEPS] - clock[LEAD]) / 1e6
+    log = read_log(path)
+    assert not log.notes and log.lost == 0
+    assert channels(log).time().tolist() == seconds.tolist() == log.t.tolist()
+    assert log_trace(log).t.tolist() == armed.tolist() == log_sticks(log).t.tolist()
+    part = log_trace(log, Part(1.0, 3.0))
+    assert part.t[-1] == pytest.approx(2.0, abs=0.008) and part.step_s == pytest.approx(0.002, rel=0.01)
+    assert as_json(capsys, "list", str(path))[0]["seconds"] == seconds[-1]
+    assert as_json(capsys, "decode", str(path))["seconds"] == seconds[-1]
+    assert as_json(capsys, "quality", str(path))["seconds"] == seconds[-1]
+    assert as_json(capsys, "commands", str(path))["seconds"] == armed[-1]
+    csv, npz = tmp_path / "log.csv", tmp_path / "log.npz"
+    assert main(["log", "decode", str(path), "--csv", str(csv), "--npz", str(npz)]) == 0
+    assert np.loadtxt(csv, delimiter=",", skiprows=1, usecols=1).tolist() == clock.tolist()
+    with np.load(npz) as arrays:
+        assert arrays["t"].tolist() == seconds.tolist()
+        assert arrays["field/time"].tolist() == clock.tolist()
+    for file, length in ((path, armed[-1]), (csv, seconds[-1])):
+        flown = load_commands(file)
+        assert flown.time[-1] - flown.time[0] == pytest.approx(length)
 
 
 def test_one_line_names_what_lacks_when_a_log_has_no_figures(tmp_path: Path) -> None:

@@ -108,16 +108,19 @@ def flight(
     period: int = 1000,
     divider: int = 1,
     start: int = 5_000_000,
+    clock: Sequence[int] | None = None,
 ) -> bytes:
     """Frames of rows from `start` [us], `period` [us] and `divider` control steps apart.
 
-    Every `interval` rows there is an I frame.
+    Every `interval` rows there is an I frame. clock: the time of each row [us] instead.
     """
+    clock = [start + number * period for number in range(len(rows))] if clock is None else clock
     out = bytearray()
     for number, values in enumerate(rows):
         if number % interval == 0:
-            out += intra(number * divider, start + number * period, values)
+            out += intra(number * divider, clock[number], values)
         else:
-            # After an I frame both frames before are that one: the line is level, and time one period late.
-            out += inter(columns, period if number % interval == 1 else 0, rows[number - 1], values)
+            # After an I frame both frames before are that one: the line is level.
+            before = clock[number - 1], clock[number - (1 if number % interval == 1 else 2)]
+            out += inter(columns, clock[number] - 2 * before[0] + before[1], rows[number - 1], values)
     return bytes(out)
