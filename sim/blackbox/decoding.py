@@ -1,25 +1,25 @@
-"""Frames of a log to rows of numbers, by orangebox's decoders and predictors.
+"""Frames of a log to rows of numbers: each field is read by its encoding, its prediction added.
 
-orangebox knows how each field is encoded and predicted. How frames are found is done here, since a file may
-be damaged: orangebox's own loop ends in exceptions, goes on with predictions from a frame that was lost, and
-never ends on some headers. Two of its habits are met here: it takes the count of the last group of fields
-in a frame, of encoding TAG8_8SVB, one too low, unless another field follows (`_Context`); and it does not
-know every event. The format has no checksum: a wrong bit inside a value shows nowhere.
+How frames are found is done so that a damaged file is read as far as it goes: frames have neither length nor
+checksum, so that one counts where the next one's letter stands behind it. A wrong bit inside a value shows
+nowhere.
+
+Numbers have 32 bits that wrap, in the firmware as here: a motor at 0 behind the prediction 138 is written as
+-138, in an unsigned encoding as 4294967158. Whether a field has a sign is told by its header line `signed`.
 """
 
 from __future__ import annotations
 
-import operator
 import re
-import struct
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.blackbox.headers import INTERVAL_MAX, Headers
+from sim.blackbox import encodings
+from sim.blackbox.encodings import FIELDS, NOTHING, TAG8_4S16, TAG8_8SVB, WORD, Reader, signed_of, unsigned
+from sim.blackbox.headers import DEFAULTS, FieldDefinition, Headers, intervals
 from toolchain.contract import LOG_FRAME_BYTES_MAX, LogEvent
 
 Progress = Callable[[float], None]  # is given what part is done, 0..1
@@ -33,12 +33,18 @@ CHUNK = 4096  # rows that become an array at a time
 CHAIN = 3  # frames one behind the other, from which on bytes are believed after damage
 TIME_JUMP_US = 10_000_000  # forward, between two frames; more is damage
 STEP_JUMP = 50_000  # control steps, likewise
-WORD = 1 << 32
 _FRAME_BYTES_MAX = 2 * LOG_FRAME_BYTES_MAX  # others write longer ones than their tools take
 _OWN_ZEROS = 16  # bytes
 _LETTERS = re.compile(rb"[EGHIPS]")
 _END = b"End of log"
-_DAMAGE = (IndexError, KeyError, ValueError, TypeError, OverflowError, struct.error, StopIteration)
+_MAIN_TIME = 10  # a predictor
+# What a field is predicted by: a constant, the frames before, motor[0] of this one, the count of steps, the
+# home's position, the time of the last main frame. The format has several that are constants.
+_CONSTANT, _PREVIOUS, _LINE, _AVERAGE, _MOTOR, _STEPS, _HOME_0, _HOME_1, _TIME = range(9)
+_KINDS = {1: _PREVIOUS, 2: _LINE, 3: _AVERAGE, 5: _MOTOR, 6: _STEPS, 7: _HOME_0, _MAIN_TIME: _TIME}
+
+Prediction = tuple[int, int, int]  # kind, constant, the least number that the field can hold
+Plan = tuple[list[tuple[str, Reader, int]], list[Prediction]]  # groups of fields, and each field
 
 
 @dataclass(frozen=True)
@@ -52,16 +58,25 @@ class Event:
 
 
 @dataclass
+class Aside:
+    """Frames of K rows that stand between main frames."""
+
+    values: Array  # (K, S)
+    row: Array  # (K,) of the main frame behind each
+
+
+@dataclass
 class Decoded:
     """What the frames of a log hold; arrays have a row each frame."""
 
     main: Array  # (N, F)
-    slow: Array  # (K, S)
-    slow_row: Array  # (K,) the row that each slow frame belongs to
+    slow: Aside
+    gps: Aside
     events: list[Event]
     frames: int = 0  # of every kind, that were read
     corrupt: int = 0  # places where a frame was expected and none could be read
     dropped: int = 0  # main frames that could not be used: what they are predicted from was lost
+    homeless: int = 0  # GPS frames, likewise
     skipped_bytes: int = 0  # that belong to no frame
     ended: bool = False  # by the event LOG_END
     notes: list[str] = field(default_factory=list)
@@ -72,41 +87,53 @@ class _DamageError(Exception):
 
 
 def decode(data: bytes, headers: Headers, progress: Progress = lambda _: None) -> Decoded:
-    """Decode the frames in `data`, what follows the header lines. Damage is told in the result, not raised.
-
-    Raises ModuleNotFoundError where orangebox is not installed.
-    """
+    """Decode the frames in `data`, what follows the header lines. The result tells damage."""
     return _Decoder(data, headers).run(progress)
+
+
+def field_bytes(data: bytes, headers: Headers) -> dict[str, int]:
+    """Bytes that each field takes in the frames of `data`, by name; those of a group are its first's."""
+    decoder = _Decoder(data, headers)
+    decoder.weights = {}
+    decoder.run(lambda _: None)
+    return decoder.weights
 
 
 class _Decoder:
     """Reads one log from its first byte to its last."""
 
     def __init__(self, data: bytes, headers: Headers) -> None:
-        from orangebox.types import Frame, FrameType
-
+        self.weights: dict[str, int] | None = None  # bytes that each field took, where that is asked for
         self._data = data
-        self._bytes: Iterator[int] = iter(data)
         self._blank = len(data.rstrip(b"\0\xff"))  # from here on it is the empty rest of a card's file
-        self._frame_type, self._frame = FrameType, Frame
-        self._context, self._definitions = _context(headers)
-        names = [definition.name for definition in headers.fields["I"]]
+        self._intra, self._logged, self._of = intervals(headers)
+        self._plans = {ord(kind): _plan(fields, headers) for kind, fields in headers.fields.items()}
+        names = [one.name for one in headers.fields["I"]]
         self._step = names.index("loopIteration") if "loopIteration" in names else None
         self._time = names.index("time") if "time" in names else None
+        self._motor = names.index("motor[0]") if "motor[0]" in names else 0
         self._names = len(names)
-        self._slow_names = len(headers.fields.get("S", ()))
+        gps = headers.fields.get("G", ())
+        self._needs_home = any(one.predictor == 7 for one in gps)
+        self._gps_time = next((at for at, one in enumerate(gps) if one.name == "time"), None)
+        self._nothing = [0] * max(self._names, *(len(plan[1]) for plan in self._plans.values()))
         self._rows: list[list[int]] = []
         self._chunks: list[Array] = []
         self._count = 0
         self._slow: list[list[int]] = []
         self._slow_rows: list[int] = []
+        self._gps: list[list[int]] = []
+        self._gps_rows: list[int] = []
+        self._home: list[int] | None = None
         self._usable = False  # whether what P frames are predicted from is there
         self._last: list[int] | None = None  # main frame
+        self._before: list[int] = self._nothing  # the last and the one before it, of the next frame
+        self._skips: dict[int, int] = {}  # steps that are not logged, by the place of the one before them
         self._rejected: list[int] | None = None  # I frame whose time or step did not follow
         self._jumped = False  # LOGGING_RESUME was told: any later time follows
-        self._result = Decoded(
-            np.empty((0, 0), np.int64), np.empty((0, 0), np.int64), np.empty(0, np.int64), []
-        )
+        none = Aside(np.empty((0, 0), np.int64), np.empty(0, np.int64))
+        self._result = Decoded(none.values, none, none, [])
+        self._widths = {kind: len(headers.fields.get(kind, ())) for kind in "SG"}
 
     def run(self, progress: Progress) -> Decoded:
         data, result = self._data, self._result
@@ -150,8 +177,8 @@ class _Decoder:
             return f"{self._count} rows of {self._names} fields are the most that is kept"
         if self._result.frames >= FRAMES_MAX:
             return f"more than {FRAMES_MAX} frames"
-        if len(self._slow) >= SLOW_MAX or len(self._result.events) >= EVENTS_MAX:
-            return "more slow frames or events than any flight has"
+        if max(len(self._slow), len(self._gps)) >= SLOW_MAX or len(self._result.events) >= EVENTS_MAX:
+            return "more slow frames, GPS frames or events than any flight has"
         return ""
 
     def _take(self, at: int) -> int:
@@ -171,9 +198,12 @@ class _Decoder:
                 self._slow.append(values)
                 self._slow_rows.append(self._count)
             elif letter == 0x48:
-                self._context.add_frame(self._frame(self._frame_type.GPS_HOME, values))
+                self._home = values
+            elif (self._home is None and self._needs_home) or (self._last and not self._usable):
+                self._result.homeless += 1
             else:
-                self._context.add_frame(self._frame(self._frame_type.GPS, values))
+                self._gps.append(values)
+                self._gps_rows.append(self._count)
         self._result.frames += 1
         return end
 
@@ -190,38 +220,64 @@ class _Decoder:
 
     def _values(self, at: int) -> tuple[list[int], int]:
         """Values of the frame at `at`, and where it ends: before a frame's letter or the end of the data."""
-        fields = self._definitions.get(self._data[at])
-        if fields is None:
+        plan = self._plans.get(self._data[at])
+        if plan is None:
             raise _DamageError
-        context, data, source = self._context, self._data, self._bytes
-        kind, definitions, count = fields
-        source.__setstate__(at + 1)  # type: ignore[attr-defined]
-        context.frame_type = kind
-        context.field_index = 0
+        data, weights, end = self._data, self.weights, at + 1
+        groups, predictions = plan
+        last = self._last if self._usable and self._last is not None else self._nothing
+        before = self._before if self._usable else self._nothing
         values: list[int] = []
-        context.current_frame = values
         try:
-            while context.field_index < count:
-                definition = definitions[context.field_index]
-                raw = definition.decoderfun(source, context)
-                if isinstance(raw, tuple):
-                    if not raw:
-                        raise _DamageError
-                    for one in raw:
-                        values.append(definitions[context.field_index].predictorfun(one, context))
-                        context.field_index += 1
-                else:
-                    values.append(definition.predictorfun(raw, context))
-                    context.field_index += 1
-        except _DAMAGE as error:
-            self._bytes = iter(data)  # one that has ended stays so
+            for name, read, count in groups:
+                start = end
+                raws, end = read(data, end, count)
+                if weights is not None:
+                    weights[name] = weights.get(name, 0) + end - start
+                for value in raws:
+                    index = len(values)
+                    kind, constant, least = predictions[index]
+                    if kind == _PREVIOUS:
+                        value += last[index]
+                    elif kind == _CONSTANT:
+                        value += constant
+                    elif kind == _AVERAGE:
+                        both = last[index] + before[index]
+                        value += both >> 1 if both >= 0 else -(-both >> 1)  # towards 0, as C divides
+                    elif kind == _LINE:
+                        value += 2 * last[index] - before[index]
+                    else:
+                        value += self._prediction(kind, values, last[index])
+                    if not 0 <= value - least < WORD:
+                        value = (value - least) % WORD + least
+                    values.append(value)
+        except (IndexError, ValueError) as error:
             raise _DamageError from error
-        end = len(data) - operator.length_hint(source)
-        if end - at > _FRAME_BYTES_MAX or len(values) != count:
-            raise _DamageError
-        if not self._ends(end):
+        if end - at > _FRAME_BYTES_MAX or len(values) != len(predictions) or not self._ends(end):
             raise _DamageError
         return values, end
+
+    def _prediction(self, kind: int, values: Sequence[int], last: int) -> int:
+        """The rarer predictions of the field behind `values`; last: its value in the main frame before."""
+        if kind == _MOTOR:
+            return values[self._motor]
+        if kind == _STEPS:
+            return last + 1 + self._skipped(last)
+        if kind == _TIME:
+            return 0 if self._last is None or self._time is None else self._last[self._time]
+        return 0 if self._home is None else self._home[kind - _HOME_0]
+
+    def _skipped(self, step: int) -> int:
+        """Steps after `step` that are not logged, until the next that is."""
+        if self._last is None or self._of == self._logged:
+            return 0
+        place = step % self._intra
+        if place not in self._skips:
+            after = place + 1
+            while (after % self._intra + self._logged - 1) % self._of >= self._logged:
+                after += 1
+            self._skips[place] = after - place - 1
+        return self._skips[place]
 
     def _ends(self, end: int) -> bool:
         """Whether a frame may end there: before another one, or where the log is cut off."""
@@ -232,20 +288,16 @@ class _Decoder:
 
     def _event(self, at: int) -> tuple[Event, int]:
         """The event at `at`, and where it ends. Raises _DamageError."""
-        source = self._bytes
-        source.__setstate__(at + 1)  # type: ignore[attr-defined]
-        data = self._data
         try:
-            kind = next(source)
-            name, values = _event_values(kind, source)
+            kind = self._data[at + 1]
             if kind == LogEvent.LOG_END:
-                if data[at + 2 : at + 2 + len(_END)] != _END:
+                end = at + 2 + len(_END)
+                if self._data[at + 2 : end] != _END:
                     raise _DamageError
-                return Event(kind, name, {}, self._count), at + 2 + len(_END)
-        except StopIteration as error:
-            self._bytes = iter(data)
+                return Event(kind, "end", {}, self._count), end
+            name, values, end = _event_values(kind, self._data, at + 2)
+        except (IndexError, ValueError) as error:
             raise _DamageError from error
-        end = len(data) - operator.length_hint(source)
         if not self._ends(end):
             raise _DamageError
         return Event(kind, name, values, self._count), end
@@ -268,12 +320,8 @@ class _Decoder:
         self._rejected = None
         self._jumped = False
         self._usable = True
+        self._before = values if intra or self._last is None else self._last
         self._last = values
-        context = self._context
-        kind = self._frame_type.INTRA if intra else self._frame_type.INTER
-        context.add_frame(self._frame(kind, values))
-        if self._step is not None:
-            context.last_iter = values[self._step]
         self._rows.append(values)
         self._count += 1
         if len(self._rows) == CHUNK:
@@ -305,26 +353,33 @@ class _Decoder:
         # Column by column, so that each of them is a view of this one array.
         result.main = (np.concatenate(self._chunks, axis=1) if self._chunks else _array([], self._names).T).T
         self._chunks = []
-        result.slow = _array(self._slow, self._slow_names)
-        result.slow_row = np.array(self._slow_rows, np.int64)
+        result.slow = Aside(_array(self._slow, self._widths["S"]), np.array(self._slow_rows, np.int64))
+        result.gps = Aside(_array(self._gps, self._widths["G"]), np.array(self._gps_rows, np.int64))
         if self._step is not None and len(result.main):
             self._drop_wrong(result.main[:, self._step])
         if self._time is not None and len(result.main):
             self._continue_time(result.main[:, self._time])
 
     def _continue_time(self, time: Array) -> None:
-        """Continue the clock's 32 bits, which begin anew every 71.6 minutes, in `time` (N,) and in events.
-
-        Inter frames run on beyond 2^32 us, since they are predicted; the next intra frame has 32 bits again.
-        """
-        time %= WORD
+        """Continue the clock's 32 bits, anew every 71.6 minutes, in `time` (N,), events and GPS frames."""
         time[1:] = time[0] + np.cumsum(np.diff(time) % WORD)
+
+        def near(row: int, told: int) -> int:
+            base = int(time[min(row, len(time) - 1)])
+            return base + (told - base + WORD // 2) % WORD - WORD // 2
+
         events = self._result.events
         for at, event in enumerate(events):
             if "time" in event.values:
-                near = int(time[min(event.row, len(time) - 1)])
-                away = (event.values["time"] - near + WORD // 2) % WORD - WORD // 2
-                events[at] = replace(event, values={**event.values, "time": near + away})
+                then = near(event.row, event.values["time"])
+                events[at] = replace(event, values={**event.values, "time": then})
+        if self._gps_time is not None:
+            gps = self._result.gps
+            then = [
+                near(*one)
+                for one in zip(gps.row.tolist(), gps.values[:, self._gps_time].tolist(), strict=True)
+            ]
+            gps.values[:, self._gps_time] = then
 
     def _drop_wrong(self, steps: Array) -> None:
         """Drop rows whose step a later row does not exceed: they were damaged, and the log went on before."""
@@ -336,124 +391,84 @@ class _Decoder:
         before = np.concatenate(([0], np.cumsum(kept)))  # rows that are kept before each
         result.dropped += int((~kept).sum())
         result.main = result.main[kept]
-        result.slow_row = before[result.slow_row]
+        for aside in (result.slow, result.gps):
+            aside.row = before[aside.row]
         result.events = [replace(event, row=int(before[event.row])) for event in result.events]
 
 
 def _array(rows: list[list[int]], width: int) -> Array:
-    """Rows as an array (N, width); numbers beyond 64 bits, which only damage has, keep their low 32."""
-    try:
-        return np.array(rows, np.int64).reshape(len(rows), width)
-    except OverflowError:
-        return np.array([[value % WORD for value in row] for row in rows], np.int64).reshape(-1, width)
+    return np.array(rows, np.int64).reshape(len(rows), width)
 
 
-def _context(headers: Headers) -> tuple[Any, dict[int, tuple[Any, list[Any], int]]]:
-    """orangebox's context, and by a frame's letter its kind, its fields and their number."""
-    from orangebox.context import Context
-    from orangebox.decoders import decoder_map
-    from orangebox.predictors import predictor_map
-    from orangebox.types import FieldDef, FrameType
-
-    version = headers.integer("Data version", 2)
-    known: dict[Any, list[Any]] = {}
-    for letter, fields in headers.fields.items():
-        kind = FrameType(letter)
-        known[kind] = []
-        for one in fields:
-            predictor = 256 if one.name == "GPS_coord[1]" and one.predictor == 7 else one.predictor
-            decoder = decoder_map[one.encoding]
-            if one.encoding == 8:  # this one has two versions, and is asked for the right one
-                decoder = decoder(max(version, 2))
-            known[kind].append(
-                FieldDef(kind, one.name, 0, one.predictor, one.encoding, decoder, predictor_map[predictor])
-            )
-    context = Context(_numbers(headers, version), known)
-    definitions = {}
-    for kind, described in known.items():
-        count = len(described)
-        definitions[ord(kind.value)] = (kind, described, count)
-        # Its group decoder asks for the encoding of the next eight fields, and takes the last group's count
-        # one too low when there is none behind it.
-        context.field_defs[kind] = described + [FieldDef(kind, None, 0, 0, -1)] * 8
-        context.field_def_counts[kind] = count + 8
-    return context, definitions
-
-
-def _numbers(headers: Headers, version: int) -> dict[str, Any]:
-    """The headers that predictors use, as numbers within limits: with others they would never end."""
-    intra = headers.integer("I interval", 1)
-    parts = re.fullmatch(r"\s*(?:([0-9]{1,6})\s*/)?\s*([0-9]{1,6})\s*", headers.values.get("P interval", "1"))
-    numerator, denominator = (int(parts[1] or 1), int(parts[2])) if parts else (1, 1)
-    if not 1 <= numerator <= denominator <= INTERVAL_MAX:
-        numerator = denominator = 1
-    output = headers.integers("motorOutput") or [0]
-    return {
-        "Data version": version,
-        "I interval": intra if 1 <= intra <= INTERVAL_MAX else 1,
-        "P interval": f"{numerator}/{denominator}",
-        "minthrottle": headers.integer("minthrottle", 0),
-        "vbatref": headers.integer("vbatref", 0),
-        "motorOutput": output,
+def _plan(fields: Sequence[FieldDefinition], headers: Headers) -> Plan:
+    """How frames of these fields are read and predicted."""
+    groups: list[tuple[str, Reader, int]] = []
+    at = 0
+    while at < len(fields):
+        one = fields[at]
+        encoding = NOTHING if one.predictor == 6 else one.encoding  # a count of steps is not in the file
+        count = min(FIELDS.get(encoding, 1), len(fields) - at)
+        if encoding == TAG8_8SVB:  # a group ends where another encoding begins; others have their number
+            alike = [other.encoding == encoding for other in fields[at : at + count]]
+            count = alike.index(False) if False in alike else count
+        read = encodings.READERS[encoding]
+        if encoding == TAG8_4S16 and headers.integer("Data version", DEFAULTS["Data version"]) < 2:
+            read = encodings.read_tag8_4s16_1
+        groups.append((one.name, read, count))
+        at += count
+    constants = {
+        4: headers.integer("minthrottle", DEFAULTS["minthrottle"]),
+        8: 1500,
+        9: headers.integer("vbatref", DEFAULTS["vbatref"]),
     }
+    # Before motorOutput was, motors were predicted by minthrottle.
+    constants[11] = (headers.integers("motorOutput") or [constants[4]])[0]
+    predictions = []
+    for index, one in enumerate(fields):
+        kind = _KINDS.get(one.predictor, _CONSTANT)
+        if kind == _HOME_0 and index and fields[index - 1].predictor == 7 and predictions[-1][0] == _HOME_0:
+            kind = _HOME_1
+        least = -(WORD // 2) if one.signed else 0
+        predictions.append((kind, constants.get(one.predictor, 0), least))
+    return groups, predictions
 
 
-def _event_values(kind: int, source: Iterator[int]) -> tuple[str, dict[str, int]]:
-    """Name and content of an event of number `kind`. Raises _DamageError for one that is not known."""
+def _event_values(kind: int, data: bytes, at: int) -> tuple[str, dict[str, int], int]:
+    """Name and content of event `kind`, and where it ends. Raises ValueError for one that is not known."""
     if kind not in _EVENTS:
-        raise _DamageError
-    name, names = _EVENTS[kind]
+        raise ValueError("no such event")
+    name, parts = _EVENTS[kind]
+    values: dict[str, int] = {}
     if kind == _ADJUSTMENT:
-        function = next(source)
-        if function & 0x80:
-            word = bytes(next(source) for _ in range(4))
-            return name, {"function": function & 0x7F, "float_bits": int.from_bytes(word, "little")}
-        value = _unsigned(source)
-        return name, {"function": function, "value": (value >> 1) ^ -(value & 1)}
-    return name, {one: _unsigned(source) for one in names}
-
-
-def _unsigned(source: Iterator[int]) -> int:
-    """An integer of up to five bytes, 7 bits each, the lowest first."""
-    result = 0
-    for shift in range(0, 35, 7):
-        byte = next(source)
-        result |= (byte & 0x7F) << shift
-        if byte < 0x80:
-            return result % WORD
-    raise _DamageError
+        function = data[at]
+        parts = (("float_bits", 4),) if function & 0x80 else (("value", _SIGNED),)
+        values["function"], at = function & 0x7F, at + 1
+    for part, size in parts:
+        if size > 0:
+            if at + size > len(data):
+                raise IndexError
+            values[part], at = int.from_bytes(data[at : at + size], "little"), at + size
+        else:
+            word, at = unsigned(data, at)
+            values[part] = signed_of(word) if size == _SIGNED else word
+    return name, values, at
 
 
 _ADJUSTMENT = 13
-_EVENTS: dict[int, tuple[str, tuple[str, ...]]] = {
-    LogEvent.SYNC_BEEP: ("arming", ("time",)),
+_VARIABLE, _SIGNED = 0, -1  # in place of a size in bytes
+_EVENTS: dict[int, tuple[str, tuple[tuple[str, int], ...]]] = {
+    LogEvent.SYNC_BEEP: ("arming", (("time", _VARIABLE),)),
+    # Cleanflight's, of before 2016; by the Explorer.
+    10: ("autotune begins", (("phase", 1), ("cycle", 1), ("p", 1), ("i", 1), ("d", 1))),
+    11: ("autotune", (("overshot", 1), ("p", 1), ("i", 1), ("d", 1))),
+    12: ("autotune targets", (("angle", 2), ("target", 1), ("peak", 1), ("first", 2), ("second", 2))),
     _ADJUSTMENT: ("adjustment", ()),
-    LogEvent.LOGGING_RESUME: ("resumed", ("step", "time")),
-    LogEvent.DISARM: ("disarming", ("reason",)),
-    LogEvent.FLIGHT_MODE: ("mode", ("new", "old")),
-    40: ("imu failure", ("code",)),  # INAV's
-    LogEvent.LOG_END: ("end", ()),
+    LogEvent.LOGGING_RESUME: ("resumed", (("step", _VARIABLE), ("time", _VARIABLE))),
+    LogEvent.DISARM: ("disarming", (("reason", _VARIABLE),)),
+    20: ("gtune", (("axis", 1), ("gyro", _SIGNED), ("p", 2))),  # likewise
+    LogEvent.FLIGHT_MODE: ("mode", (("new", _VARIABLE), ("old", _VARIABLE))),
+    40: ("imu failure", (("code", _VARIABLE),)),  # INAV's
+    50: ("governor", (("state", _VARIABLE),)),  # Rotorflight's, with those behind it
+    51: ("rescue", (("state", _VARIABLE),)),
+    52: ("airborne", (("state", _VARIABLE),)),
 }
-
-
-def field_bytes(data: bytes, headers: Headers) -> dict[str, int]:
-    """Bytes that each field takes in the frames of `data`, by name; those of a group are its first's."""
-    decoder = _Decoder(data, headers)
-    found: dict[str, int] = {}
-    for _, definitions, _ in decoder._definitions.values():
-        for one in definitions:
-            one.decoderfun = _weighed(one.name, one.decoderfun, found)
-    decoder.run(lambda _: None)
-    return found
-
-
-def _weighed(name: str, decode: Callable[..., Any], found: dict[str, int]) -> Callable[..., Any]:
-    """`decode`, which adds to `found` the bytes that it takes."""
-
-    def weigh(source: Iterator[int], context: Any) -> Any:  # noqa: ANN401 - orangebox's
-        before = operator.length_hint(source)
-        value = decode(source, context)
-        found[name] = found.get(name, 0) + before - operator.length_hint(source)
-        return value
-
-    return weigh

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from sim.blackbox.encodings import NEG_14BIT, READERS, TAG8_4S16, UNSIGNED_VB
 from toolchain.errors import TraceError
 from toolchain.files import file_size
 
@@ -21,10 +22,16 @@ LINES_MAX = 8192  # of a log's headers; our state takes some hundred
 FIELDS_MAX = 255  # of one kind of frame; the ecosystem's tools take 128
 DAMAGE_BYTES_MAX = 1024  # between two header lines, that is taken for a damaged one
 INTERVAL_MAX = 1 << 16  # of the headers I interval and P interval
-ENCODINGS = frozenset((0, 1, 3, 6, 7, 8, 9))  # that Betaflight writes and orangebox reads
 PREDICTORS = frozenset(range(12))
+MINTHROTTLE, MOTOR_0, STEP, HOME, VBATREF, MINMOTOR = 4, 5, 6, 7, 9, 11  # some of them
 TEXT_MAX = 100  # characters of a header's value in a message
 KINDS = "IPSGH"  # of frames that headers describe
+OUTPUT_FROM, FINE_FROM = (
+    (3, 1),
+    (4, 4),
+)  # Betaflight's versions since which motorOutput, blackbox_high_resolution
+# What is taken where the line is lost, as blackbox_decode takes it.
+DEFAULTS = {"Data version": 2, "I interval": 32, "minthrottle": 1150, "vbatref": 4095}
 
 _BEGIN = re.compile(rb"H (Product:Blackbox flight data recorder|Field I name:)")
 _LINE = re.compile(rb"\nH [A-Za-z][A-Za-z0-9_ .\[\]/-]{0,63}:")
@@ -49,6 +56,7 @@ class FieldDefinition:
     name: str
     predictor: int
     encoding: int
+    signed: bool
 
 
 @dataclass(frozen=True)
@@ -63,6 +71,14 @@ class Headers:
         """The number in header `name`, or `default` where there is none."""
         found = _integer(self.values.get(name, ""))
         return default if found is None else found
+
+    def lost(self) -> dict[str, str]:
+        """Header lines that the meaning of the fields depends on and that are not there: what follows of it.
+
+        They are those that predictors and encodings of the fields name, and of a known firmware those that it
+        always writes.
+        """
+        return _lost(self)
 
     def integers(self, name: str) -> list[int]:
         """The numbers in header `name`, separated by commas; none where one is no number."""
@@ -160,7 +176,7 @@ def _definitions(kind: str, named: Sequence[str], values: dict[str, str]) -> tup
     if not 1 <= len(named) <= FIELDS_MAX:
         raise ValueError(f"{len(named)} fields, expected 1 to {FIELDS_MAX}")
     columns = []
-    for what, known in (("predictor", PREDICTORS), ("encoding", ENCODINGS)):
+    for what, known in (("predictor", PREDICTORS), ("encoding", READERS.keys())):
         name = f"Field {kind} {what}"
         numbers = [_integer(text) for text in values.get(name, "").split(",")]
         if len(numbers) != len(named):
@@ -173,7 +189,76 @@ def _definitions(kind: str, named: Sequence[str], values: dict[str, str]) -> tup
     for number, told in enumerate(named):
         name = _ODD.sub("?", told)
         names.append(name if name and name not in names else f"{name or 'field'}#{number}")
-    return tuple(FieldDefinition(*row) for row in zip(names, *columns, strict=True))
+    if MOTOR_0 in columns[0] and "motor[0]" not in names[: columns[0].index(MOTOR_0)]:
+        raise ValueError("a field is predicted by motor[0], which is not before it")
+    signs = _signs(kind, values, len(named))
+    if signs is None:  # the encoding says it as well, but for motors that stand behind their prediction
+        signs = [encoding not in (UNSIGNED_VB, NEG_14BIT) for encoding in columns[1]]
+    return tuple(FieldDefinition(*row) for row in zip(names, *columns, signs, strict=True))
+
+
+def _signs(kind: str, values: dict[str, str], count: int) -> list[bool] | None:
+    """Whether each field has a sign, in P frames as in I frames; None where that line is lost."""
+    numbers = [
+        _integer(text) for text in values.get(f"Field {'I' if kind == 'P' else kind} signed", "").split(",")
+    ]
+    return None if len(numbers) != count or None in numbers else [number != 0 for number in numbers]
+
+
+def intervals(headers: Headers) -> tuple[int, int, int]:
+    """Every how many steps there is an I frame, and of how many steps how many are logged: I, P and Q of P/Q.
+
+    They are within limits that let every search for the next step end.
+    """
+    intra = headers.integer("I interval", DEFAULTS["I interval"])
+    parts = re.fullmatch(r"\s*(?:([0-9]{1,6})\s*/)?\s*([0-9]{1,6})\s*", headers.values.get("P interval", "1"))
+    logged, of = (int(parts[1] or 1), int(parts[2])) if parts else (1, 1)
+    if not 1 <= logged <= of <= INTERVAL_MAX:
+        logged = of = 1
+    return intra if 1 <= intra <= INTERVAL_MAX else 1, logged, of
+
+
+def _lost(headers: Headers) -> dict[str, str]:
+    """See Headers.lost."""
+    told, fields = headers.values, headers.fields
+    predictors = {one.predictor for kind in fields.values() for one in kind}
+    names = {one.name for kind in fields.values() for one in kind}
+    found: dict[str, str] = {}
+
+    def need(line: str, needed: object, follows: str) -> None:
+        if needed and line not in told:
+            found.setdefault(line, follows)
+
+    for kind, described in fields.items():
+        if kind != "P" and _signs(kind, told, len(described)) is None:
+            found[f"Field {kind} signed"] = "numbers have the sign of their encoding"
+    steps = any(one.predictor == STEP for one in fields.get("P", ()))
+    need("P interval", steps, "steps are counted as if each were logged")
+    need("I interval", steps and intervals(headers)[2] > 1, "32 is taken, and steps may be counted wrong")
+    packed = any(one.encoding == TAG8_4S16 for kind in fields.values() for one in kind)
+    need("Data version", packed, "2 is taken")
+    for line, predictor in (("minthrottle", MINTHROTTLE), ("vbatref", VBATREF), ("motorOutput", MINMOTOR)):
+        mine = ", ".join(one.name for kind in fields.values() for one in kind if one.predictor == predictor)
+        need(line, predictor in predictors, f"{mine} may be wrong by a constant")
+    if HOME in predictors and "H" not in fields:
+        found["Field H name"] = "positions are told without the home that they are relative to"
+    firmware = told.get("Firmware revision", "").split()
+    if not firmware and "Firmware type" not in told:
+        return found  # another program's, of which nothing is known
+    need("Firmware revision", True, "whose log it is is not known")
+    if "gyro.scale" not in told:
+        need("gyro_scale", {"gyroADC[0]", "gyroData[0]"} & names, "a count of the gyro is taken as 1 deg/s")
+    need("acc_1G", "accSmooth[0]" in names, "what a count of accSmooth is is not known")
+    if firmware[:1] == ["Betaflight"] and len(firmware) > 1:
+        version = tuple(int(part) for part in re.findall(r"[0-9]{1,6}", firmware[1])[:2])
+        need(
+            "motorOutput",
+            version >= OUTPUT_FROM and "motor[0]" in names,
+            "what motor values mean is not known",
+        )
+        fine = version >= FINE_FROM and {"gyroADC[0]", "setpoint[0]", "rcCommand[0]"} & names
+        need("blackbox_high_resolution", fine, "numbers are taken as whole deg/s, they may be tenths")
+    return found
 
 
 def _integer(text: str) -> int | None:

@@ -6,11 +6,10 @@ that the format has; sim.blackbox.units gives them units.
 
 from __future__ import annotations
 
-import importlib.util
 import math
 import struct
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 from functools import cached_property
 from pathlib import Path
@@ -19,14 +18,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.blackbox.decoding import Event, Progress, decode
+from sim.blackbox.encodings import WORD
 from sim.blackbox.headers import LOGS_MAX, Extent, Headers, find_logs, read_bytes, read_headers
-from toolchain.errors import NeuroflightError, TraceError
+from toolchain.errors import TraceError
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
-INSTALL = "reading logs needs orangebox, which is not installed; run: pip install 'neuroflight[logs]'"
-WORD = 1 << 32
 GLANCE_BYTES = 1 << 16  # some I frames at least
 BLOCK_BYTES = 512  # of a card
 
@@ -60,6 +58,7 @@ class Log:
     columns: dict[str, Integers]  # by the field's name, each (N,)
     slow: dict[str, Integers]  # of slow frames, each (K,)
     slow_row: Integers  # (K,) the row from which each slow frame holds; N: it came after the last
+    gps: dict[str, Integers]  # of GPS frames, each (G,), with a `time` [us] of its own where the log has one
     events: tuple[Event, ...]
     frames: Frames
     ended: bool  # by its own end, not by the file's
@@ -211,19 +210,24 @@ def list_logs(path: Path, data: bytes | None = None) -> list[Listed]:
 
 def glance(data: bytes, one: Listed) -> float | None:
     """Length of a log [s] by the first and the last frames that can be read; None where there are none."""
-    if "I" not in one.headers.fields or importlib.util.find_spec("orangebox") is None:
-        return None
-    names = [field.name for field in one.headers.fields["I"]]
+    names = [field.name for field in one.headers.fields.get("I", ())]
     if "time" not in names:
         return None
     body = data[one.extent.body : one.extent.end]
-    times = [
-        decode(part, one.headers).main[:, names.index("time")]
-        for part in (body[:GLANCE_BYTES], body[-GLANCE_BYTES:])
-    ]
-    if not len(times[0]) or not len(times[1]):
+    if len(body) <= 2 * GLANCE_BYTES:
+        time = decode(body, one.headers).main[:, names.index("time")]
+        return float(time[-1] - time[0]) / 1e6 if len(time) else None
+    first, last = (decode(part, one.headers).main for part in (body[:GLANCE_BYTES], body[-GLANCE_BYTES:]))
+    if not len(first) or not len(last):
         return None
-    return float((times[1][-1] - times[0][0]) % WORD) / 1e6
+    clock = names.index("time")
+    passed = int(last[-1, clock] - first[0, clock]) % WORD
+    if "loopIteration" in names and len(first) > 1:  # by steps, how often the clock's 32 bits began anew
+        step = names.index("loopIteration")
+        one_us = (first[-1, clock] - first[0, clock]) / max(1, first[-1, step] - first[0, step])
+        expected = (last[-1, step] - first[0, step]) * one_us
+        passed += max(0, round((expected - passed) / WORD)) * WORD
+    return passed / 1e6
 
 
 def is_blank(path: Path) -> bool:
@@ -232,10 +236,8 @@ def is_blank(path: Path) -> bool:
         return not file.read(BLOCK_BYTES).strip(b"\0\xff")
 
 
-def choose(path: Path, listed: Sequence[Listed], number: int | None) -> Listed:
-    """The log `number`, from 1; None: the only one that has frames, or the last. Raises TraceError."""
-    if number is None:
-        return next((one for one in reversed(listed) if one.extent.end > one.extent.body), listed[-1])
+def choose(path: Path, listed: Sequence[Listed], number: int) -> Listed:
+    """The log `number`, from 1. Raises TraceError."""
     if not 1 <= number <= len(listed):
         beyond = " (the most that is looked for)" if len(listed) == LOGS_MAX else ""
         raise TraceError(
@@ -245,21 +247,33 @@ def choose(path: Path, listed: Sequence[Listed], number: int | None) -> Listed:
 
 
 def read_log(path: Path, number: int | None = None, progress: Progress = lambda _: None) -> Log:
-    """Decode a log of the file `path`: log `number`, from 1; None: the last that has frames.
+    """Decode a log of the file `path`: log `number`, from 1; None: the last with frames that can be read.
 
-    Only the bytes of that log are decoded. Damage is told in the log's notes and counts. Raises TraceError
-    where there is no log or nothing of it can be read, NeuroflightError where orangebox is not installed.
+    Only the bytes of that log, and of those behind it that have no such frame, are decoded. Damage is told in
+    the log's notes and counts. Raises TraceError where there is no log or nothing of it can be read.
     """
-    if importlib.util.find_spec("orangebox") is None:
-        raise NeuroflightError(INSTALL)
     data = read_bytes(path)
     listed = list_logs(path, data)
-    one = choose(path, listed, number)
-    log = decode_log(path, data, one, progress)
-    if not len(log):
+    reason: TraceError | None = None
+    hidden = 0  # logs behind the one that is read whose bytes are no frames
+    for one in reversed(listed) if number is None else [choose(path, listed, number)]:
+        try:
+            log = decode_log(path, data, one, progress)
+        except TraceError as error:
+            reason = reason or error
+            hidden += 1
+            continue
+        if len(log):
+            if hidden:
+                told = f"{hidden} log{'s' * (hidden > 1)} behind this one cannot be read"
+                log = replace(log, notes=(*log.notes, told))
+            return log
         why = "; ".join(log.notes) or "it ends before its first frame"
-        raise TraceError(f"{path}: log {one.number} of {len(listed)} has no frame that can be read ({why})")
-    return log
+        told = f"log {one.number} of {len(listed)} has no frame that can be read ({why})"
+        reason = reason or TraceError(f"{path}: {told}")
+        hidden += log.frames.corrupt > 0
+    assert reason is not None  # a file of logs has one
+    raise reason
 
 
 def decode_log(path: Path, data: bytes, one: Listed, progress: Progress = lambda _: None) -> Log:
@@ -271,9 +285,8 @@ def decode_log(path: Path, data: bytes, one: Listed, progress: Progress = lambda
             f"{'; '.join(headers.notes) or 'no line H Field I name'}); nothing of it can be read"
         )
     found = decode(data[one.extent.body : one.extent.end], headers, progress)
-    names = [field.name for field in headers.fields["I"]]
-    slow_names = [field.name for field in headers.fields.get("S", ())]
-    notes = [*headers.notes, *found.notes]
+    lost = "; ".join(f"{name}: {follows}" for name, follows in headers.lost().items())
+    notes = [*headers.notes, *([f"header lines are lost: {lost}"] if lost else []), *found.notes]
     if found.corrupt:
         notes.append(
             f"damaged at {found.corrupt} place{'s' * (found.corrupt > 1)}: {found.skipped_bytes} bytes and "
@@ -288,11 +301,16 @@ def decode_log(path: Path, data: bytes, one: Listed, progress: Progress = lambda
         number=one.number,
         size=one.size,
         headers=headers,
-        columns={name: found.main[:, at] for at, name in enumerate(names)},
-        slow={name: found.slow[:, at] for at, name in enumerate(slow_names)},
-        slow_row=found.slow_row,
+        columns=_columns(headers, "I", found.main),
+        slow=_columns(headers, "S", found.slow.values),
+        slow_row=found.slow.row,
+        gps=_columns(headers, "G", found.gps.values),
         events=tuple(found.events),
         frames=Frames(found.frames, found.corrupt, found.dropped, found.skipped_bytes),
         ended=found.ended,
         notes=tuple(notes),
     )
+
+
+def _columns(headers: Headers, kind: str, values: Integers) -> dict[str, Integers]:
+    return {field.name: values[:, at] for at, field in enumerate(headers.fields.get(kind, ()))}

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import importlib.util
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from cli.main import main
 from sim.blackbox.log import Maker, floats, list_logs, read_log
 from tests.sim.blackbox.writer import (
     END,
@@ -125,20 +123,3 @@ def test_blank_rest_of_a_cards_file_is_no_damage(tmp_path: Path) -> None:
     path = save(tmp_path, PRODUCT, NUMBERS, fields(COLUMNS), flight(COLUMNS, ROWS), bytes(1 << 20))
     log = read_log(path)
     assert len(log) == 200 and log.notes == ("no end of the log: the power was cut, or the file",)
-
-
-def test_one_line_says_how_to_install_when_orangebox_is_missing(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    path = save(tmp_path, PRODUCT, NUMBERS, fields(COLUMNS), flight(COLUMNS, ROWS), END)
-    found = importlib.util.find_spec
-    monkeypatch.setattr(
-        importlib.util, "find_spec", lambda name: None if name == "orangebox" else found(name)
-    )
-    assert main(["log", "quality", str(path)]) == 1
-    assert capsys.readouterr().err == (
-        "neuroflight: reading logs needs orangebox, which is not installed; run: pip install "
-        "'neuroflight[logs]'\n"
-    )
-    assert main(["log", "list", str(path)]) == 0  # headers need no decoder
-    assert "LOG00001.BFL" in capsys.readouterr().out

@@ -19,6 +19,7 @@ BETAFLIGHT: dict[str, object] = {
     "P interval": "1/1",
     "looptime": 250,
     "motorOutput": "48,2047",
+    "blackbox_high_resolution": 0,
 }
 SETPOINTS = [Column(f"setpoint[{axis}]") for axis in range(4)]
 STICKS = [Column(f"rcCommand[{axis}]") for axis in range(4)]
