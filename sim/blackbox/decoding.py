@@ -375,11 +375,8 @@ class _Decoder:
                 events[at] = replace(event, values={**event.values, "time": then})
         if self._gps_time is not None:
             gps = self._result.gps
-            then = [
-                near(*one)
-                for one in zip(gps.row.tolist(), gps.values[:, self._gps_time].tolist(), strict=True)
-            ]
-            gps.values[:, self._gps_time] = then
+            for index, row in enumerate(gps.row.tolist()):
+                gps.values[index, self._gps_time] = near(row, int(gps.values[index, self._gps_time]))
 
     def _drop_wrong(self, steps: Array) -> None:
         """Drop rows whose step a later row does not exceed: they were damaged, and the log went on before."""
@@ -423,7 +420,7 @@ def _plan(fields: Sequence[FieldDefinition], headers: Headers) -> Plan:
     }
     # Before motorOutput was, motors were predicted by minthrottle.
     constants[11] = (headers.integers("motorOutput") or [constants[4]])[0]
-    predictions = []
+    predictions: list[Prediction] = []
     for index, one in enumerate(fields):
         kind = _KINDS.get(one.predictor, _CONSTANT)
         if kind == _HOME_0 and index and fields[index - 1].predictor == 7 and predictions[-1][0] == _HOME_0:
