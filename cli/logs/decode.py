@@ -14,7 +14,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     add_file_arguments(parser)
     parser.add_argument(
-        "--csv", type=Path, metavar="FILE.csv", help="a row each frame, as the format's tools write it"
+        "--csv",
+        type=Path,
+        metavar="FILE.csv",
+        help="a row each frame, as the format's tools write it; of GPS frames FILE.gps.csv",
     )
     parser.add_argument(
         "--npz", type=Path, metavar="FILE.npz", help="columns, and what they are in rad/s, s, V"
@@ -24,19 +27,25 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Decode, write, tell what there is."""
     from cli.output import check_output
-    from sim.blackbox.export import save_csv, save_npz
+    from sim.blackbox.export import save_csv, save_gps_csv, save_npz
 
     check_output(args.csv, ".csv")
     check_output(args.npz, ".npz")
     log = open_log(args)
     if args.csv:
         save_csv(args.csv, log)
+        if log.positions:
+            save_gps_csv(args.csv.with_suffix(".gps.csv"), log)
     if args.npz:
         save_npz(args.npz, log)
     tell_damage(log)
     fields = {
         name: {"least": int(column.min()), "largest": int(column.max()), "mean": float(column.mean())}
-        for name, column in {**log.columns, **log.slow}.items()
+        for name, column in {
+            **log.columns,
+            **log.slow,
+            **{f"gps/{name}": column for name, column in log.gps.items()},
+        }.items()
         if len(column)
     }
     if args.json:
@@ -45,6 +54,7 @@ def run(args: argparse.Namespace) -> int:
             "log": log.number,
             "firmware": log.maker.value,
             "rows": len(log),
+            "gps_rows": log.positions,
             "seconds": log.seconds,
             "rate_hz": log.rate_hz,
             "lost_rows": log.lost,
@@ -58,5 +68,7 @@ def run(args: argparse.Namespace) -> int:
     rows = [("field", "least", "largest", "mean")]
     rows += [(n, str(f["least"]), str(f["largest"]), f"{f['mean']:.1f}") for n, f in fields.items()]
     note = f"{len(log)} rows, {log.seconds:.3f} s, {log.rate_hz:,.0f} rows a second, {log.lost} lost"
+    if log.positions:
+        note += f", {log.positions} GPS rows" + (f" in {args.csv.stem}.gps.csv" if args.csv else "")
     print_table(f"{args.file.name}: log {log.number}, {log.maker.value}", rows, note)
     return 0

@@ -72,8 +72,9 @@ def _file(path: Path) -> Iterator[Row]:
         headers = one.headers.values
         craft = headers.get("Craft name", "") or headers.get("nf_aircraft", "")
         notes = list(one.headers.notes)
-        if one.extent.body >= one.extent.end:
-            notes.append("no frames")
+        seconds = glance(data, one)
+        if seconds is None:
+            notes.append("no frames that can be read")
         said = headers.get("Firmware revision", "") or headers.get("Firmware type", "")
         version = headers.get("nf_version", "")
         firmware = f"{maker(one.headers).value} {version}" if version else said
@@ -81,7 +82,7 @@ def _file(path: Path) -> Iterator[Row]:
             path.name,
             one.number,
             one.size,
-            glance(data, one),
+            seconds,
             firmware[:SHOWN],
             craft[:SHOWN],
             "; ".join(notes),

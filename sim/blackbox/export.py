@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sim.blackbox.log import Log
+from sim.blackbox.log import Integers, Log
 from sim.blackbox.units import channels
 from toolchain.files import replacing
 
@@ -19,10 +19,23 @@ def save_csv(path: Path, log: Log) -> None:
 
     The column of time is called `time (us)`, as blackbox_decode calls it.
     """
-    columns = {("time (us)" if name == "time" else name): column for name, column in log.columns.items()}
+    columns = {_heading(name): column for name, column in log.columns.items()}
     columns |= {
         name: held for name in log.slow if (held := log.held(name)) is not None and name not in columns
     }
+    _write(path, columns)
+
+
+def save_gps_csv(path: Path, log: Log) -> None:
+    """Write a row each GPS frame, numbers of the format, the time as in `save_csv`."""
+    _write(path, {_heading(name): column for name, column in log.gps.items()})
+
+
+def _heading(name: str) -> str:
+    return "time (us)" if name == "time" else name
+
+
+def _write(path: Path, columns: dict[str, Integers]) -> None:
     matrix = np.stack(list(columns.values()), axis=1)
     with replacing(path) as aside, aside.open("w", encoding="ascii", newline="") as file:
         file.write(",".join(columns) + "\n")
@@ -34,14 +47,15 @@ def save_csv(path: Path, log: Log) -> None:
 def save_npz(path: Path, log: Log) -> None:
     """Write columns as the format has them, and in units.
 
-    `field/NAME` (N,), `slow/NAME` (K,) and `slow_row` (K,) are the format's numbers; `t`, `setpoint`, `gyro`,
-    `throttle`, `motors`, `dshot`, `voltage`, `current` have units (sim.blackbox.units), those that the log
-    has; `headers` and `events` are JSON.
+    `field/NAME` (N,), `slow/NAME` (K,), `slow_row` (K,) and `gps/NAME` (G,) are the format's numbers; `t`,
+    `setpoint`, `gyro`, `throttle`, `motors`, `dshot`, `voltage`, `current` have units (sim.blackbox.units),
+    those that the log has; `headers` and `events` are JSON.
     """
     told = channels(log)
     arrays: dict[str, object] = {f"field/{name}": column for name, column in log.columns.items()}
     arrays |= {f"slow/{name}": column for name, column in log.slow.items()}
     arrays["slow_row"] = log.slow_row
+    arrays |= {f"gps/{name}": column for name, column in log.gps.items()}
     arrays["t"] = told.time()
     for name in ("setpoint", "gyro", "throttle", "motors", "dshot", "voltage", "current"):
         if (array := getattr(told, name)) is not None:

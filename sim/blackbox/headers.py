@@ -128,6 +128,8 @@ def read_headers(data: bytes, extent: Extent) -> Headers:
             damaged += 1
             continue
         values.setdefault(_ascii(name[2:].strip()), _ascii(value.strip()))
+    if sum(line.endswith(b"\r") for line in lines) > len(lines) / 2:
+        notes.append("header lines end in CR LF: the file was transferred as text, values may be wrong")
     if damaged:
         notes.append(f"{damaged} header line{'s' if damaged > 1 else ''} damaged")
     if len(lines) >= LINES_MAX:

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from sim.blackbox.decoding import Event, Progress, decode
 from sim.blackbox.encodings import WORD
 from sim.blackbox.headers import LOGS_MAX, Extent, Headers, find_logs, read_bytes, read_headers
+from sim.blackbox.transfer import text_transfer
 from toolchain.errors import TraceError
 
 Array = NDArray[np.float64]
@@ -126,6 +127,11 @@ class Log:
             return np.zeros(len(self), np.int64)
         apart: Integers = np.diff(steps, prepend=steps[:1] - self.stride)
         return np.maximum(-(-apart // self.stride) - 1, 0)
+
+    @property
+    def positions(self) -> int:
+        """Rows of GPS frames."""
+        return len(next(iter(self.gps.values()), ()))
 
     @property
     def lost(self) -> int:
@@ -279,14 +285,16 @@ def read_log(path: Path, number: int | None = None, progress: Progress = lambda 
 def decode_log(path: Path, data: bytes, one: Listed, progress: Progress = lambda _: None) -> Log:
     """Decode the log `one` of the file's bytes; it may come out without a row."""
     headers = one.headers
+    body = data[one.extent.body : one.extent.end]
+    notes = [*headers.notes, *([transfer] if (transfer := text_transfer(body)) else [])]
     if "I" not in headers.fields:
         raise TraceError(
             f"{path}: log {one.number} does not say what its frames hold ("
-            f"{'; '.join(headers.notes) or 'no line H Field I name'}); nothing of it can be read"
+            f"{'; '.join(notes) or 'no line H Field I name'}); nothing of it can be read"
         )
-    found = decode(data[one.extent.body : one.extent.end], headers, progress)
+    found = decode(body, headers, progress)
     lost = "; ".join(f"{name}: {follows}" for name, follows in headers.lost().items())
-    notes = [*headers.notes, *([f"header lines are lost: {lost}"] if lost else []), *found.notes]
+    notes += [*([f"header lines are lost: {lost}"] if lost else []), *found.notes]
     if found.corrupt:
         notes.append(
             f"damaged at {found.corrupt} place{'s' * (found.corrupt > 1)}: {found.skipped_bytes} bytes and "
@@ -294,6 +302,8 @@ def decode_log(path: Path, data: bytes, one: Listed, progress: Progress = lambda
         )
     elif found.dropped:
         notes.append(f"{found.dropped} main frame{'s' * (found.dropped > 1)} out of order, left out")
+    if found.homeless:
+        notes.append(f"{found.homeless} GPS frames before a home, or behind damage, left out")
     if not found.ended and not found.notes:
         notes.append("no end of the log: the power was cut, or the file")
     return Log(
