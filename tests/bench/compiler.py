@@ -35,6 +35,11 @@ class Bar:
     instructions: int
     cycles: int
 
+    @property
+    def name(self) -> str:
+        """The widths, such as 6-32-32-4."""
+        return "-".join(map(str, self.widths))
+
 
 BARS = (Bar((6, 32, 32, 4), 3_300, 5_200), Bar((6, 64, 64, 4), 9_500, 14_500))
 
@@ -91,20 +96,28 @@ def _span(least: int, most: int) -> str:
 
 
 def _rows(bar: Bar, inputs: int, folder: Path, *, with_theirs: bool) -> Iterator[Row]:
-    network = random_network(bar.widths)
-    name = "-".join(map(str, bar.widths))
-    compiled = compile_policy(_policy(network))
-    unit = np.random.default_rng(1).normal(size=(THEIR_INPUTS, network.inputs)).astype(np.float32)
-    if with_theirs:
-        emx.generate(network, folder)
     for optimization in OPTIMIZATIONS:
-        observations = mixed_observations(inputs, network.inputs)
-        cost = time_policy(compiled, folder, observations, optimization=optimization).cost
-        yield _row(name, OURS, optimization, inputs, cost, bar)
+        yield our_row(bar, inputs, folder, optimization)
         if with_theirs:
-            cost, action = emx.cost(network, folder, optimization, unit)
-            _check(action, evaluate(compiled.network, unit[-1:])[0])
-            yield _row(name, THEIRS, optimization, len(unit), cost, None)
+            yield their_row(bar, folder, optimization)
+
+
+def our_row(bar: Bar, inputs: int, folder: Path, optimization: str) -> Row:
+    """Return what our code of the network of `bar` takes over `inputs` observations."""
+    compiled = compile_policy(_policy(random_network(bar.widths)))
+    observations = mixed_observations(inputs, compiled.network.inputs)
+    cost = time_policy(compiled, folder, observations, optimization=optimization).cost
+    return _row(bar.name, OURS, optimization, inputs, cost, bar)
+
+
+def their_row(bar: Bar, folder: Path, optimization: str) -> Row:
+    """Return what emx-onnx-cgen's code of it takes; `emx.fetch` has brought the program."""
+    network = random_network(bar.widths)
+    unit = np.random.default_rng(1).normal(size=(THEIR_INPUTS, network.inputs)).astype(np.float32)
+    emx.generate(network, folder)
+    cost, action = emx.cost(network, folder, optimization, unit)
+    _check(action, evaluate(compile_policy(_policy(network)).network, unit[-1:])[0])
+    return _row(bar.name, THEIRS, optimization, len(unit), cost, None)
 
 
 def _row(

@@ -1,0 +1,112 @@
+"""Writes the figures that pages quote: `python -m tests.figures`, after what they are of has changed.
+
+In a page a figure stands between `<!-- NAME -->` and `<!-- / -->`; FIGURES says how each is made. Counts are
+those of this checkout's compiler, with COMPILER behind it; times are stored, for they are never twice the
+same: in the training.json of a shipped policy.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import re
+import tempfile
+from collections.abc import Callable
+from contextlib import redirect_stdout
+from pathlib import Path
+
+from cli.main import main as neuroflight
+from tests.bench import compiler, emx
+from tests.conftest import BUILD, ROOT, SHIPPED, build_shipped
+from toolchain.cortex_m7.arm_policy import compiler_version
+from toolchain.cortex_m7.cycles import CORE_HZ
+from toolchain.files import write_text_if_changed
+from toolchain.image.elf import read_image
+
+PAGES = (ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md")), ROOT / "training/policies/README.md")
+COMPILER = "arm-none-eabi-gcc 12.2"  # another one makes some instructions more or less
+MARKED = re.compile(r"(?<=<!-- )([\w -]+) -->(.*?)(?=<!-- / -->)", re.DOTALL)
+FEW = 12  # observations: all take one route, which tests/toolchain/cortex_m7 proves with many
+
+
+def ours(name: str) -> str:
+    """Instructions, their variation, cycles and time of a network of the bench, compiled by us."""
+    bar = next(bar for bar in compiler.BARS if name == bar.name)
+    with tempfile.TemporaryDirectory() as folder:
+        return _cells(compiler.our_row(bar, FEW, Path(folder), "-O2"), 1)
+
+
+def theirs(name: str) -> str:
+    """Return the same of emx-onnx-cgen's code, in hundreds, over the bench's observations."""
+    bar = next(bar for bar in compiler.BARS if name == f"{bar.name} emx")
+    if reason := emx.fetch():
+        raise RuntimeError(reason)
+    with tempfile.TemporaryDirectory() as folder:
+        return _cells(compiler.their_row(bar, Path(folder), "-O2"), 100)
+
+
+def _cells(row: compiler.Row, step: int) -> str:
+    assert row.cycles is not None, row.no_cycles_reason
+    (fewest, most), cycles = row.instructions, row.cycles
+
+    def span(low: float, high: float, unit: float = step) -> str:
+        ends = [f"{round(value / unit) * unit:,}" for value in (low, high)]
+        return ends[0] if ends[0] == ends[1] else " to ".join(ends)
+
+    time = span(cycles[0] / CORE_HZ * 1e6, cycles[1] / CORE_HZ * 1e6, 1)
+    return f"{span(fewest, most)} | {100 * (most / fewest - 1):.0f} % | {span(*cycles)} | {time} µs"
+
+
+def timing(_: str) -> str:
+    """Return what `neuroflight timing` prints of the shipped policy."""
+    with redirect_stdout(io.StringIO()) as told:
+        neuroflight(["timing", str(SHIPPED)])
+    lines = (line.rstrip() for line in told.getvalue().splitlines())
+    return "\n```\n" + "\n".join(lines) + "\n```\n"
+
+
+def trained(name: str) -> str:
+    """Return steps and time of the training of a shipped policy."""
+    run = json.loads(
+        (ROOT / "training/policies" / name.removeprefix("trained ") / "training.json").read_text()
+    )
+    return f"{run['steps'] / 1e6:.3g} M control steps in {run['seconds']:.0f} s"
+
+
+def swap(_: str) -> str:
+    """Return what goes over the line for the shipped policy, and for the image around it."""
+    build_shipped("MATEKF722", SHIPPED)
+    image = read_image(BUILD / "MATEKF722" / "neuroflight.elf")
+    blob = next(section for section in image.sections if section.name == ".policy")
+    tens = round(image.symbols["image_bytes"] / 1e4) * 10  # every feature moves the last digit
+    return f"{blob.size / 1e3:.0f} kB instead of an image's {tens}"
+
+
+NETWORKS = [bar.name for bar in compiler.BARS]
+FIGURES: dict[str, Callable[[str], str]] = {
+    **dict.fromkeys(NETWORKS, ours),
+    **{f"{name} emx": theirs for name in NETWORKS},
+    "timing": timing,
+    **{f"trained {name}": trained for name in ("nf1", "nf1-six", "hexa")},
+    "swap": swap,
+}
+
+
+def figures(page: Path) -> list[tuple[str, str]]:
+    """Return name and text of each figure that a page quotes."""
+    return MARKED.findall(page.read_text())
+
+
+def main() -> None:
+    """Rewrite the pages."""
+    if not compiler_version().startswith(COMPILER):
+        raise SystemExit(f"the counts are those of {COMPILER}, this is {compiler_version()}")
+    made = {name: make(name) for name, make in FIGURES.items()}
+    for page in PAGES:
+        write_text_if_changed(
+            page, MARKED.sub(lambda found: f"{found[1]} -->{made[found[1]]}", page.read_text())
+        )
+
+
+if __name__ == "__main__":
+    main()
