@@ -161,8 +161,8 @@ def _fields(values: dict[str, str], notes: list[str]) -> dict[str, tuple[FieldDe
     """Definitions of each kind of frame, those left out that do not fit together."""
     found: dict[str, tuple[FieldDefinition, ...]] = {}
     for kind in KINDS:
-        if f"Field {kind} predictor" not in values and f"Field {kind} name" not in values:
-            continue
+        if kind not in "IP" and not any(name.startswith(f"Field {kind} ") for name in values):
+            continue  # each log has the others
         named = values.get(f"Field {'I' if kind == 'P' else kind} name", "").split(",")
         try:
             found[kind] = _definitions(kind, named, values)
@@ -175,12 +175,16 @@ def _fields(values: dict[str, str], notes: list[str]) -> dict[str, tuple[FieldDe
 
 def _definitions(kind: str, named: Sequence[str], values: dict[str, str]) -> tuple[FieldDefinition, ...]:
     """Definitions of one kind of frame. Raises ValueError where header lines lack or do not fit together."""
+    if named == [""]:
+        raise ValueError(f"the header line Field {'I' if kind == 'P' else kind} name is lost")
     if not 1 <= len(named) <= FIELDS_MAX:
         raise ValueError(f"{len(named)} fields, expected 1 to {FIELDS_MAX}")
     columns = []
     for what, known in (("predictor", PREDICTORS), ("encoding", READERS.keys())):
         name = f"Field {kind} {what}"
-        numbers = [_integer(text) for text in values.get(name, "").split(",")]
+        if name not in values:
+            raise ValueError(f"the header line {name} is lost")
+        numbers = [_integer(text) for text in values[name].split(",")]
         if len(numbers) != len(named):
             raise ValueError(f"{name} has {len(numbers)} entries, expected {len(named)}")
         unknown = [text for text in values[name].split(",") if _integer(text) not in known]
