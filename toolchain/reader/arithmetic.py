@@ -31,7 +31,7 @@ def read_gemm(build: Builder, call: Call) -> Row:
             raise call.error(f"adds a constant of shape {list(given.shape)}, expected [{bias.size}]")
         with np.errstate(all="ignore"):
             bias = np.broadcast_to(given, (1, bias.size))[0] * np.float64(options.get("beta", 1.0))
-    return _linear(build, call, row, weight, bias, (bias.size,) if flat else (1, bias.size))
+    return linear(build, call, row, weight, bias, (bias.size,) if flat else (1, bias.size))
 
 
 def read_matmul(build: Builder, call: Call) -> Row:
@@ -46,7 +46,7 @@ def read_matmul(build: Builder, call: Call) -> Row:
     lead = (1,) * max(len(row.shape) - 2, constant.ndim - 2)
     outer = () if flat else (1,)
     shape = (*lead, *outer, weight.shape[0]) if first else (*lead, weight.shape[0], *outer)
-    return _linear(build, call, row, weight, np.zeros(weight.shape[0]), shape)
+    return linear(build, call, row, weight, np.zeros(weight.shape[0]), shape)
 
 
 def _weights(call: Call, place: int, ranks: tuple[int, ...] = (2, 3, 4)) -> Float64:
@@ -57,9 +57,10 @@ def _weights(call: Call, place: int, ranks: tuple[int, ...] = (2, 3, 4)) -> Floa
     return weight.reshape(weight.shape[-2:]).astype(np.float64)
 
 
-def _linear(
+def linear(
     build: Builder, call: Call, row: Row, weight: Float64, bias: Float64, shape: tuple[int, ...]
 ) -> Row:
+    """W x + b, rounded to float32. Raises PolicyError where it leaves that or does not fit the value."""
     if weight.shape[1] != row.width or not weight.size:
         raise call.error(f"has weights for {weight.shape[1]} inputs, expected {row.width}")
     with np.errstate(over="ignore"):

@@ -21,6 +21,7 @@ HINTS = {
     "output": "`neuroflight freeze --output` picks one",
 }
 WEIGHTED = {  # operator: places of its weights
+    "Conv": (1, 2),
     "Gemm": (1, 2),
     "MatMul": (0, 1),
     "GRU": (1, 2, 3),

@@ -23,6 +23,7 @@ from toolchain.ir.operations import (
 )
 from toolchain.reader.arithmetic import mapped, read_arithmetic, read_gemm, read_matmul, read_negative
 from toolchain.reader.constants import FOLDED, MOVES, apply
+from toolchain.reader.convolution import read_conv
 from toolchain.reader.patterns import ONLY_INSIDE, STARTS
 from toolchain.reader.recurrent import read_gru, read_lstm, read_rnn
 from toolchain.reader.values import WIDTH_MAX, Builder, Call, Row, Unread, Value, joint_shape
@@ -164,6 +165,7 @@ OPERATORS: dict[str, Reader] = {
     "Cast": _cast,
     "Clip": _clip,
     "Concat": _concat,
+    "Conv": read_conv,
     "Dropout": _dropout,
     "Elu": _parameter(Elu, 1.0),
     "GRU": read_gru,

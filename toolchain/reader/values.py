@@ -159,12 +159,8 @@ class Builder:
 
     def append(self, call: Call, operation: Operation, *rows: Row, shape: tuple[int, ...]) -> Row:
         """`call` computes `operation` from `rows`; the result has `shape`."""
+        self.afford(call, multiply_adds(operation))
         self.multiply_adds += multiply_adds(operation)
-        if self.multiply_adds > self.multiply_adds_max:
-            raise call.error(
-                f"brings the policy to {self.multiply_adds} multiply-adds, expected at most "
-                f"{MULTIPLY_ADDS_MAX}: what the processor does in a millisecond; train a smaller network"
-            )
         if len(self.nodes) >= NODES_MAX:
             raise call.error(f"is one too many: a policy may have {NODES_MAX} operations")
         width = output_width(operation, [self.widths[row.number] for row in rows])
@@ -173,6 +169,14 @@ class Builder:
         self.nodes.append(Node(operation, tuple(row.number for row in rows), call.name))
         self.widths.append(width)
         return Row(len(self.nodes), shape)
+
+    def afford(self, call: Call, more: int) -> None:
+        """Raise PolicyError where `more` multiply-adds are too many."""
+        if self.multiply_adds + more > self.multiply_adds_max:
+            raise call.error(
+                f"brings the policy to {self.multiply_adds + more} multiply-adds, expected at most "
+                f"{self.multiply_adds_max}: what the processor does in a millisecond; train a smaller network"
+            )
 
     def operation(self, row: Row) -> Node | None:
         """The node that computes `row`, None for the observation."""
