@@ -27,6 +27,7 @@ ACTIONS = (  # names that exporters give the action beside a critic or a standar
     "continuous_actions",
     "deterministic_continuous_actions",
 )
+LISTED_MAX = 8  # outputs that a message lists
 FLOATS = (TensorProto.FLOAT, TensorProto.DOUBLE)
 Sizes = list[int | str]  # of an axis: its name where the exporter left it open
 
@@ -54,23 +55,37 @@ def input_shapes(model: onnx.ModelProto, ends: Ends) -> tuple[dict[str, tuple[in
     changes = list[str]()
     given = {tensor.name for tensor in model.graph.initializer}
     inputs = {v.name: _sizes(v) for v in model.graph.input if v.name not in given and _floats(v)}
-    batches = {sizes[0] for sizes in inputs.values() if sizes and len(sizes) > 1}
-    fixed: dict[str, Sizes] = {}
+    read = _read_inputs(model.graph)
+    declared = [_sizes(value) for value in model.graph.output]
+    alone = sum(name in read and sizes not in declared for name, sizes in inputs.items()) <= 1
+    batches = {sizes[0] for name, sizes in inputs.items() if len(sizes) > 1 and name in read}
+    fixed = dict[str, Sizes]()
     for name, sizes in inputs.items():
-        fixed[name] = [1] if sizes is None else list(sizes)
-        if sizes is None:
-            fixed[name] = [1, "n"]
-        last = len(fixed[name]) - 1
-        for axis, size in enumerate(fixed[name]):
-            batch = axis < last or (last == 0 and len(inputs) > 1 and size in batches)
-            counted = isinstance(size, int) and len(fixed[name]) == 2 and axis == 0 and size > 1
-            if counted and math.prod(s for s in fixed[name] if isinstance(s, int)) == ends.observation_count:
-                continue  # a history, not a batch
-            if (isinstance(size, str) and batch) or counted:
+        fixed[name], last = list(sizes), len(sizes) - 1
+        whole = math.prod(size for size in sizes if isinstance(size, int))
+        for axis, size in enumerate(sizes):
+            if isinstance(size, str):
+                batch = axis < last or name not in read or (last == 0 and len(inputs) > 1 and size in batches)
+            else:  # a first axis of two is a batch unless all of it is the observation, a history
+                history = alone and whole == ends.observation_count
+                batch = axis == 0 and last == 1 and size > 1 and not history
+            if batch:
                 changes.append(f"fixed axis {axis} of {shown(name)} to 1 (was {size})")
                 fixed[name][axis] = 1
-    if any(isinstance(size, str) for sizes in fixed.values() for size in sizes):
-        _open_width(fixed, ends, changes)
+    open_ = [name for name, sizes in fixed.items() if any(isinstance(size, str) for size in sizes)]
+    others = [fixed[n] for n in inputs if n in read and n not in open_ and inputs[n] not in declared]
+    for name in open_:
+        width = (ends.observation_count or 0) - sum(math.prod(map(int, sizes)) for sizes in others)
+        if len(open_) > 1 or width < 1:
+            sizes = ", ".join(map(str, inputs[name]))
+            raise PolicyError(
+                f"the input {shown(name)} has the dynamic shape [{sizes}], and its size cannot be told from "
+                "--observation; export it with a fixed width, [1, n]"
+            )
+        changes.append(
+            f"fixed axis {len(fixed[name]) - 1} of {shown(name)} to {width} (was {fixed[name][-1]})"
+        )
+        fixed[name][-1] = width
     shapes = {name: tuple(int(size) for size in sizes) for name, sizes in fixed.items()}
     for name, shape in shapes.items():
         if min(shape, default=1) < 1 or math.prod(shape) > WIDTH_MAX:
@@ -83,30 +98,21 @@ def input_shapes(model: onnx.ModelProto, ends: Ends) -> tuple[dict[str, tuple[in
     return shapes, changes
 
 
-def _open_width(fixed: dict[str, Sizes], ends: Ends, changes: list[str]) -> None:
-    """Fill in the one width that the exporter left open, from the observation's."""
-    places = [(n, axis) for n, sizes in fixed.items() for axis, s in enumerate(sizes) if isinstance(s, str)]
-    (name, axis), *more = places
-    known = (
-        sum(math.prod(int(s) for s in sizes) for other, sizes in fixed.items() if other != name)
-        if not more
-        else 0
-    )
-    width = (ends.observation_count or 0) - known
-    if more or width < 1:
-        raise PolicyError(
-            f"the input {shown(name)} has the dynamic shape [{', '.join(map(str, fixed[name]))}], and its "
-            "size cannot be told from --observation; export it with a fixed width, [1, n]"
-        )
-    changes.append(f"fixed axis {axis} of {shown(name)} to {width} (was {fixed[name][axis]})")
-    fixed[name][axis] = width
+def _read_inputs(graph: onnx.GraphProto) -> set[str]:
+    """Names of the inputs that any node but Identity takes, be it through Identity."""
+    source = {value.name: value.name for value in graph.input}
+    read = set[str]()
+    for node in graph.node:
+        taken = {source[name] for name in node.input if name in source}
+        if node.op_type == "Identity" and taken:
+            source[node.output[0]] = taken.pop()
+        read |= taken
+    return read
 
 
-def _sizes(value: onnx.ValueInfoProto) -> Sizes | None:
-    """Sizes of a value's axes, None where even their number is open."""
+def _sizes(value: onnx.ValueInfoProto) -> Sizes:
+    """Sizes of a value's axes."""
     tensor = value.type.tensor_type
-    if not tensor.HasField("shape"):
-        return None
     return [d.dim_value if d.HasField("dim_value") else d.dim_param or "?" for d in tensor.shape.dim]
 
 
@@ -132,9 +138,10 @@ def find_action(model: onnx.ModelProto, values: Mapping[str, Value], ends: Ends)
         value = values.get(name)
         if isinstance(value, Unread) and value.error is not None and name.lower() in ACTIONS:
             raise value.error
+    shown_ = [f"{shown(name)} ({_width(values, name) or 'no'} values)" for name in names[:LISTED_MAX]]
     raise PolicyError(
-        f"the model's outputs are {listed(names)}, expected one of {ends.motors} motors; choose one with "
-        "--output"
+        f"the model's outputs are {', '.join(shown_)}, expected one of {ends.motors} values, one a motor; "
+        "choose one with --output"
     )
 
 

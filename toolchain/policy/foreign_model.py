@@ -33,6 +33,21 @@ def keep_outputs(graph: onnx.GraphProto, outputs: Collection[str]) -> tuple[int,
     return dropped
 
 
+def give_shapes(graph: onnx.GraphProto) -> None:
+    """Give inputs and outputs whose shape an exporter left out the one that says nothing.
+
+    onnx.checker wants one; an input is taken for a row of open width.
+    """
+    del graph.value_info[:]  # shapes that were inferred for any batch
+    for values, axes in ((graph.input, 2), (graph.output, 0)):
+        for value in values:
+            tensor = value.type.tensor_type
+            if value.type.HasField("tensor_type") and not tensor.HasField("shape"):
+                tensor.shape.SetInParent()
+                for _ in range(axes):
+                    tensor.shape.dim.add()
+
+
 def convert_opset(model: onnx.ModelProto) -> list[str]:
     """Convert a model older than the reader knows; returns what was changed, in a line."""
     from onnx import version_converter

@@ -106,16 +106,15 @@ def imported_model(
     """The bytes of the policy, and what was changed. Raises PolicyError where it cannot be read back."""
     from toolchain.ir.onnx_export import to_model
     from toolchain.policy.foreign_ends import Ends
-    from toolchain.policy.foreign_model import convert_opset, keep_outputs
+    from toolchain.policy.foreign_model import convert_opset, give_shapes, keep_outputs
     from toolchain.policy.foreign_network import read_foreign
     from toolchain.reader.checks import check_model
     from toolchain.reader.output_range import UnboundedError, bounded
 
     model, changes = parse_model(data), list[str]()
     check_parts(model)
-    graph = model.graph
-    del graph.value_info[:]  # shapes that were inferred for any batch
-    _, dead = keep_outputs(graph, {value.name for value in graph.output})
+    give_shapes(model.graph)
+    _, dead = keep_outputs(model.graph, {value.name for value in model.graph.output})
     if dead:
         changes.append(f"dropped {dead} node(s) that no output needs")
     changes += convert_opset(model)

@@ -227,6 +227,8 @@ def two_widths(graph: onnx.GraphProto) -> None:
     dynamic_width(graph)
     graph.input.add().CopyFrom(graph.input[0])
     graph.input[1].name = "command"
+    graph.node.insert(0, onnx.helper.make_node("Add", ["obs", "command"], ["sum"]))
+    graph.node[1].input[0] = "sum"
 
 
 def two_outputs(graph: onnx.GraphProto) -> None:
@@ -305,8 +307,11 @@ def test_critic_is_dropped_when_the_output_is_chosen(kit: Kit) -> None:
 @pytest.mark.parametrize(
     ("edit", "words"),
     [
-        (two_actions, "outputs are 'act', 'squashed', expected one of 4 motors; choose one with --output"),
-        (two_widths, "the input 'obs' has the dynamic shape [1, n], and its size cannot be told"),
+        (
+            two_actions,
+            "outputs are 'act' (4 values), 'squashed' (4 values), expected one of 4 values, one a motor",
+        ),
+        (two_widths, "the input 'obs' has the dynamic shape [batch, n], and its size cannot be told"),
     ],
 )
 def test_model_is_refused_when_its_ends_are_not_one_row(
