@@ -55,6 +55,12 @@ def read_foreign(model: onnx.ModelProto, ends: Ends) -> tuple[Network, list[str]
     cells, failed = find_cells(reading.build.nodes, reading.build.widths, set(reading.names), after)
     changes += _told(cells, reading, states)
     needed = _needed(reading.build.nodes, action.number, cells)
+    for node in (reading.build.nodes[number - 1] for number in sorted(needed)):
+        if isinstance(node.operation, Recurrent):
+            kind = _kind(node.operation)
+            changes.append(
+                f"node {shown(node.name)}: the policy carries its state, from zero at its start: {kind}"
+            )
     names, more = _observed(reading, needed, cells, name)
     changes += more
     _check_failed(reading, names, failed, states, ends)
@@ -93,7 +99,7 @@ def _told(cells: Sequence[Cell], reading: _Reading, states: Mapping[str, str]) -
         names = dict.fromkeys(reading.names[number] for number in cell.states)
         pairs = " and ".join(f"{shown(name)} -> {shown(states[name])}" for name in names)
         lines.append(
-            f"{pairs}: a state that the policy carries, cleared at its start: {_kind(cell.operation)}"
+            f"{pairs}: a state that the policy carries, from zero at its start: {_kind(cell.operation)}"
         )
     return lines
 
