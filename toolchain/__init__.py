@@ -1,7 +1,7 @@
 """From a trained network to a flashable image. The stages, in the order in which a policy passes them:
 
     policy/freeze.py              checkpoint.pt -> policy.onnx: scaling, network, output range in one model
-    policy/import_onnx.py         another trainer's model -> policy.onnx: names, shapes, metadata, range
+    policy/import_onnx.py         another trainer's model -> policy.onnx: opset, ends, state, metadata
     policy/model.py               policy.onnx -> PolicyModel: metadata checked against the contract
     reader/                       the ONNX graph -> Network: every operator read, all else refused
     passes/                       Network -> a shorter Network that computes the same

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 EPILOG = (
     "A checkpoint of `neuroflight train` knows its observation, rate and aircraft. A model of another "
-    "trainer (ONNX, opset 13 or newer, float32, raw observation in, motor fractions out) is told them here."
+    "trainer (ONNX, raw observation in, motor fractions out) is told them here."
 )
 
 
@@ -47,6 +47,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="how its outputs and the throttle were mixed in training; default: attitude-first",
     )
     parser.add_argument("--output", metavar="NAME", help="which output is the action, if there are several")
+    parser.add_argument(
+        "--input-order",
+        metavar="NAME,NAME",
+        help="order in which several inputs make the observation; default: the model's",
+    )
     parser.add_argument("--clip", action="store_true", help="append a Clip to [0, 1] if the model has none")
     parser.add_argument(
         "--unfolded",
@@ -116,6 +121,7 @@ def _claims(args: argparse.Namespace) -> dict[str, object]:
         "--idle": args.idle,
         "--mix": args.mix,
         "--output": args.output,
+        "--input-order": args.input_order,
         "--clip": args.clip or None,
     }
 
@@ -156,7 +162,8 @@ def _import(args: argparse.Namespace) -> tuple[PolicyModel, Sequence[str]]:
         mix=Mix.of(args.mix or Mix.ATTITUDE_FIRST.text),
         model=_model(args, aircraft),
     )
-    return import_onnx(args.source, args.out, claims, clip=args.clip, output=args.output)
+    order = None if args.input_order is None else args.input_order.split(",")
+    return import_onnx(args.source, args.out, claims, clip=args.clip, output=args.output, input_order=order)
 
 
 def _model(args: argparse.Namespace, aircraft: Aircraft) -> ModelConstants | None:

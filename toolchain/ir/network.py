@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, assert_never
 
@@ -133,3 +133,28 @@ def multiply_adds(operation: Operation) -> int:
 def arrays(operation: Operation) -> list[NDArray[np.floating[Any]]]:
     """The operation's constants that are arrays."""
     return [value for value in vars(operation).values() if isinstance(value, np.ndarray)]
+
+
+def sweep(network: Network) -> Network:
+    """`network` without the nodes that do not reach its last one; the same object if there are none."""
+    uses = use_counts(network)
+    kept = [number for number in range(1, len(uses)) if uses[number]]
+    if len(kept) == len(network.nodes):
+        return network
+    renamed = {OBSERVATION: OBSERVATION} | {number: place for place, number in enumerate(kept, 1)}
+    nodes = (network.nodes[number - 1] for number in kept)
+    return Network(
+        network.inputs,
+        tuple(replace(node, inputs=tuple(renamed[value] for value in node.inputs)) for node in nodes),
+    )
+
+
+def use_counts(network: Network) -> list[int]:
+    """How many inputs of nodes that reach the last one take each value; 1 for the last."""
+    uses = [0] * (len(network.nodes) + 1)
+    uses[-1] = 1
+    for number in range(len(network.nodes), 0, -1):
+        if uses[number]:
+            for value in network.nodes[number - 1].inputs:
+                uses[value] += 1
+    return uses

@@ -50,13 +50,15 @@ _FUNCTIONS = {
 _BACKWARD_END = np.iinfo(np.int64).min  # where a Slice with a negative step ends that takes element 0
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class _Graph:
     """An ONNX graph under construction."""
 
     nodes: list[onnx.NodeProto] = field(default_factory=list)
     tensors: list[onnx.TensorProto] = field(default_factory=list)
     states: list[tuple[str, str, int]] = field(default_factory=list)  # taken, given, units
+    name: str = ""  # of the nodes that are appended, where they are to have one
+    names: set[str] = field(default_factory=set)
 
     def constant(self, values: ArrayLike, dtype: DTypeLike = np.float32) -> str:
         """The name of a tensor that holds `values`."""
@@ -66,8 +68,12 @@ class _Graph:
         return name
 
     def add(self, operator: str, inputs: list[str], outputs: list[str], **attributes: float) -> None:
-        """Append a node, named after what it gives."""
-        name = next(output for output in outputs if output)
+        """Append a node, named after what it gives where it has no name, or another node has it."""
+        given = next(output for output in outputs if output)
+        name = self.name or given
+        while name in self.names:  # onnxruntime refuses two of one name
+            name = f"{name}/{given}"
+        self.names.add(name)
         node = helper.make_node(operator, inputs, outputs, name)
         node.attribute.extend(helper.make_attribute(key, value) for key, value in attributes.items())
         self.nodes.append(node)
@@ -91,6 +97,7 @@ def to_model(
     last = len(network.nodes)
     names = [POLICY_INPUT, *(f"value{number}" for number in range(1, last)), POLICY_OUTPUT]
     for number, node in enumerate(network.nodes, 1):
+        graph.name = node.name
         _write(graph, node, [names[value] for value in node.inputs], names[number], state)
 
     def value(name: str, width: int) -> onnx.ValueInfoProto:
@@ -115,8 +122,13 @@ def _write(graph: _Graph, node: Node, inputs: list[str], output: str, state: boo
         case Linear(weight, bias):
             graph.add("Gemm", [x, graph.constant(weight), graph.constant(bias)], y, transB=1)
         case Affine(scale, offset):
-            graph.add("Mul", [x, graph.constant(scale)], [f"{output}_scaled"])
-            graph.add("Add", [f"{output}_scaled", graph.constant(offset)], y)
+            if not offset.any():
+                graph.add("Mul", [x, graph.constant(scale)], y)
+                return
+            if not (scale == 1).all():
+                graph.add("Mul", [x, graph.constant(scale)], [f"{output}_scaled"])
+                x = f"{output}_scaled"
+            graph.add("Add", [x, graph.constant(offset)], y)
         case Tanh() | Sigmoid() | Softsign() | Relu() | Add() | Multiply() as operation:
             graph.add(_FUNCTIONS[type(operation)], inputs, y)
         case Silu():

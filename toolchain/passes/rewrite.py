@@ -6,7 +6,7 @@ from collections import defaultdict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
-from toolchain.ir.network import OBSERVATION, Network, Node, output_width
+from toolchain.ir.network import OBSERVATION, Network, Node, output_width, sweep, use_counts
 from toolchain.ir.operations import Affine, Concat, Gru, Linear, Lstm, Operation, Slice
 
 
@@ -59,7 +59,7 @@ def rewrite(network: Network, rule: Rule) -> Network:
     The rule may add nodes to the draft. It may not replace the last node by an earlier value: that node
     is the Clip that a policy ends with. Nodes that nothing takes any more are dropped.
     """
-    uses = _uses(network)
+    uses = use_counts(network)
     draft = Draft([network.inputs], [uses[OBSERVATION]], roles=defaultdict(list, {0: [OBSERVATION]}))
     renamed, changed = [OBSERVATION], False
     for number, old in enumerate(network.nodes, 1):
@@ -88,20 +88,6 @@ def rewrite(network: Network, rule: Rule) -> Network:
     return sweep(Network(network.inputs, tuple(draft.nodes))) if changed else network
 
 
-def sweep(network: Network) -> Network:
-    """`network` without the nodes that do not reach its last one; the same object if there are none."""
-    uses = _uses(network)
-    kept = [number for number in range(1, len(uses)) if uses[number]]
-    if len(kept) == len(network.nodes):
-        return network
-    renamed = {OBSERVATION: OBSERVATION} | {number: place for place, number in enumerate(kept, 1)}
-    nodes = (network.nodes[number - 1] for number in kept)
-    return Network(
-        network.inputs,
-        tuple(replace(node, inputs=tuple(renamed[value] for value in node.inputs)) for node in nodes),
-    )
-
-
 def absorbed(network: Network) -> list[bool]:
     """Whether each value is taken only by what an affine map can vanish into.
 
@@ -116,14 +102,3 @@ def absorbed(network: Network) -> list[bool]:
             for value in node.inputs:
                 result[value] = False
     return result
-
-
-def _uses(network: Network) -> list[int]:
-    """How many inputs of nodes that reach the last one take each value; 1 for the last."""
-    uses = [0] * (len(network.nodes) + 1)
-    uses[-1] = 1
-    for number in range(len(network.nodes), 0, -1):
-        if uses[number]:
-            for value in network.nodes[number - 1].inputs:
-                uses[value] += 1
-    return uses

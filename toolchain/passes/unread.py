@@ -8,7 +8,7 @@ from typing import assert_never
 import numpy as np
 from numpy.typing import NDArray
 
-from toolchain.ir.network import OBSERVATION, Network, Node
+from toolchain.ir.network import OBSERVATION, Network, Node, sweep
 from toolchain.ir.operations import (
     Affine,
     Concat,
@@ -20,7 +20,6 @@ from toolchain.ir.operations import (
     Operation,
     Slice,
 )
-from toolchain.passes.rewrite import sweep
 
 Mask = NDArray[np.bool_]  # (n,): which elements of a value are kept
 

@@ -1,6 +1,7 @@
-"""Makes a policy of an ONNX model that another trainer exported: names, fixed shapes, metadata, range.
+"""Makes a policy of an ONNX model that another trainer exported: opset, ends, state, metadata, range.
 
-Nothing that computes is changed but what the user asked for: the model keeps its nodes and weights.
+The model is read into a network and written anew, so that its own form, whatever it was, ends here. What is
+changed for that is said in a line each; what the network computes is what the model does.
 """
 
 from __future__ import annotations
@@ -15,16 +16,16 @@ from typing import TYPE_CHECKING
 from toolchain import contract
 from toolchain.errors import PolicyError
 from toolchain.files import file_size, write_bytes
+from toolchain.ir.network import Network, Node
+from toolchain.ir.operations import Clip
 from toolchain.policy.model import PolicyModel, parse_model, parse_policy, read_file
 from toolchain.policy.model_constants import ModelConstants
 from toolchain.reader.checks import check_parts
 from toolchain.reader.external import embed_weights
-from toolchain.reader.output_range import UnboundedError
 
 if TYPE_CHECKING:
     import onnx
 
-CLIP_NAMES = ("neuroflight/unclipped", "neuroflight/low", "neuroflight/high")
 CHECKPOINT_STARTS = (b"PK", b"\x80")  # torch's zip archive and the pickle it wrote before
 
 
@@ -63,18 +64,25 @@ def is_checkpoint(path: Path) -> bool:
 
 
 def import_onnx(
-    source: Path, out: Path, claims: PolicyClaims, *, clip: bool, output: str | None = None
+    source: Path,
+    out: Path,
+    claims: PolicyClaims,
+    *,
+    clip: bool,
+    output: str | None = None,
+    input_order: Sequence[str] | None = None,
 ) -> tuple[PolicyModel, Sequence[str]]:
     """Write the policy of the ONNX file `source` to `out`; returns it and what was changed, in words.
 
     clip: append a Clip to [0, 1] where nothing else keeps the motor fractions there.
     output: which output of the model is the action, where it has several.
+    input_order: the inputs that make the observation, in its order, where there are several.
     Raises PolicyError, one line; then nothing is written.
     """
     data = read_file(source)
     try:
         data, embedded = _in_one_file(data, source.parent)
-        imported, changes = imported_model(data, claims, clip=clip, output=output)
+        imported, changes = imported_model(data, claims, clip=clip, output=output, input_order=input_order)
         policy = parse_policy(imported)
         if policy.action_count != claims.motors:
             raise PolicyError(
@@ -88,40 +96,70 @@ def import_onnx(
 
 
 def imported_model(
-    data: bytes, claims: PolicyClaims, *, clip: bool, output: str | None = None
+    data: bytes,
+    claims: PolicyClaims,
+    *,
+    clip: bool,
+    output: str | None = None,
+    input_order: Sequence[str] | None = None,
 ) -> tuple[bytes, Sequence[str]]:
     """The bytes of the policy, and what was changed. Raises PolicyError where it cannot be read back."""
+    from toolchain.ir.onnx_export import to_model
+    from toolchain.policy.foreign_ends import Ends
+    from toolchain.policy.foreign_model import convert_opset, give_shapes, keep_outputs
+    from toolchain.policy.foreign_network import read_foreign
+    from toolchain.reader.checks import check_model
+    from toolchain.reader.output_range import UnboundedError, bounded
+
     model, changes = parse_model(data), list[str]()
     check_parts(model)
-    graph = model.graph
-    del graph.value_info[:]  # shapes that were inferred for any batch
-    if output is not None:
-        changes += _choose(graph, output)
-    given = {tensor.name for tensor in graph.initializer}
-    for values, name, role in (
-        ([value for value in graph.input if value.name not in given], contract.POLICY_INPUT, "input"),
-        (list(graph.output), contract.POLICY_OUTPUT, "output"),
-    ):
-        if len(values) != 1:
-            names = ", ".join(repr(value.name) for value in values[:8]) or "none"
-            hint = (
-                "choose one with --output" if role == "output" else "state is carried by GRU and LSTM nodes"
-            )
-            raise PolicyError(f"the model's {role}s are {names}, expected one; {hint}")
-        changes += _rename(graph, values[0], name, role)
-        changes += _fix_shape(values[0], claims.motors if role == "output" else None)
-    _describe(model, claims, hashlib.sha256(data).hexdigest())
-    imported = _bytes(model)
+    give_shapes(model.graph)
+    _, dead = keep_outputs(model.graph, {value.name for value in model.graph.output})
+    if dead:
+        changes.append(f"dropped {dead} node(s) that no output needs")
+    changes += convert_opset(model)
+    check_model(model, float64=True)
+    order = None if input_order is None else tuple(input_order)
+    network, more = read_foreign(model, Ends(output, order, _terms(claims), claims.motors))
+    changes += more
+    if wide := _float64(model):
+        changes.append(f"computes in float32 what the model has in float64: {wide}")
     try:
-        parse_policy(imported)
+        network = bounded(network)
     except UnboundedError:
         if not clip:
             raise
-        _append_clip(graph)
+        network = Network(
+            network.inputs, (*network.nodes, Node(Clip(0.0, 1.0), (len(network.nodes),), "clip"))
+        )
         changes.append("appended a Clip to [0, 1]")
-        imported = _bytes(model)
-        parse_policy(imported)
+    policy = to_model(network)
+    policy.metadata_props.extend(model.metadata_props)
+    producer = f"{model.producer_name} {model.producer_version}".strip()
+    _describe(policy, claims, producer, hashlib.sha256(data).hexdigest())
+    imported = _bytes(policy)
+    parse_policy(imported)
     return imported, changes
+
+
+def _terms(claims: PolicyClaims) -> tuple[tuple[str, int], ...] | None:
+    """The observation's terms and widths; None where it is none, which reading the policy back refuses."""
+    try:
+        blocks = contract.observation_blocks(claims.observation)
+    except ValueError:
+        return None
+    return tuple((block.text, block.count(claims.motors)) for block in blocks)
+
+
+def _float64(model: onnx.ModelProto) -> str:
+    """What a model has in float64, in words; nothing for most."""
+    from onnx import TensorProto
+
+    from toolchain.policy.foreign_model import listed
+
+    names = [v.name for v in model.graph.input if v.type.tensor_type.elem_type == TensorProto.DOUBLE]
+    names += [tensor.name for tensor in model.graph.initializer if tensor.data_type == TensorProto.DOUBLE]
+    return listed(list(dict.fromkeys(names))) if names else ""
 
 
 def _in_one_file(data: bytes, folder: Path) -> tuple[bytes, list[str]]:
@@ -133,61 +171,11 @@ def _in_one_file(data: bytes, folder: Path) -> tuple[bytes, list[str]]:
     return _bytes(model), [f"took the weights out of {', '.join(map(repr, files))}"]
 
 
-def _choose(graph: onnx.GraphProto, output: str) -> list[str]:
-    """Leave the graph's output `output` and what it needs: no critic, no probabilities."""
-    names = [value.name for value in graph.output]
-    if output not in names:
-        listed = ", ".join(map(repr, names[:8])) or "none"
-        raise PolicyError(f"the model has no output {output!r}, its outputs are {listed}")
-    needed, nodes = {output}, []
-    for node in reversed(graph.node):
-        if needed.intersection(node.output):
-            needed.update(filter(None, node.input))
-            nodes.append(node)
-    chosen = graph.output[names.index(output)]
-    tensors = [tensor for tensor in graph.initializer if tensor.name in needed]
-    dropped = len(graph.node) - len(nodes)
-    for kept, field in (([chosen], graph.output), (nodes[::-1], graph.node), (tensors, graph.initializer)):
-        copies = [type(item).FromString(item.SerializeToString()) for item in kept]
-        del field[:]
-        field.extend(copies)
-    return [f"kept the output {output!r}, dropped {len(names) - 1} other(s) and {dropped} node(s)"]
-
-
-def _rename(graph: onnx.GraphProto, value: onnx.ValueInfoProto, new: str, role: str) -> list[str]:
-    """Call the model's one input or output `new`, wherever it is named."""
-    old = value.name
-    if old == new:
-        return []
-    if any(new in (*node.input, *node.output) for node in graph.node):
-        raise PolicyError(f"the {role} {old!r} cannot be named {new!r}: a value inside the model is")
-    value.name = new
-    for node in graph.node:
-        for names in (node.input, node.output):
-            for place, name in enumerate(names):
-                if name == old:
-                    names[place] = new
-    return [f"renamed the {role} {old!r} to {new!r}"]
-
-
-def _fix_shape(value: onnx.ValueInfoProto, width: int | None) -> list[str]:
-    """Make a dynamic batch 1, and a dynamic width `width` where that is known."""
-    sizes = value.type.tensor_type.shape.dim
-    changes = []
-    for place, size in enumerate(sizes[:2] if len(sizes) == 2 else ()):
-        fixed = 1 if place == 0 else width
-        if fixed is not None and not size.HasField("dim_value"):
-            changes.append(f"fixed axis {place} of {value.name!r} to {fixed}")
-            size.dim_value = fixed
-    return changes
-
-
-def _describe(model: onnx.ModelProto, claims: PolicyClaims, source_sha256: str) -> None:
+def _describe(model: onnx.ModelProto, claims: PolicyClaims, producer: str, source_sha256: str) -> None:
     """Put the metadata of a policy in the place of any that is there."""
     import onnx
 
     kept = [entry for entry in model.metadata_props if not entry.key.startswith("neuroflight.")]
-    producer = f"{model.producer_name} {model.producer_version}".strip()
     training = {"producer": producer, "source_sha256": source_sha256}
     metadata = {
         contract.META_VERSION: contract.POLICY_FORMAT_VERSION,
@@ -206,22 +194,6 @@ def _describe(model: onnx.ModelProto, claims: PolicyClaims, source_sha256: str) 
     entries = [onnx.StringStringEntryProto(key=key, value=text) for key, text in metadata.items()]
     del model.metadata_props[:]
     model.metadata_props.extend([*kept, *entries])
-
-
-def _append_clip(graph: onnx.GraphProto) -> None:
-    import numpy as np
-    from onnx import helper, numpy_helper
-
-    unclipped, low, high = CLIP_NAMES
-    for node in graph.node:
-        for names in (node.input, node.output):
-            for place, name in enumerate(names):
-                if name == contract.POLICY_OUTPUT:
-                    names[place] = unclipped
-    graph.initializer.append(numpy_helper.from_array(np.array(0, np.float32), low))
-    graph.initializer.append(numpy_helper.from_array(np.array(1, np.float32), high))
-    node = helper.make_node("Clip", [unclipped, low, high], [contract.POLICY_OUTPUT], name="neuroflight/clip")
-    graph.node.append(node)
 
 
 def _bytes(model: onnx.ModelProto) -> bytes:

@@ -18,7 +18,8 @@ def read_gemm(build: Builder, call: Call) -> Row:
     """alpha x W + beta b."""
     row, options = call.row(0), call.attributes
     shape = row.shape[::-1] if options.get("transA", 0) else row.shape
-    if len(shape) != 2 or shape[0] != 1:
+    flat = len(shape) == 1  # which ONNX forbids and jax2onnx writes
+    if not flat and (len(shape) != 2 or shape[0] != 1):
         raise call.error(f"multiplies a value of shape {list(row.shape)}, expected one row")
     with np.errstate(all="ignore"):
         weight = _weights(call, 1, (2,)) * options.get("alpha", 1.0)
@@ -30,7 +31,7 @@ def read_gemm(build: Builder, call: Call) -> Row:
             raise call.error(f"adds a constant of shape {list(given.shape)}, expected [{bias.size}]")
         with np.errstate(all="ignore"):
             bias = np.broadcast_to(given, (1, bias.size))[0] * np.float64(options.get("beta", 1.0))
-    return _linear(build, call, row, weight, bias, (1, bias.size))
+    return linear(build, call, row, weight, bias, (bias.size,) if flat else (1, bias.size))
 
 
 def read_matmul(build: Builder, call: Call) -> Row:
@@ -45,7 +46,7 @@ def read_matmul(build: Builder, call: Call) -> Row:
     lead = (1,) * max(len(row.shape) - 2, constant.ndim - 2)
     outer = () if flat else (1,)
     shape = (*lead, *outer, weight.shape[0]) if first else (*lead, weight.shape[0], *outer)
-    return _linear(build, call, row, weight, np.zeros(weight.shape[0]), shape)
+    return linear(build, call, row, weight, np.zeros(weight.shape[0]), shape)
 
 
 def _weights(call: Call, place: int, ranks: tuple[int, ...] = (2, 3, 4)) -> Float64:
@@ -56,9 +57,10 @@ def _weights(call: Call, place: int, ranks: tuple[int, ...] = (2, 3, 4)) -> Floa
     return weight.reshape(weight.shape[-2:]).astype(np.float64)
 
 
-def _linear(
+def linear(
     build: Builder, call: Call, row: Row, weight: Float64, bias: Float64, shape: tuple[int, ...]
 ) -> Row:
+    """W x + b, rounded to float32. Raises PolicyError where it leaves that or does not fit the value."""
     if weight.shape[1] != row.width or not weight.size:
         raise call.error(f"has weights for {weight.shape[1]} inputs, expected {row.width}")
     with np.errstate(over="ignore"):
@@ -73,11 +75,11 @@ def read_arithmetic(build: Builder, call: Call) -> Row:
     if len(call.inputs) == 2 and all(isinstance(value, Row) for value in call.inputs):
         return _of_two(build, call, call.row(0), call.row(1))
     first = isinstance(call.input(0), Row)
-    row, constant = call.row(0 if first else 1), call.floats(1 if first else 0)
+    row, constant = call.row(0 if first else 1), call.numbers(1 if first else 0)
     assert constant is not None
     shape = joint_shape(call, row.shape, constant.shape)
     row = build.broadcast(call, row, shape)
-    values = np.broadcast_to(constant, shape).ravel().astype(np.float64)
+    values = np.broadcast_to(constant, shape).ravel()
     _reject_constant_state(build, call, row, constant)
     match call.operator:
         case "Add":

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Set
 
 import onnx
 from onnx import TensorProto
@@ -10,7 +10,7 @@ from onnx import TensorProto
 from toolchain.contract import POLICY_INPUT, POLICY_OUTPUT
 from toolchain.errors import PolicyError
 from toolchain.reader.constants import TYPES
-from toolchain.reader.operators import COMPUTING, KNOWN
+from toolchain.reader.operators import COMPUTING
 from toolchain.reader.values import NODES_MAX, STANDARD_DOMAINS, label, shown
 
 OPSET_MIN = 13  # the oldest that torch still writes; since then axes and bounds are inputs
@@ -21,21 +21,28 @@ HINTS = {
     "output": "`neuroflight freeze --output` picks one",
 }
 WEIGHTED = {  # operator: places of its weights
+    "Conv": (1, 2),
     "Gemm": (1, 2),
     "MatMul": (0, 1),
     "GRU": (1, 2, 3),
+    "RNN": (1, 2, 3),
     "LSTM": (1, 2, 3),
     "LayerNormalization": (1, 2),
     "BatchNormalization": (1, 2, 3, 4),
 }
 
 
-def check_model(model: onnx.ModelProto) -> None:
-    """Raise PolicyError, one line, for a model that must not reach the readers of nodes."""
+def check_model(model: onnx.ModelProto, *, float64: bool = False) -> None:
+    """Raise PolicyError, one line, for a model that must not reach the readers of nodes.
+
+    float64: let constants of that type pass, as those of a normalizer.
+    """
     check_parts(model)
-    version = _opset(model)
+    version = opset(model)
+    if version < OPSET_MIN:
+        raise PolicyError(f"the policy is of opset {version}, expected {OPSET_MIN} or newer; export again")
     _check_operators(model.graph)
-    _check_tensors(model.graph)
+    _check_tensors(model.graph, {TensorProto.FLOAT, *([TensorProto.DOUBLE] * float64)})
     _check_order(model.graph)
     _check_inputs(model.graph, version)
     try:
@@ -72,17 +79,13 @@ def check_parts(model: onnx.ModelProto) -> None:
         raise PolicyError(f"the policy has {count} nodes, expected at most {FILE_NODES_MAX}; is it a policy?")
 
 
-def _opset(model: onnx.ModelProto) -> int:
-    """The version of the standard operators."""
+def opset(model: onnx.ModelProto) -> int:
+    """The version of the standard operators. Raises PolicyError where there is none or onnx knows it not."""
     newest = onnx.defs.onnx_opset_version()
     versions = [entry.version for entry in model.opset_import if entry.domain in STANDARD_DOMAINS]
     if not versions:
         raise PolicyError("the policy names no opset, or the file is truncated; export it again")
     for version in versions:
-        if version < OPSET_MIN:
-            raise PolicyError(
-                f"the policy is of opset {version}, expected {OPSET_MIN} or newer; export again"
-            )
         if version > newest:
             raise PolicyError(
                 f"the policy is of opset {version}, and onnx {onnx.__version__} knows {newest}; "
@@ -91,14 +94,20 @@ def _opset(model: onnx.ModelProto) -> int:
     return int(max(versions))
 
 
+def unsupported(name: str) -> PolicyError:
+    """The refusal of the node labelled `name`, whose operator nothing reads."""
+    return PolicyError(f"{name} is not supported, supported are {', '.join(COMPUTING)} and reshaping")
+
+
 def _check_operators(graph: onnx.GraphProto) -> None:
     for node in graph.node:
-        if node.op_type not in KNOWN or node.domain not in STANDARD_DOMAINS:
-            listed = ", ".join(COMPUTING)
-            raise PolicyError(f"{label(node)} is not supported, supported are {listed} and reshaping")
+        nested = any(attribute.HasField("g") or attribute.graphs for attribute in node.attribute)
+        if nested or node.domain not in STANDARD_DOMAINS or not onnx.defs.has(node.op_type):
+            raise unsupported(label(node))
 
 
-def _check_tensors(graph: onnx.GraphProto) -> None:
+def _check_tensors(graph: onnx.GraphProto, floats: Set[int]) -> None:
+    """floats: the types that weights may have."""
     tensors = [(f"initializer {shown(tensor.name)}", tensor) for tensor in graph.initializer]
     tensors += [(label(n), a.t) for n in graph.node for a in n.attribute if a.HasField("t")]
     for name, tensor in tensors:
@@ -107,14 +116,14 @@ def _check_tensors(graph: onnx.GraphProto) -> None:
                 f"{name} keeps its values in another file; export the policy as one file "
                 "(torch.onnx.export with external_data=False) or let `neuroflight freeze` join them"
             )
-        if tensor.data_type not in TYPES:
+        if tensor.data_type not in TYPES.keys() - {TensorProto.FLOAT, TensorProto.DOUBLE} | floats:
             kind = _type_name(tensor.data_type)
             raise PolicyError(f"{name} is of type {kind}, expected float32; export in float32")
     types = {tensor.name: tensor.data_type for tensor in graph.initializer}
     for node in graph.node:
         for place in WEIGHTED.get(node.op_type, ()):
             name = node.input[place] if place < len(node.input) else ""
-            if types.get(name, TensorProto.FLOAT) != TensorProto.FLOAT:
+            if types.get(name, TensorProto.FLOAT) not in floats:
                 kind = _type_name(types[name])
                 raise PolicyError(
                     f"{label(node)} takes weights {shown(name)} of type {kind}, expected float32; "

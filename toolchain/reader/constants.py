@@ -15,11 +15,12 @@ import onnx
 from onnx import TensorProto, numpy_helper
 
 from toolchain.errors import PolicyError
-from toolchain.reader.values import Array, Call, Row
+from toolchain.reader.values import Array, Call, Row, Unread
 
 ELEMENTS_MAX = 1 << 18  # of a folded constant: more than a policy has weights
 TYPES: dict[int, type[np.generic]] = {
     TensorProto.FLOAT: np.float32,
+    TensorProto.DOUBLE: np.float64,  # of normalizers; what is computed from them is float32
     TensorProto.INT64: np.int64,
     TensorProto.INT32: np.int32,
     TensorProto.BOOL: np.bool_,
@@ -44,7 +45,9 @@ def fold(call: Call) -> Array | tuple[Array, ...]:
     """What a node computes from constants. Raises PolicyError when it is no operator of the list."""
     if call.operator == "Shape":
         value = call.input(0)
-        shape = value.shape if isinstance(value, Row | np.ndarray) else ()
+        shape = value.shape if isinstance(value, Row | Unread | np.ndarray) else None
+        if shape is None:
+            raise call.error("asks for the shape of a value whose shape is not known")
         end = call.attributes.get("end")
         return np.array(shape[call.attributes.get("start", 0) : end], np.int64)
     function = FOLDED.get(call.operator)

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import contextlib
+from collections.abc import Mapping
+
 import numpy as np
 import onnx
-from onnx import helper
+from onnx import TensorProto, helper, numpy_helper
 
 from toolchain.contract import POLICY_INPUT, POLICY_OUTPUT
 from toolchain.errors import PolicyError
 from toolchain.ir.network import Network, Node
-from toolchain.reader.checks import action_width, check_model, observation_width
+from toolchain.reader.checks import action_width, check_model, observation_width, opset, unsupported
 from toolchain.reader.constants import array, fold
-from toolchain.reader.operators import OPERATORS
+from toolchain.reader.operators import KNOWN, OPERATORS
 from toolchain.reader.output_range import bounded
 from toolchain.reader.patterns import STARTS, read_part
 from toolchain.reader.values import (
@@ -33,27 +36,14 @@ FOLDED_BYTES_MAX = 256 << 20  # of all constants that nodes compute: memory, not
 def read_network(model: onnx.ModelProto) -> Network:
     """The network of `model`; it ends with a Clip within [0, 1]. Raises PolicyError."""
     check_model(model)
-    graph = model.graph
     width = observation_width(model)
     if width > WIDTH_MAX:
         raise PolicyError(f"the policy takes {width} values, expected at most {WIDTH_MAX}")
     outputs = action_width(model)
     build = Builder(width)
-    values: dict[str, Value] = {
-        tensor.name: array(tensor, f"initializer {shown(tensor.name)}") for tensor in graph.initializer
-    }
-    values[POLICY_INPUT] = Row(0, (1, width))
-    folded = 0  # bytes of what nodes compute from constants
-    for node in graph.node:
-        call = _call(node, values)
-        results = _read(build, call)
-        folded += sum(result.nbytes for result in results if isinstance(result, np.ndarray))
-        if folded > FOLDED_BYTES_MAX:
-            raise call.error(f"makes it more than {FOLDED_BYTES_MAX} bytes of constants; is it a policy?")
-        if len(results) < len(node.output):
-            raise call.error(f"has {len(node.output)} outputs, expected {len(results)}")
-        values.update((name, result) for name, result in zip(node.output, results, strict=False) if name)
-    action = values.get(POLICY_OUTPUT)
+    action = read_nodes(model, build, {POLICY_INPUT: Row(0, (1, width))})[POLICY_OUTPUT]
+    if isinstance(action, Unread) and action.error is not None:
+        raise action.error
     if not isinstance(action, Row):
         raise PolicyError(f"output {POLICY_OUTPUT!r} is no function of the observation; is the export right?")
     if action.shape != (1, outputs):
@@ -61,6 +51,33 @@ def read_network(model: onnx.ModelProto) -> Network:
             f"the policy computes actions of shape {list(action.shape)}, declared [1, {outputs}]"
         )
     return bounded(_network(build, action))
+
+
+def read_nodes(model: onnx.ModelProto, build: Builder, inputs: Mapping[str, Row]) -> dict[str, Value]:
+    """Read the nodes of a checked model into `build`; returns every value by its name.
+
+    A node that cannot be read gives values of type Unread, which hold the refusal: only who reads them, other
+    than for their shape, is refused.
+    """
+    graph = model.graph
+    values: dict[str, Value] = {
+        tensor.name: array(tensor, f"initializer {shown(tensor.name)}") for tensor in graph.initializer
+    }
+    values |= inputs
+    folded = 0  # bytes of what nodes compute from constants
+    for node in graph.node:
+        call = _call(node, values)
+        try:
+            results = _read(build, call)
+            if len(results) < len(node.output):
+                raise call.error(f"has {len(node.output)} outputs, expected {len(results)}")
+        except PolicyError as error:
+            results = _unread(model, node, call, error)
+        folded += sum(result.nbytes for result in results if isinstance(result, np.ndarray))
+        if folded > FOLDED_BYTES_MAX:
+            raise call.error(f"makes it more than {FOLDED_BYTES_MAX} bytes of constants; is it a policy?")
+        values.update((name, result) for name, result in zip(node.output, results, strict=False) if name)
+    return values
 
 
 def _call(node: onnx.NodeProto, values: dict[str, Value]) -> Call:
@@ -72,21 +89,59 @@ def _call(node: onnx.NodeProto, values: dict[str, Value]) -> Call:
 
 def _read(build: Builder, call: Call) -> tuple[Value, ...]:
     """The outputs of one node."""
+    if call.operator == "Shape" and isinstance(call.input(0), Unread):
+        result: Value | tuple[Value, ...] = fold(call)
+        return result if isinstance(result, tuple) else (result,)
     for name, value in zip(call.names, call.inputs, strict=True):
         if isinstance(value, Unread):
-            raise call.error(f"takes {shown(name)}, {value.label}, which is not supported")
+            raise value.error or call.error(f"takes {shown(name)}, {value.label}, which is not supported")
     kinds = {type(value) for value in call.inputs}
     if call.operator == "Constant":
         return (_constant(call),)
     if (call.operator == "Shape" and Part not in kinds) or not kinds & {Row, Part}:
-        result: Value | tuple[Value, ...] = fold(call)
+        result = fold(call)
     elif Part in kinds or call.operator in STARTS:
         result = read_part(build, call)
     elif call.operator in OPERATORS:
         result = OPERATORS[call.operator](build, call)
-    else:
+    elif call.operator in KNOWN:
         raise call.error("takes values computed from the observation; it is supported on constants only")
+    else:
+        raise unsupported(call.label)
     return result if isinstance(result, tuple) else (result,)
+
+
+def _unread(
+    model: onnx.ModelProto, node: onnx.NodeProto, call: Call, error: PolicyError
+) -> tuple[Unread, ...]:
+    """The outputs of a node that cannot be read, with their shapes where ONNX's own inference tells them."""
+    types, constants = {}, {}
+    for name, value in zip(call.names, call.inputs, strict=True):
+        if isinstance(value, np.ndarray):
+            constants[name] = numpy_helper.from_array(value)
+            kind, shape = constants[name].data_type, value.shape
+        elif isinstance(value, Row | Unread) and value.shape is not None:
+            kind, shape = TensorProto.FLOAT, value.shape
+        else:
+            continue
+        types[name] = helper.make_tensor_type_proto(kind, shape)
+    found: dict[str, onnx.TypeProto] = {}
+    with contextlib.suppress(Exception):  # it documents no set of errors; without it no shape is known
+        schema = onnx.defs.get_schema(node.op_type, opset(model), "")
+        found = onnx.shape_inference.infer_node_outputs(
+            schema, node, types, constants, opset_imports=list(model.opset_import)
+        )
+    return tuple(
+        Unread(f"an output of {call.label}", error, _static(found.get(name))) for name in node.output
+    )
+
+
+def _static(found: onnx.TypeProto | None) -> tuple[int, ...] | None:
+    """The shape of a type, where all of it is known."""
+    if found is None or not found.tensor_type.HasField("shape"):
+        return None
+    sizes = found.tensor_type.shape.dim
+    return tuple(size.dim_value for size in sizes) if all(s.HasField("dim_value") for s in sizes) else None
 
 
 def _constant(call: Call) -> Value:

@@ -23,8 +23,9 @@ from toolchain.ir.operations import (
 )
 from toolchain.reader.arithmetic import mapped, read_arithmetic, read_gemm, read_matmul, read_negative
 from toolchain.reader.constants import FOLDED, MOVES, apply
+from toolchain.reader.convolution import read_conv
 from toolchain.reader.patterns import ONLY_INSIDE, STARTS
-from toolchain.reader.recurrent import read_gru, read_lstm
+from toolchain.reader.recurrent import read_gru, read_lstm, read_rnn
 from toolchain.reader.values import WIDTH_MAX, Builder, Call, Row, Unread, Value, joint_shape
 
 Reader = Callable[[Builder, Call], Value | tuple[Value, ...]]
@@ -106,7 +107,7 @@ def _batch_norm(build: Builder, call: Call) -> Row:
         raise call.error("is in training mode, expected inference; export after model.eval()")
     if len(row.shape) < 2 or row.shape[1] != row.width:
         raise call.error(f"takes a value of shape {list(row.shape)}, expected [1, n]")
-    constants = [call.floats(place) for place in (1, 2, 3, 4)]
+    constants = [call.numbers(place) for place in (1, 2, 3, 4)]
     if any(values is None or values.shape != (row.width,) for values in constants):
         raise call.error(f"has constants of other shapes than [{row.width}]")
     scale, offset, mean, variance = (np.asarray(values, np.float64) for values in constants)
@@ -126,7 +127,7 @@ def _dropout(build: Builder, call: Call) -> tuple[Value, ...]:
 
 def _cast(build: Builder, call: Call) -> Row:
     kind = call.attributes.get("to", 0)
-    if kind != TensorProto.FLOAT:
+    if kind not in (TensorProto.FLOAT, TensorProto.DOUBLE):  # the policy computes in float32 all the same
         known = kind in TensorProto.DataType.values()
         name = TensorProto.DataType.Name(kind).lower() if known else str(kind)
         raise call.error(f"converts to {name}, expected float32; export in float32")
@@ -164,6 +165,7 @@ OPERATORS: dict[str, Reader] = {
     "Cast": _cast,
     "Clip": _clip,
     "Concat": _concat,
+    "Conv": read_conv,
     "Dropout": _dropout,
     "Elu": _parameter(Elu, 1.0),
     "GRU": read_gru,
@@ -173,6 +175,7 @@ OPERATORS: dict[str, Reader] = {
     "LeakyRelu": _parameter(LeakyRelu, 0.01),
     "MatMul": read_matmul,
     "Neg": read_negative,
+    "RNN": read_rnn,
     "Relu": _activation(Relu()),
     "Sigmoid": _activation(Sigmoid()),
     "Softsign": _activation(Softsign()),

@@ -1,50 +1,170 @@
-"""GRU and LSTM nodes of one step: the compiled policy carries their state from one observation to the next.
+"""GRU, LSTM and RNN nodes of one step: the compiled policy carries their state to the next observation.
 
 That is another meaning than the file's own, whose every run starts from the initial state; it is what the
-policy was trained for, and it is the same only if that initial state is zero.
+policy was trained for, and it is the same only if that initial state is zero. A node that takes its state
+from an input of the model is read as the sums and products that it stands for: `toolchain.reader.cells` finds
+the cell in them, as it does where an exporter wrote it so.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from toolchain.ir.float32 import Float32
-from toolchain.ir.operations import Gru, Lstm
+from toolchain.ir.operations import (
+    Add,
+    Affine,
+    Gru,
+    Linear,
+    Lstm,
+    Multiply,
+    Operation,
+    Sigmoid,
+    Slice,
+    Tanh,
+)
 from toolchain.reader.values import Builder, Call, Row, Unread, Value, shown
 
 SEQUENCE_LENGTHS, INITIAL_H, INITIAL_C, PEEPHOLES = 4, 5, 6, 7  # places of inputs
+STATES = {INITIAL_H: "h", INITIAL_C: "c"}
+GATE_OPEN = 100.0  # sum of a gate that stands still
 DEFAULTS = {  # attribute: the one value that is accepted
     "direction": b"forward",
     "layout": 0,
     "input_forget": 0,
     "clip": 0.0,
 }
-ACTIVATIONS = {"GRU": [b"Sigmoid", b"Tanh"], "LSTM": [b"Sigmoid", b"Tanh", b"Tanh"]}
+ACTIVATIONS = {"RNN": [b"Tanh"], "GRU": [b"Sigmoid", b"Tanh"], "LSTM": [b"Sigmoid", b"Tanh", b"Tanh"]}
 
 
 def read_gru(build: Builder, call: Call) -> tuple[Value, ...]:
     """Y and Y_h of a GRU."""
     if call.attributes.get("linear_before_reset", 0) != 1:
         raise call.error(
-            "has linear_before_reset 0, expected 1: the reset gate after the state's matrix, as torch's GRU"
+            "has linear_before_reset 0, expected 1: the reset gate after the state's matrix, as torch's GRU "
+            "and Keras' with reset_after=True"
         )
     row, weight, state_weight, bias = _parts(call, 3)
     units = state_weight.shape[1]
-    cell = Gru(weight, state_weight, bias[: 3 * units], bias[3 * units :])
-    result = build.append(call, cell, row, shape=(1, 1, 1, units))
-    return result, Row(result.number, (1, 1, units))
+    before = _initial(call, units, INITIAL_H)
+    input_bias, state_bias = bias[: 3 * units], bias[3 * units :]
+    if before is None:
+        result = build.append(call, Gru(weight, state_weight, input_bias, state_bias), row, shape=(units,))
+    else:
+        write = _Writer(build, call, units)
+        given = write.gates(Linear(weight, input_bias), row)
+        kept = write.gates(Linear(state_weight, state_bias), before[0])
+        update, reset = (write(Sigmoid(), write(Add(), given[k], kept[k])) for k in (0, 1))
+        new = write(Tanh(), write(Add(), given[2], write(Multiply(), reset, kept[2])))
+        result = write(Add(), new, write(Multiply(), update, write(Add(), before[0], write.negative(new))))
+    return _outputs(result)
 
 
 def read_lstm(build: Builder, call: Call) -> tuple[Value, ...]:
-    """Y, Y_h and the cell state of an LSTM, which no operation may read."""
+    """Y, Y_h and the cell state of an LSTM, which no operation may read where the policy carries it."""
     if call.input(PEEPHOLES) is not None:
         raise call.error("has peepholes, expected none")
     row, weight, state_weight, bias = _parts(call, 4)
     units = state_weight.shape[1]
-    joint = bias[: 4 * units].astype(np.float64) + bias[4 * units :]
-    cell = Lstm(weight, state_weight, joint.astype(np.float32))
-    result = build.append(call, cell, row, shape=(1, 1, 1, units))
-    return result, Row(result.number, (1, 1, units)), Unread(f"the cell state of {call.label}")
+    before = _initial(call, units, INITIAL_H, INITIAL_C)
+    joint = (bias[: 4 * units].astype(np.float64) + bias[4 * units :]).astype(np.float32)
+    if before is None:
+        result = build.append(call, Lstm(weight, state_weight, joint), row, shape=(units,))
+        return *_outputs(result), Unread(f"the cell state of {call.label}")
+    write = _Writer(build, call, units)
+    given = write.gates(Linear(weight, joint), row)
+    kept = write.gates(Linear(state_weight, np.zeros(4 * units, np.float32)), before[0])
+    sums = [write(Add(), one, other) for one, other in zip(given, kept, strict=True)]
+    enter, leave, forget = (write(Sigmoid(), total) for total in sums[:3])
+    inside = write(
+        Add(), write(Multiply(), forget, before[1]), write(Multiply(), enter, write(Tanh(), sums[3]))
+    )
+    return *_outputs(write(Multiply(), leave, write(Tanh(), inside))), Row(inside.number, (1, 1, units))
+
+
+def read_rnn(build: Builder, call: Call) -> tuple[Value, ...]:
+    """Y and Y_h of an RNN: h' = tanh(W x + b + R h + c)."""
+    row, weight, state_weight, bias = _parts(call, 1)
+    units = state_weight.shape[1]
+    before = _initial(call, units, INITIAL_H)
+    if before is None:
+        return _outputs(
+            build.append(
+                call, plain_cell(weight, state_weight, bias[:units], bias[units:]), row, shape=(units,)
+            )
+        )
+    write = _Writer(build, call, units)
+    given = build.append(call, Linear(weight, bias[:units]), row, shape=(units,))
+    kept = build.append(call, Linear(state_weight, bias[units:]), before[0], shape=(units,))
+    return _outputs(write(Tanh(), write(Add(), given, kept)))
+
+
+def plain_cell(weight: Float32, state_weight: Float32, bias: Float32, state_bias: Float32) -> Gru:
+    """h' = tanh(W x + b + R h + c) as a GRU whose gates stand still: nothing kept, nothing reset.
+
+    A bias of +-GATE_OPEN makes a sigmoid of float32 exactly 1 and at most 4e-44.
+    """
+    units = len(weight)
+    gates = np.repeat(np.float32([-GATE_OPEN, GATE_OPEN]), units)
+    return Gru(
+        np.concatenate([np.zeros((2 * units, weight.shape[1]), np.float32), weight]),
+        np.concatenate([np.zeros((2 * units, units), np.float32), state_weight]),
+        np.concatenate([gates, bias]),
+        np.concatenate([np.zeros(2 * units, np.float32), state_bias]),
+    )
+
+
+def _outputs(result: Row) -> tuple[Row, Row]:
+    """Y [1, 1, 1, H] and Y_h [1, 1, H]."""
+    units = result.width
+    return Row(result.number, (1, 1, 1, units)), Row(result.number, (1, 1, units))
+
+
+@dataclass(frozen=True)
+class _Writer:
+    """Appends the operations of one cell, all of its width."""
+
+    build: Builder
+    call: Call
+    units: int
+
+    def __call__(self, operation: Operation, *rows: Row) -> Row:
+        return self.build.append(self.call, operation, *rows, shape=(self.units,))
+
+    def gates(self, layer: Linear, row: Row) -> list[Row]:
+        """The sums of each gate, which `layer` has one after the other."""
+        count = layer.outputs // self.units
+        joint = self.build.append(self.call, layer, row, shape=(layer.outputs,))
+        return [self(Slice(gate * self.units, self.units), joint) for gate in range(count)]
+
+    def negative(self, row: Row) -> Row:
+        """-x."""
+        return self(Affine(np.full(self.units, -1.0), np.zeros(self.units)), row)
+
+
+def _initial(call: Call, units: int, *places: int) -> list[Row] | None:
+    """The computed state that the cell starts from; None where it starts from zero."""
+    given = []
+    for place in places:
+        value = call.input(place)
+        if isinstance(value, np.ndarray) and value.any():
+            raise call.error(
+                f"has an initial state {STATES[place]} other than zero; policy_init clears the state"
+            )
+        if isinstance(value, Row):
+            if value.width != units:
+                raise call.error(
+                    f"has an initial state {STATES[place]} of shape {list(value.shape)}, "
+                    f"expected [1, 1, {units}]"
+                )
+            given.append(value)
+    if given and len(given) < len(places):
+        raise call.error(
+            "takes one of its states h and c from an input and not the other; export both or none"
+        )
+    return given or None
 
 
 def _parts(call: Call, gates: int) -> tuple[Row, Float32, Float32, Float32]:
@@ -82,11 +202,3 @@ def _check_options(call: Call) -> None:
         raise call.error(f"has activations {shown(names)}, expected {expected}")
     if call.input(SEQUENCE_LENGTHS) is not None:
         raise call.error("has sequence_lens, expected none: a policy takes one step at a time")
-    for place, name in ((INITIAL_H, "h"), (INITIAL_C, "c")):
-        value = call.input(place)
-        if value is None:
-            continue
-        if not isinstance(value, np.ndarray):
-            raise call.error(f"computes its initial state {name}, expected zero or none")
-        if value.any():
-            raise call.error(f"has an initial state {name} other than zero; policy_init clears the state")

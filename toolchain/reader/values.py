@@ -27,7 +27,7 @@ PIECES_MAX = 64  # slices that one node may cut its value into
 NAME_MAX = 60  # characters of a name in a message
 STANDARD_DOMAINS = ("", "ai.onnx")  # two spellings of one
 
-Array = NDArray[Any]  # a constant: float32, int64, int32 or bool
+Array = NDArray[Any]  # a constant: float32, float64, int64, int32 or bool
 
 
 @dataclass(frozen=True)
@@ -60,9 +60,11 @@ class Part:
 
 @dataclass(frozen=True)
 class Unread:
-    """An output that the reader does not know, such as the cell state of an LSTM; only its use is refused."""
+    """An output that the reader does not know, such as the mask of a Dropout; only its use is refused."""
 
     label: str
+    error: PolicyError | None = None  # why it could not be read
+    shape: tuple[int, ...] | None = None  # where that is known all the same
 
 
 Value = Array | Row | Part | Unread
@@ -84,6 +86,14 @@ class Call:
         """Input number `place`, None where the node leaves it out."""
         return self.inputs[place] if place < len(self.inputs) else None
 
+    def numbers(self, place: int) -> NDArray[np.float64] | None:
+        """The float32 or float64 constant at `place`. Raises PolicyError for others, NaN or infinity."""
+        values = self.constant(place)
+        if values is not None and values.dtype == np.float64 and np.isfinite(values).all():
+            return values
+        given = self.floats(place)
+        return None if given is None else given.astype(np.float64)
+
     def row(self, place: int = 0) -> Row:
         """The computed value that the node takes at `place`. Raises PolicyError for a constant there."""
         value = self.input(place)
@@ -99,10 +109,13 @@ class Call:
         raise self.error(f"takes {shown(self.names[place])} where a constant is expected")
 
     def floats(self, place: int) -> Float32 | None:
-        """The float32 constant at `place`. Raises PolicyError for another type, NaN or infinity."""
+        """The constant at `place` in float32. Raises PolicyError for another type, NaN or infinity."""
         values = self.constant(place)
         if values is None:
             return None
+        if values.dtype == np.float64:
+            with np.errstate(over="ignore"):
+                values = values.astype(np.float32)
         if values.dtype != np.float32:
             raise self.error(f"takes {shown(self.names[place])} of type {values.dtype}, expected float32")
         if bad := int((~np.isfinite(values)).sum()):
@@ -112,10 +125,13 @@ class Call:
         return values
 
     def scalar(self, place: int) -> float | None:
-        """The one float32 value at `place`, which may be repeated. Infinity is allowed."""
+        """The one value at `place`, in float32, which may be repeated. Infinity is allowed."""
         values = self.constant(place)
         if values is None:
             return None
+        if values.dtype == np.float64:
+            with np.errstate(over="ignore"):
+                values = values.astype(np.float32)
         if values.dtype != np.float32 or values.size == 0 or not (values == values.flat[0]).all():
             kind = f"{values.dtype} {list(values.shape)}"
             raise self.error(f"takes {shown(self.names[place])} of {kind}, expected one float32 value")
@@ -134,6 +150,7 @@ class Builder:
     nodes: list[Node] = field(default_factory=list)
     widths: list[int] = field(default_factory=list)
     multiply_adds: int = 0
+    multiply_adds_max: int = MULTIPLY_ADDS_MAX
     absorbed: set[int] = field(default_factory=set)  # values that an operation read later contains
 
     def __post_init__(self) -> None:
@@ -142,12 +159,8 @@ class Builder:
 
     def append(self, call: Call, operation: Operation, *rows: Row, shape: tuple[int, ...]) -> Row:
         """`call` computes `operation` from `rows`; the result has `shape`."""
+        self.afford(call, multiply_adds(operation))
         self.multiply_adds += multiply_adds(operation)
-        if self.multiply_adds > MULTIPLY_ADDS_MAX:
-            raise call.error(
-                f"brings the policy to {self.multiply_adds} multiply-adds, expected at most "
-                f"{MULTIPLY_ADDS_MAX}: what the processor does in a millisecond; train a smaller network"
-            )
         if len(self.nodes) >= NODES_MAX:
             raise call.error(f"is one too many: a policy may have {NODES_MAX} operations")
         width = output_width(operation, [self.widths[row.number] for row in rows])
@@ -156,6 +169,14 @@ class Builder:
         self.nodes.append(Node(operation, tuple(row.number for row in rows), call.name))
         self.widths.append(width)
         return Row(len(self.nodes), shape)
+
+    def afford(self, call: Call, more: int) -> None:
+        """Raise PolicyError where `more` multiply-adds are too many."""
+        if self.multiply_adds + more > self.multiply_adds_max:
+            raise call.error(
+                f"brings the policy to {self.multiply_adds + more} multiply-adds, expected at most "
+                f"{self.multiply_adds_max}: what the processor does in a millisecond; train a smaller network"
+            )
 
     def operation(self, row: Row) -> Node | None:
         """The node that computes `row`, None for the observation."""

@@ -69,10 +69,9 @@ def test_model_becomes_a_policy_when_frozen_with_what_it_does_not_say(
     assert main(["freeze", str(source), *OPTIONS, "--clip", "--out", str(out)]) == 0
     printed = capsys.readouterr().out.splitlines()
     assert printed == [
+        "fixed axis 0 of 'obs' to 1 (was batch)",
         "renamed the input 'obs' to 'observation'",
-        "fixed axis 0 of 'observation' to 1",
         "renamed the output 'act' to 'action'",
-        "fixed axis 0 of 'action' to 1",
         "appended a Clip to [0, 1]",
         f"{source} -> {out}: 6-8-4 tanh, nf1, 1000 Hz, mix attitude-first, filters []",
     ]
@@ -107,7 +106,7 @@ def test_freeze_tells_all_it_did_when_asked_for_json(source: Path, tmp_path: Pat
     assert main(["freeze", str(source), *OPTIONS, "--clip", "--json", "--out", str(out)]) == 0
     document = json.loads(capsys.readouterr().out)
     assert document["policy_sha256"] == read_policy(out).source_sha256
-    assert len(document["changes"]) == 5
+    assert len(document["changes"]) == 4
     assert document["idle"] == read_policy(out).idle == 0.0
 
 
@@ -210,17 +209,26 @@ def test_file_is_refused_when_it_is_neither_checkpoint_nor_model(
     assert "is no checkpoint and no ONNX model" in line
 
 
-def two_inputs(graph: onnx.GraphProto) -> None:
-    graph.input.add().CopyFrom(graph.input[0])
-    graph.input[1].name = "state"
-
-
 def taken_name(graph: onnx.GraphProto) -> None:
     graph.node[0].output[0] = graph.node[1].input[0] = "action"
 
 
 def dynamic_width(graph: onnx.GraphProto) -> None:
     graph.input[0].type.tensor_type.shape.dim[1].dim_param = "n"
+
+
+def two_actions(graph: onnx.GraphProto) -> None:
+    graph.node.append(onnx.helper.make_node("Tanh", [graph.node[-1].output[0]], ["squashed"]))
+    graph.output.add().CopyFrom(graph.output[0])
+    graph.output[1].name = "squashed"
+
+
+def two_widths(graph: onnx.GraphProto) -> None:
+    dynamic_width(graph)
+    graph.input.add().CopyFrom(graph.input[0])
+    graph.input[1].name = "command"
+    graph.node.insert(0, onnx.helper.make_node("Add", ["obs", "command"], ["sum"]))
+    graph.node[1].input[0] = "sum"
 
 
 def two_outputs(graph: onnx.GraphProto) -> None:
@@ -299,10 +307,11 @@ def test_critic_is_dropped_when_the_output_is_chosen(kit: Kit) -> None:
 @pytest.mark.parametrize(
     ("edit", "words"),
     [
-        (two_outputs, "outputs are 'act', 'value', expected one; choose one with --output"),
-        (two_inputs, "inputs are 'obs', 'state', expected one"),
-        (taken_name, "the output 'act' cannot be named 'action'"),
-        (dynamic_width, "dynamic shape [1, n]"),
+        (
+            two_actions,
+            "outputs are 'act' (4 values), 'squashed' (4 values), expected one of 4 values, one a motor",
+        ),
+        (two_widths, "the input 'obs' has the dynamic shape [batch, n], and its size cannot be told"),
     ],
 )
 def test_model_is_refused_when_its_ends_are_not_one_row(
@@ -311,6 +320,16 @@ def test_model_is_refused_when_its_ends_are_not_one_row(
     with pytest.raises(PolicyError) as caught:
         imported_model(foreign(kit.mlp((6, 8, 4)), edit), CLAIMS, clip=True)
     assert words in str(caught.value)
+
+
+@pytest.mark.parametrize("edit", [taken_name, dynamic_width])
+def test_model_is_adopted_when_a_value_has_the_actions_name_or_the_width_is_open(
+    kit: Kit, edit: Callable[[onnx.GraphProto], object]
+) -> None:
+    data, _ = imported_model(foreign(kit.mlp((6, 8, 4)), edit), CLAIMS, clip=True)
+    observation = kit.observations(20, 6)
+    expected = evaluate(parse_policy(kit.mlp((6, 8, 4)).data()).network, observation)
+    np.testing.assert_array_equal(evaluate(parse_policy(data).network, observation), expected)
 
 
 def test_freeze_never_crashes_when_bytes_are_damaged(kit: Kit) -> None:

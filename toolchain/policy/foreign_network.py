@@ -1,0 +1,219 @@
+"""Reads another trainer's model into the network of one observation."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import onnx
+
+from toolchain.contract import POLICY_INPUT, POLICY_OUTPUT
+from toolchain.errors import PolicyError
+from toolchain.ir.network import OBSERVATION, Network, Node, sweep
+from toolchain.ir.operations import Concat, Lstm, Recurrent, Slice
+from toolchain.policy.foreign_ends import Ends, computed, find_action, find_states, input_shapes
+from toolchain.policy.foreign_model import keep_outputs, listed
+from toolchain.reader.cells import Cell, find_cells
+from toolchain.reader.graph import read_nodes
+from toolchain.reader.recurrent import GATE_OPEN
+from toolchain.reader.values import MULTIPLY_ADDS_MAX, Builder, Row, Unread, Value, printable, shown
+
+CRITICS = 8  # times as large as a policy may be what is read before it is known which output is the action
+
+
+@dataclass(frozen=True)
+class _Reading:
+    """A model's nodes, read. Value 0 is all inputs side by side, each input a slice of it."""
+
+    build: Builder
+    values: Mapping[str, Value]
+    inputs: Mapping[str, Row]  # of floats, by name
+
+    @property
+    def names(self) -> dict[int, str]:
+        """Names of the inputs by the number of their value."""
+        return {row.number: name for name, row in self.inputs.items()}
+
+
+def read_foreign(model: onnx.ModelProto, ends: Ends) -> tuple[Network, list[str]]:
+    """The network of a checked model, without bounds, and what had to be changed, in words.
+
+    Drops from `model` what the action does not need.
+    """
+    shapes, fixed = input_shapes(model, ends)
+    reading = _read(model, shapes, CRITICS * MULTIPLY_ADDS_MAX)
+    name = find_action(model, reading.values, ends)
+    states = find_states(model, reading.values, reading.inputs, name)
+    outputs, nodes = keep_outputs(model.graph, {name, *states.values()})
+    dropped = f"kept the output {shown(name)}, dropped {outputs} other(s) and {nodes} node(s)"
+    changes = [*([dropped] if outputs or nodes else []), *fixed]
+    reading = _read(model, shapes, MULTIPLY_ADDS_MAX)
+    action = computed(reading.values, name)
+    after = {reading.inputs[s].number: computed(reading.values, states[s]).number for s in states}
+    cells, failed = find_cells(reading.build.nodes, reading.build.widths, set(reading.names), after)
+    changes += _told(cells, reading, states)
+    needed = _needed(reading.build.nodes, action.number, cells)
+    for node in (reading.build.nodes[number - 1] for number in sorted(needed)):
+        if isinstance(node.operation, Recurrent):
+            kind = _kind(node.operation)
+            changes.append(
+                f"node {shown(node.name)}: the policy carries its state, from zero at its start: {kind}"
+            )
+    names, more = _observed(reading, needed, cells, name)
+    changes += more
+    _check_failed(reading, names, failed, states, ends)
+    names, more = _ordered(reading, names, ends)
+    changes += more
+    if name != POLICY_OUTPUT:
+        changes.append(f"renamed the output {shown(name)} to {POLICY_OUTPUT!r}")
+    return _assembled(reading, names, action, needed, cells), changes
+
+
+def _read(model: onnx.ModelProto, shapes: dict[str, tuple[int, ...]], multiply_adds_max: int) -> _Reading:
+    """Read the nodes; value 0 is all inputs side by side, and each input a slice of it."""
+    build = Builder(sum(map(math.prod, shapes.values())), multiply_adds_max=multiply_adds_max)
+    inputs, start = dict[str, Row](), 0
+    for name, shape in shapes.items():
+        width = math.prod(shape)
+        build.nodes.append(Node(Slice(start, width), (OBSERVATION,), printable(name)))
+        build.widths.append(width)
+        inputs[name] = Row(len(build.nodes), shape)
+        start += width
+    values: dict[str, Value] = dict(inputs)
+    given = {tensor.name for tensor in model.graph.initializer}
+    for value in model.graph.input:
+        if value.name not in inputs and value.name not in given:
+            error = PolicyError(
+                f"the input {shown(value.name)} is read and holds no floats, expected float32 [1, n]"
+            )
+            values[value.name] = Unread("an input", error)
+    return _Reading(build, read_nodes(model, build, values), inputs)
+
+
+def _told(cells: Sequence[Cell], reading: _Reading, states: Mapping[str, str]) -> list[str]:
+    """A line for each cell."""
+    lines = []
+    for cell in cells:
+        names = dict.fromkeys(reading.names[number] for number in cell.states)
+        pairs = " and ".join(f"{shown(name)} -> {shown(states[name])}" for name in names)
+        lines.append(
+            f"{pairs}: a state that the policy carries, from zero at its start: {_kind(cell.operation)}"
+        )
+    return lines
+
+
+def _kind(operation: Recurrent) -> str:
+    units = operation.units
+    if isinstance(operation, Lstm):
+        return f"an LSTM of {units} units"
+    if (operation.input_bias[: 2 * units] == np.repeat([-GATE_OPEN, GATE_OPEN], units)).all():
+        return f"an RNN of {units} units, as a GRU whose gates stand still (three times the weights)"
+    return f"a GRU of {units} units"
+
+
+def _needed(nodes: Sequence[Node], action: int, cells: Sequence[Cell]) -> set[int]:
+    """Numbers of the values that the action is computed from, itself included, the observation not."""
+    replaced = {cell.result: cell for cell in cells}
+    needed, waiting = {OBSERVATION}, [action]
+    while waiting:
+        number = waiting.pop()
+        if number not in needed:
+            needed.add(number)
+            waiting += replaced[number].takes if number in replaced else nodes[number - 1].inputs
+    return needed - {OBSERVATION}
+
+
+def _observed(
+    reading: _Reading, needed: set[int], cells: Sequence[Cell], action: str
+) -> tuple[list[str], list[str]]:
+    """The inputs that are the observation, and a line for each that nothing reads."""
+    carried = {number for cell in cells for number in cell.states}
+    names, dropped = list[str](), list[str]()
+    for name, row in reading.inputs.items():
+        if row.number in needed and row.number in carried:
+            raise PolicyError(
+                f"the output {shown(action)} depends on the state {shown(name)} beside the cell that carries "
+                "it, which is not supported; export the action as a function of the cell's output alone"
+            )
+        if row.number in needed:
+            names.append(name)
+        elif row.number not in carried:
+            dropped.append(f"dropped the input {shown(name)}: the action does not depend on it")
+    if not names:
+        raise PolicyError(
+            f"the output {shown(action)} is no function of the inputs {listed(list(reading.inputs))}; "
+            "is the export right?"
+        )
+    return names, dropped
+
+
+def _check_failed(
+    reading: _Reading, names: Sequence[str], failed: Mapping[int, str], states: Mapping[str, str], ends: Ends
+) -> None:
+    """Raise PolicyError where an input is neither observation, by its width, nor the state of a cell."""
+    if ends.observation_count in (None, sum(reading.inputs[name].width for name in names)):
+        return
+    for number, why in failed.items():
+        name = reading.names[number]
+        if name in names:
+            raise PolicyError(
+                f"the input {shown(name)}, which the output {shown(states[name])} gives anew, is no state of "
+                f"a GRU, LSTM or tanh RNN: {why}; export the memory as torch.nn.GRU or LSTM, or observe the "
+                "past with terms like rate@1"
+            )
+
+
+def _ordered(reading: _Reading, names: list[str], ends: Ends) -> tuple[list[str], list[str]]:
+    """The observation's inputs in their order, and what is said of it."""
+    order = list(ends.input_order or names)
+    if sorted(order) != sorted(names):
+        raise PolicyError(
+            f"--input-order names {listed(order)}, but the observation of the model is {listed(names)}; "
+            "name each of these once"
+        )
+    if len(order) == 1:
+        renamed = f"renamed the input {shown(order[0])} to {POLICY_INPUT!r}"
+        return order, [renamed] if order != [POLICY_INPUT] else []
+    parts, terms, joined = list[str](), list(ends.terms or ()), list[str]()
+    for name in order:
+        width, taken = reading.inputs[name].width, list[str]()
+        while terms and width >= terms[0][1]:
+            text, count = terms.pop(0)
+            taken.append(text)
+            width -= count
+        if width and terms:
+            raise PolicyError(
+                f"the input {shown(name)} takes {reading.inputs[name].width} values and so ends inside "
+                f"{terms[0][0]} of --observation, whose terms follow the inputs {listed(order)}; name the "
+                "terms in that order or the inputs with --input-order"
+            )
+        joined.append(shown(name))
+        parts.append(f"{shown(name)} takes {','.join(taken)}")
+    how = "as told" if ends.input_order else "the model's, --input-order names another"
+    return order, [f"joined the inputs {' and '.join(joined)} ({how}): {'; '.join(parts)}"]
+
+
+def _assembled(
+    reading: _Reading, names: Sequence[str], action: Row, needed: set[int], cells: Sequence[Cell]
+) -> Network:
+    """The network of the observation alone: its inputs in their order, cells in the place of their nodes."""
+    replaced, start = {cell.result: cell for cell in cells}, 0
+    nodes, renamed = list[Node](), {OBSERVATION: OBSERVATION}
+    for name in names:
+        row = reading.inputs[name]
+        if len(names) > 1:
+            nodes.append(Node(Slice(start, row.width), (OBSERVATION,), printable(name)))
+        renamed[row.number] = len(nodes)
+        start += row.width
+    for number in sorted(needed - renamed.keys()):
+        node, cell = reading.build.nodes[number - 1], replaced.get(number)
+        operation = node.operation if cell is None else cell.operation
+        takes = [renamed[value] for value in (node.inputs if cell is None else cell.takes)]
+        if cell is not None and len(takes) > 1:
+            nodes.append(Node(Concat(), tuple(takes), node.name))
+            takes = [len(nodes)]
+        nodes.append(Node(operation, tuple(takes), node.name))
+        renamed[number] = len(nodes)
+    return sweep(Network(start, tuple(nodes[: renamed[action.number]])))
