@@ -17,8 +17,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--csv",
         type=Path,
         metavar="FILE.csv",
-        help="a row each frame, as the format's tools write it; header lines go into FILE.headers.csv, GPS frames "
-        "into FILE.gps.csv",
+        help="a row each frame, as the format's tools write it; header lines go into FILE.headers.csv, GPS "
+        "frames into FILE.gps.csv",
     )
     parser.add_argument(
         "--npz", type=Path, metavar="FILE.npz", help="columns, and what they are in rad/s, s, V"

@@ -21,7 +21,14 @@ from toolchain.files import file_size
 Array = NDArray[np.float64]
 Failure = type[NeuroflightError]
 
-MARKS = ("\t", ";", ",", "|", "  ", " ")  # between cells; two blanks: headings have single ones in them
+MARKS = (
+    "\t",
+    ";",
+    ",",
+    "|",
+    "  ",
+    " ",
+)  # between cells; two blanks: of headings that have single ones in them
 LINES_BEFORE_MAX = 200  # above the heading
 COMMENTS = ("#", "%", "//")
 FOREIGN_MAX = 0.05  # part of the characters beyond ASCII, above which a file that is no UTF-8 is no text
@@ -98,7 +105,7 @@ def find_table(
         if len(rows) == rows_max:
             raise failure(f"{where}: more than {rows_max} rows; log slower or cut it")
         try:
-            cells = split(line, mark)
+            cells = split(line, " " if mark == "  " else mark)
         except csv.Error as error:
             raise failure(f"{where}: line {number}: not CSV: {error}") from error
         if not any(cells):
