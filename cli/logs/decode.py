@@ -17,7 +17,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--csv",
         type=Path,
         metavar="FILE.csv",
-        help="a row each frame, as the format's tools write it; of GPS frames FILE.gps.csv",
+        help="a row each frame, as the format's tools write it; header lines go into FILE.headers.csv, GPS "
+        "frames into FILE.gps.csv",
     )
     parser.add_argument(
         "--npz", type=Path, metavar="FILE.npz", help="columns, and what they are in rad/s, s, V"
@@ -27,13 +28,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Decode, write, tell what there is."""
     from cli.output import check_output
-    from sim.blackbox.export import save_csv, save_gps_csv, save_npz
+    from sim.blackbox.export import save_csv, save_gps_csv, save_headers, save_npz
 
     check_output(args.csv, ".csv")
     check_output(args.npz, ".npz")
     log = open_log(args)
     if args.csv:
         save_csv(args.csv, log)
+        save_headers(args.csv, log)
         if log.positions:
             save_gps_csv(args.csv.with_suffix(".gps.csv"), log)
     if args.npz:

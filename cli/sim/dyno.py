@@ -28,7 +28,41 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     actions = parser.add_subparsers(dest="action", required=True, metavar="ACTION")
     summary = "fit speed curve, thrust, torque and response of a rotor to a dynamometer's log"
     fit = actions.add_parser("fit", help=summary, description=summary)
-    fit.add_argument("data", type=Path, nargs="+", metavar="DATA.csv", help=f"one or more runs: {COLUMNS}")
+    fit.add_argument(
+        "data",
+        type=Path,
+        nargs="+",
+        metavar="DATA.csv",
+        help=f"one or more runs: {COLUMNS}; or logs of a thrust stand's program whose headings name units "
+        "(RCbenchmark, Tyto and their like)",
+    )
+    fit.add_argument(
+        "--column",
+        action="append",
+        default=[],
+        metavar="QUANTITY=HEADING",
+        help="which column holds the time, throttle, speed, thrust or torque, where headings leave it open",
+    )
+    fit.add_argument(
+        "--unit",
+        action="append",
+        default=[],
+        metavar="QUANTITY=UNIT",
+        help="unit of a column whose heading names none, such as thrust=gf",
+    )
+    fit.add_argument(
+        "--poles",
+        type=int,
+        metavar="N",
+        help="magnets of the motor, where the log counts electrical turns: they are divided by N/2",
+    )
+    fit.add_argument(
+        "--esc-us",
+        type=float,
+        nargs=2,
+        metavar=("ZERO", "FULL"),
+        help="pulses that the ESC takes for 0 and full throttle, where the log has its signal in us",
+    )
     fit.add_argument(
         "--aircraft", metavar="NAME|FILE", help="whose rotor inertia turns accelerations into torques"
     )
@@ -70,8 +104,10 @@ def _fit(args: argparse.Namespace) -> int:
     from cli.output import check_output
     from sim.aircraft.model import FOLDER, load_aircraft, shipped
     from sim.identification.dyno.fit import fit
-    from sim.identification.dyno.recording import read_recordings
+    from sim.identification.dyno.points import PointsFit, fit_points
     from sim.identification.dyno.response import DELAY_MAX
+    from sim.identification.dyno.stand import choices, read_logs
+    from toolchain.errors import DynoError
 
     check_output(args.plot, ".png")
     check_output(args.write, ".toml")
@@ -90,14 +126,24 @@ def _fit(args: argparse.Namespace) -> int:
     quiet = args.json or not sys.stderr.isatty()
     with Progress(*columns, console=Console(stderr=True), transient=True, disable=quiet) as bar:
         task = bar.add_task("reading", total=None)
-        recording = read_recordings(args.data)
-        found = fit(
-            recording,
-            kind=args.response,
-            delay=args.delay,
-            speed_dependent=args.speed_dependent,
-            progress=lambda stage: bar.update(task, description=stage),
-        )
+        chosen = choices(args.column, args.unit, args.poles, args.esc_us)
+        recording, stands, reason = read_logs(args.data, chosen)
+        found: Fit | PointsFit | None = None
+        if recording is not None:
+            try:
+                found = fit(
+                    recording,
+                    kind=args.response,
+                    delay=args.delay,
+                    speed_dependent=args.speed_dependent,
+                    progress=lambda stage: bar.update(task, description=stage),
+                )
+            except DynoError as error:
+                if not stands:
+                    raise
+                reason = f"no speed curve and response: {error}"
+        if found is None:
+            found = fit_points(stands, reason, speed_dependent=args.speed_dependent)
     title = ", ".join(path.name for path in args.data)
     if args.write:
         from sim.identification.dyno.write import write_fit
@@ -111,7 +157,14 @@ def _fit(args: argparse.Namespace) -> int:
     inertia = args.inertia
     if inertia is None and aircraft is not None:
         inertia = aircraft.propulsion.rotor_inertia
-    if args.json:
+    if isinstance(found, PointsFit):
+        from cli.sim.dyno_points import points_document, print_points
+
+        if args.json:
+            print(json.dumps(points_document(args.data, found, args.write), indent=2))
+        else:
+            print_points(title, found, args.write)
+    elif args.json:
         print(json.dumps(_document(args, found, inertia), indent=2))
     else:
         _print_fit(title, found, inertia, args.write)
@@ -119,13 +172,8 @@ def _fit(args: argparse.Namespace) -> int:
 
 
 def _document(args: argparse.Namespace, fit: Fit, inertia: float | None) -> dict[str, Any]:
+    from cli.sim.dyno_points import estimate
     from sim.aircraft.model import RPM
-
-    def estimate(item: Estimate | None, scale: float = 1.0) -> dict[str, float | None] | None:
-        if item is None:
-            return None
-        error = item.error * scale
-        return {"value": item.value * scale, "standard_error": error if math.isfinite(error) else None}
 
     def response(item: ResponseFit | None) -> dict[str, Any] | None:
         if item is None:
@@ -174,7 +222,7 @@ def _document(args: argparse.Namespace, fit: Fit, inertia: float | None) -> dict
             for error in fit.speed_errors
         ],
         "thrust_mae_n": fit.thrust_mae,
-        "torque_mae_n_m": fit.torque_mae,
+        "torque_mae_n_m": fit.torque_mae if fit.torque_ratio else None,
         "outliers": dict(
             zip(("rpm", "thrust", "torque"), (int(off.sum()) for off in fit.outliers), strict=True)
         ),
@@ -209,8 +257,9 @@ def _print_fit(title: str, fit: Fit, inertia: float | None, written: Path | None
         print_repeats(title, repeated.steps, repeated.ramp_top)
     lines = [
         "model: data minus model averaged over 50 ms, so that noise is not counted; outliers left out",
-        f"thrust MAE {fit.thrust_mae:.3g} N, torque MAE {fit.torque_mae:.3g} N m; "
-        f"outliers: {outliers[0]} rpm, {outliers[1]} thrust, {outliers[2]} torque",
+        f"thrust MAE {fit.thrust_mae:.3g} N"
+        + (f", torque MAE {fit.torque_mae:.3g} N m; " if fit.torque_ratio else "; ")
+        + f"outliers: {outliers[0]} rpm, {outliers[1]} thrust, {outliers[2]} torque",
         f"response {fit.reason}" if fit.response is not None else fit.reason,
     ]
     if fit.response is not None and fit.response.kind == "torque" and inertia is None:
@@ -229,19 +278,9 @@ def _print_fit(title: str, fit: Fit, inertia: float | None, written: Path | None
 
 def _parameters(fit: Fit, inertia: float | None) -> list[tuple[str, Estimate, float, str]]:
     """Label, estimate, scale and unit of everything fitted."""
-    from sim.aircraft.model import RPM
+    from cli.sim.dyno_points import static_parameters
 
-    rows = [
-        (f"H(u) {power}", term, 1 / RPM, "rpm")
-        for power, term in zip(("u²", "u", "1"), fit.speed_curve, strict=True)
-    ]
-    for name, terms, unit in (
-        ("K_T", fit.thrust_coefficient, "N s²/rad²"),
-        ("K_Q", fit.torque_ratio, "m"),
-    ):
-        for power, term in enumerate(terms):
-            suffix = ("", " ω", " ω²", " ω³")[power]
-            rows.append((f"{name}{suffix}", term, 1.0, unit + (f" (s/rad)^{power}" if power else "")))
+    rows = static_parameters(fit)
     response = fit.response
     if response is None:
         return rows

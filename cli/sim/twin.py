@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cli.sim.twin_inertia import add_inertia
+from cli.sim.twin_log import FORMS, add_choice, choice
 from cli.sim.twin_propeller import add_propeller
 from toolchain.errors import NeuroflightError
 
@@ -30,23 +31,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     noise = actions.add_parser(
         "noise",
         help=summary,
-        description=f"{summary}: a trace (.npz), or a .csv with columns t_s, gyro_x_deg_s, gyro_y_deg_s, "
-        "gyro_z_deg_s (and acc_x_m_s2, acc_y_m_s2, acc_z_m_s2), or what blackbox_decode makes of a "
-        "Betaflight log. Record a minute or longer on the ground; armed and idling, without propellers, the "
-        "motors' vibration is in it. " + BIAS_NOTE,
+        description=f"{summary}: {FORMS}. Record a minute or longer on the ground; armed and idling, without "
+        "propellers, the motors' vibration is in it. " + BIAS_NOTE,
     )
     noise.add_argument("log", type=Path, metavar="LOG", help="the log")
+    add_choice(noise)
     noise.add_argument(
         "--write", type=Path, metavar="AIRCRAFT.toml", help="put noise and bias into this aircraft file"
     )
     noise.add_argument("--plot", type=Path, metavar="FILE.png", help="draw Allan deviation and histogram")
-    noise.add_argument(
-        "--gyro-unit",
-        type=float,
-        default=1.0,
-        metavar="DEG_S",
-        help="one count of a blackbox log's raw gyroADC; default 1, 0.1 with blackbox_high_resolution",
-    )
     noise.add_argument("--json", action="store_true", help="print JSON instead of a table")
     noise.set_defaults(act=run_noise)
     add_inertia(actions)
@@ -63,13 +56,12 @@ def run_noise(args: argparse.Namespace) -> int:
     from cli.output import check_output
 
     check_output(args.plot, ".png")
-    if not (math.isfinite(args.gyro_unit) and args.gyro_unit > 0.0):
-        raise NeuroflightError(f"--gyro-unit {args.gyro_unit}, expected a number above 0")
+    chosen = choice(args)
 
     from rich.console import Console
 
     from sim.aircraft.edit import edit_aircraft
-    from sim.identification.gyro_noise import aircraft_keys, measure_noise
+    from sim.identification.gyro_noise import aircraft_keys, doubts, measure_noise, resting_part
     from sim.identification.gyro_noise_plot import draw
     from sim.identification.recording import read_recording
     from sim.plotting import png
@@ -77,13 +69,14 @@ def run_noise(args: argparse.Namespace) -> int:
 
     console = Console(stderr=True, quiet=args.json or not sys.stderr.isatty())
     with console.status("reading the log") as status:
-        recording = read_recording(args.log, args.gyro_unit)
+        recording = read_recording(args.log, chosen)
         status.update(f"measuring {len(recording.gyro):,} samples")
         noise = measure_noise(recording)
+        rest = resting_part(recording) if noise.moved else None
         if args.write and noise.moved:
             raise NeuroflightError(
                 f"{args.log}: the aircraft moved, its figures are not noise alone and are not written to "
-                f"{args.write}; record it at rest on the ground"
+                f"{args.write}; {_part_at_rest(rest, args) or 'record it at rest on the ground'}"
             )
         what = "not at rest" if noise.moved else "noise at rest"
         picture = png(draw(noise, recording, f"{args.log.name}: {what}")) if args.plot else b""
@@ -91,15 +84,26 @@ def run_noise(args: argparse.Namespace) -> int:
         edit_aircraft(args.write, aircraft_keys(noise))
     if args.plot:
         write_bytes(args.plot, picture)
+    warnings = [*doubts(noise), *recording.notes]
+    if hint := _part_at_rest(rest, args):
+        warnings.append(hint)
     if args.json:
-        print(json.dumps(_document(args, noise), indent=2))
+        print(json.dumps(_document(args, noise, warnings), indent=2))
     else:
-        _print(args, noise)
+        _print(args, noise, warnings)
     return 0
 
 
-def _document(args: argparse.Namespace, noise: Noise) -> dict[str, Any]:
-    from sim.identification.gyro_noise import aircraft_keys, doubts
+def _part_at_rest(rest: tuple[float, float] | None, args: argparse.Namespace) -> str:
+    """What to choose of a log that has more in it than rest; empty where there is nothing to choose."""
+    if rest is None:
+        return ""
+    first, end = (args.start + second for second in rest)
+    return f"it is at rest from {first:.1f} to {end:.1f} s: --from {first:.1f} --to {end:.1f}"
+
+
+def _document(args: argparse.Namespace, noise: Noise, warnings: list[str]) -> dict[str, Any]:
+    from sim.identification.gyro_noise import aircraft_keys
 
     return {
         "log": str(args.log),
@@ -108,7 +112,7 @@ def _document(args: argparse.Namespace, noise: Noise) -> dict[str, Any]:
         "duration_s": noise.duration,
         "gaps": noise.gaps,
         "moved": noise.moved,
-        "warnings": doubts(noise),
+        "warnings": warnings,
         "gyro_deg_s": _figures(noise.gyro, math.degrees(1.0)),
         "accelerometer_m_s2": _figures(noise.accelerometer, 1.0) if noise.accelerometer else None,
         "aircraft": None if noise.moved else aircraft_keys(noise),
@@ -131,12 +135,12 @@ def _figures(sensor: SensorNoise, scale: float) -> dict[str, Any]:
     }
 
 
-def _print(args: argparse.Namespace, noise: Noise) -> None:
+def _print(args: argparse.Namespace, noise: Noise, warnings: list[str]) -> None:
     from rich.console import Console
     from rich.table import Table
     from rich.text import Text
 
-    from sim.identification.gyro_noise import aircraft_keys, doubts
+    from sim.identification.gyro_noise import aircraft_keys
     from toolchain.contract import AXES
 
     title = (
@@ -168,7 +172,7 @@ def _print(args: argparse.Namespace, noise: Noise) -> None:
     console = Console()
     console.print(Text(title))
     console.print(shown)
-    for doubt in doubts(noise):
+    for doubt in warnings:
         console.print(Text(f"warning: {doubt}"))
     if noise.moved:
         return

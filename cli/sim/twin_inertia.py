@@ -5,9 +5,11 @@ from __future__ import annotations
 import argparse
 import json
 import math
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from cli.sim.twin_log import FORMS, add_choice, choice
 from toolchain.contract import AXES
 from toolchain.errors import NeuroflightError
 
@@ -24,7 +26,7 @@ def add_inertia(actions: Any) -> None:  # noqa: ANN401 - argparse's own type has
     parser = actions.add_parser(
         "inertia",
         help=summary,
-        description=f"{summary}, a log an axis: the forms of `twin noise`. See docs/future/inertia.md.",
+        description=f"{summary}, a log an axis: {FORMS}. See docs/future/inertia.md.",
     )
     parser.add_argument("logs", nargs="+", type=Path, metavar="LOG", help="one a hanging, up to three axes")
     wires = parser.add_mutually_exclusive_group(required=True)
@@ -43,9 +45,7 @@ def add_inertia(actions: Any) -> None:  # noqa: ANN401 - argparse's own type has
         help="a log of a body of known moment, the gyro's own included, on the same torsion wire",
     )
     parser.add_argument("--aircraft", metavar="NAME|FILE", help="compare with this aircraft's moments")
-    parser.add_argument(
-        "--gyro-unit", type=float, default=1.0, metavar="DEG_S", help="see `neuroflight twin noise`"
-    )
+    add_choice(parser)
     parser.add_argument("--plot", type=Path, metavar="FILE.png", help="draw swings and fits")
     parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
     parser.set_defaults(act=run_inertia)
@@ -63,7 +63,13 @@ def run_inertia(args: argparse.Namespace) -> int:
     _check(args)
     check_output(args.plot, ".png")
     aircraft = load_aircraft(args.aircraft) if args.aircraft else None
-    swings = [find_swing(read_recording(path, args.gyro_unit), str(path)) for path in args.logs]
+    chosen = choice(args)
+    swings: list[Swing] = []
+    notes: list[str] = []
+    for path in args.logs:
+        recording = read_recording(path, chosen)
+        swings.append(find_swing(recording, str(path)))
+        notes += recording.notes
     found = sorted({swing.axis for swing in swings})
     if len(found) < len(swings):
         raise NeuroflightError(f"{len(swings)} logs swing about {len(found)} axes, expected an axis each")
@@ -74,12 +80,14 @@ def run_inertia(args: argparse.Namespace) -> int:
         print(json.dumps(_document(args, swings, moments, aircraft), indent=2))
     else:
         _print(args, swings, moments, aircraft)
+    for note in notes:
+        print(f"neuroflight: {note}", file=sys.stderr)
     return 0
 
 
 def _check(args: argparse.Namespace) -> None:
     """Raises NeuroflightError on numbers out of range, NaN included."""
-    known = [("--gyro-unit", args.gyro_unit), ("--stiffness", args.stiffness)]
+    known = [("--stiffness", args.stiffness)]
     known += [("--bifilar", value) for value in args.bifilar or ()]
     for option, value in known:
         if value is not None and not (math.isfinite(value) and value > 0.0):
@@ -109,7 +117,7 @@ def _moments(args: argparse.Namespace, swings: list[Swing]) -> list[Moment]:
         known = math.nan
     if not (math.isfinite(known) and known > 0.0):
         raise NeuroflightError(f"--reference {path} {text}: expected LOG KG_M2, a moment above 0")
-    body = find_swing(read_recording(Path(path), args.gyro_unit), path)
+    body = find_swing(read_recording(Path(path), choice(args)), path)
     stiffness, relative = reference_stiffness(body, known)
     each = [moment(swing, stiffness) for swing in swings]
     return [Moment(m.value, math.hypot(m.margin, relative * m.value)) for m in each]

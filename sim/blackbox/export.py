@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 from pathlib import Path
 
@@ -65,3 +66,16 @@ def save_npz(path: Path, log: Log) -> None:
     arrays["events"] = np.array(json.dumps(events))
     with replacing(path) as aside, aside.open("wb") as file:
         np.savez_compressed(file, **arrays)  # type: ignore[arg-type]
+
+
+def save_headers(path: Path, log: Log) -> Path:
+    """Write the header lines beside the CSV file at `path`, as blackbox_decode --save-headers does.
+
+    Without them nothing tells what a count of the gyro is. Returns the path of the file.
+    """
+    beside = path.with_suffix(".headers.csv")
+    with replacing(beside) as aside, aside.open("w", encoding="ascii", newline="") as file:
+        rows = csv.writer(file, lineterminator="\n")
+        rows.writerow(("fieldname", "fieldvalue"))
+        rows.writerows(log.header.items())
+    return beside

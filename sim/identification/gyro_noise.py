@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.aircraft.edit import Changes, Value
-from sim.identification.recording import Recording
+from sim.identification.recording import SAMPLES_MIN, Recording
 from toolchain.contract import AXES
 from toolchain.errors import TraceError
 
@@ -112,6 +112,26 @@ def measure_noise(recording: Recording) -> Noise:
     )
 
 
+def resting_part(recording: Recording) -> tuple[float, float] | None:
+    """Begin and end [s] of the longest part in which the aircraft is at rest; None where there is none."""
+    length = max(1, round(MOTION_S[0] * recording.rate_hz))
+    blocks = recording.gyro[: len(recording.gyro) // length * length].reshape(-1, length, 3)
+    spread = blocks.std(axis=1).max(axis=1)
+    # A gyro at rest has next to no mean, and the noise of the calmest tenth.
+    calm = (np.abs(blocks.mean(axis=1)) < MOTION_RATE).all(axis=1)
+    if not calm.any():
+        return None
+    calm &= spread < MOTION_RATIO * float(np.quantile(spread[calm], 0.1))
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], calm, [False]]).astype(np.int8)))
+    first, end = max(zip(edges[::2], edges[1::2], strict=True), key=lambda run: int(run[1] - run[0]))
+    part = recording.gyro[first * length : end * length]
+    if len(part) < SAMPLES_MIN or (part == part[0]).all(axis=0).any():
+        return None
+    if _moved(part, recording.rate_hz, _sensor(part, recording.rate_hz)):
+        return None
+    return float(first * length / recording.rate_hz), float(end * length / recording.rate_hz)
+
+
 def doubts(noise: Noise) -> list[str]:
     """Reasons to distrust the figures, one sentence each."""
     found = []
@@ -164,7 +184,7 @@ def _sensor(values: Array, rate_hz: float) -> SensorNoise:
     # Rounding adds a uniform, white error of its own (Sheppard's correction).
     rounding = step * step / 12.0
     own = np.where(variance > 2 * rounding, variance - rounding, variance)
-    lag = np.mean(away[1:] * away[:-1], axis=0) / np.where(own > 0.0, own, 1.0)
+    lag = np.clip(np.mean(away[1:] * away[:-1], axis=0) / np.where(own > 0.0, own, 1.0), -1.0, 1.0)
     coloured = lag > np.maximum(WHITE_LAG, 4.0 / math.sqrt(len(values)))
     inside = np.where(coloured, np.minimum(lag, 1.0 - 1e-9), 0.5)
     bandwidth_hz = np.where(coloured, -np.log(inside) * rate_hz / (2 * math.pi), np.nan)

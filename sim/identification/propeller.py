@@ -1,19 +1,8 @@
-"""Coefficients of [propulsion.advance_ratio] from measurements of a propeller in a wind tunnel.
-
-A table has a heading and a row for each measurement, its columns parted by commas, semicolons or blanks:
-
-    J          advance ratio V / (n D)
-    CT         C_T = T / (rho n^2 D^4)
-    CQ or CP   C_Q = Q / (rho n^2 D^5), or C_P = 2 pi C_Q
-
-Names may have an underscore and any case; other columns are skipped, and so are lines that begin with #.
-Files of the UIUC Propeller Data Site are read as they are.
-"""
+"""Coefficients of a propeller over the advance ratio, for [propulsion.advance_ratio], and those at rest."""
 
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,29 +10,16 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.aircraft.advance import RATIO_LAST, AdvanceRatio, Terms, read_advance
+from sim.aircraft.advance import AdvanceRatio, Terms, read_advance
+from sim.identification.propeller_tables import Measurements, Static, read_tables
 from sim.strict_toml import StrictTable
 from toolchain.errors import DynoError
-from toolchain.files import file_size
 
 Array = NDArray[np.float64]
 
-FILE_BYTES_MAX = 1 << 20
-ROWS_MAX = 10_000
-COLUMNS = {"j": "J", "ct": "CT", "cq": "CQ", "cp": "CP"}
-LOW, HIGH = -2.0, 2.0  # of coefficients; those of propellers are below 0.3
 DIGITS = 4  # significant, of a coefficient
 LEFT_MAX = 0.3  # part of the thrust at J = 0 at the largest J measured, above which the rest is a guess
 END_MAX = 0.02  # part of it where the curve ends, above which the curve never reaches 0
-
-
-@dataclass(frozen=True, eq=False)
-class Measurements:
-    """N measurements of a propeller."""
-
-    ratio: Array  # (N,) J
-    thrust: Array  # (N,) C_T
-    torque: Array  # (N,) C_Q
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,14 +44,25 @@ class PropellerFit:
 
 
 def read_measurements(paths: Sequence[Path]) -> Measurements:
-    """The measurements of all files together. Raises DynoError naming file and line."""
-    rows: list[tuple[float, float, float]] = []
-    for path in paths:
-        rows += _read(path)
-        if len(rows) > ROWS_MAX:
-            raise DynoError(f"{path}: more than {ROWS_MAX} rows in all; leave some out")
-    ratio, thrust, torque = np.array(rows, np.float64).reshape(-1, 3).T
-    return Measurements(ratio, thrust, torque)
+    """The measurements in wind of all files together. Raises DynoError naming file and line."""
+    wind = read_tables(paths).wind
+    if not len(wind.ratio):
+        raise DynoError(f"{paths[0]}: measured at rest, expected a column J")
+    return wind
+
+
+def at_rest(measured: Static) -> tuple[float, float]:
+    """C_T and C_Q at rest, each the mean of all speeds. Raises DynoError unless both are above 0."""
+    thrust, torque = float(measured.thrust.mean()), float(measured.torque.mean())
+    for name, value in (("CT", thrust), ("CQ", torque)):
+        if not value > 0.0:
+            raise DynoError(f"{name} is {value:.3g} at rest, expected above 0; is a column swapped?")
+    return thrust, torque
+
+
+def rotor_coefficients(thrust: float, torque: float, diameter: float, density: float) -> tuple[float, float]:
+    """K_T [N s^2/rad^2] and K_Q [m] of C_T and C_Q: K_T = C_T rho D^4 / (2 pi)^2, K_Q = C_Q D / C_T."""
+    return thrust * density * diameter**4 / (2.0 * math.pi) ** 2, torque * diameter / thrust
 
 
 def fit_propeller(measured: Measurements, degree: int = 2) -> PropellerFit:
@@ -140,70 +127,3 @@ def _fit(ratio: Array, values: Array, degree: int, name: str) -> Curve:
 
 def _rounded(value: float) -> float:
     return float(f"{value:.{DIGITS}g}")
-
-
-def _read(path: Path) -> list[tuple[float, float, float]]:
-    """J, C_T, C_Q of each row of a file."""
-    if not path.is_file():
-        raise DynoError(f"{path}: no such file; expected a table of J, CT and CQ or CP")
-    try:
-        size = file_size(path)
-        data = path.read_bytes() if size <= FILE_BYTES_MAX else b""
-        text = data.decode("utf-8-sig")
-    except OSError as error:
-        raise DynoError(f"{path}: cannot be read: {error.strerror}") from error
-    except UnicodeDecodeError as error:
-        raise DynoError(f"{path}: not a text file ({error.reason} at byte {error.start})") from error
-    if size > FILE_BYTES_MAX:
-        raise DynoError(f"{path}: {size} bytes, expected at most {FILE_BYTES_MAX}; one propeller's table")
-    rows: list[tuple[float, float, float]] = []
-    names: list[str] = []
-    for number, line in enumerate(text.splitlines(), 1):
-        if not line.strip() or line.lstrip().startswith("#"):
-            continue
-        mark = r"[,;]" if re.search(r"[,;]", line) else r"\s+"
-        cells = [cell.strip().strip('"') for cell in re.split(mark, line.strip())]
-        where = f"{path}: line {number}"
-        if not names:
-            names = _names(cells, path)
-            continue
-        if len(rows) == ROWS_MAX:
-            raise DynoError(f"{path}: more than {ROWS_MAX} rows; leave some out")
-        if len(cells) != len(names):
-            raise DynoError(f"{where}: {len(cells)} columns, expected {len(names)} as in the heading")
-        rows.append(_row(dict(zip(names, cells, strict=True)), where))
-    if not rows:
-        raise DynoError(f"{path}: no measurements; expected a heading with J, CT and CQ or CP, then rows")
-    return rows
-
-
-def _names(cells: Sequence[str], path: Path) -> list[str]:
-    names = [COLUMNS.get(cell.lower().replace("_", ""), f" {place}") for place, cell in enumerate(cells)]
-    known = [name for name in names if name in COLUMNS.values()]
-    twice = sorted({name for name in known if known.count(name) > 1})
-    if twice:
-        raise DynoError(f"{path}: two columns {twice[0]}; leave one out")
-    lacks = [name for name in ("J", "CT") if name not in known]
-    if "CQ" not in known and "CP" not in known:
-        lacks.append("CQ or CP")
-    if lacks:
-        shown = ", ".join(cell[:20] for cell in cells[:8])
-        raise DynoError(f"{path}: no column {lacks[0]} in the heading {shown!r}; expected J, CT and CQ or CP")
-    return names
-
-
-def _row(cells: dict[str, str], where: str) -> tuple[float, float, float]:
-    values = {}
-    for name, cell in cells.items():
-        if name not in COLUMNS.values():
-            continue
-        low, high = (-RATIO_LAST, RATIO_LAST) if name == "J" else (LOW, HIGH)
-        try:
-            value = float(cell)
-        except ValueError:
-            value = math.nan
-        if not low <= value <= high:  # NaN included
-            raise DynoError(f"{where}: {name} is {cell[:40]!r}, expected a number from {low:g} to {high:g}")
-        values[name] = value
-    torque = values["CQ"] if "CQ" in values else values["CP"] / (2.0 * math.pi)
-    return values["J"], values["CT"], torque

@@ -1,35 +1,69 @@
-"""Gyro and accelerometer recordings: traces, and CSV files, ours or those of Betaflight's blackbox tools."""
+"""Gyro and accelerometer recordings in the forms that pilots have.
+
+Blackbox logs (.BBL, .BFL, .TXT), what `log decode` makes of them (.npz, .csv), what blackbox_decode and the
+Blackbox Explorer export (.csv), traces (.npz), and tables of ours (.csv). The gyro's scale is that of the
+log's header, which an export may have above its columns or in a file beside it, or the unit in a heading;
+else it is asked for.
+"""
 
 from __future__ import annotations
 
 import csv
-import math
+import json
 import re
 import warnings
+import zipfile
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
+from typing import TextIO
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sim.blackbox.flight import WHOLE, Part, part_rows
+from sim.blackbox.headers import Headers
+from sim.blackbox.log import Frames, Log, list_logs, read_log
+from sim.blackbox.units import channels
 from sim.flight.trace import load_trace
+from sim.recorded.log import split_number
 from toolchain.contract import GRAVITY
 from toolchain.errors import TraceError
 from toolchain.files import file_size
 
 Array = NDArray[np.float64]
 
-BYTES_MAX = 256 << 20  # of a CSV file: more than an hour at 1 kHz
-HEADER_CHARACTERS_MAX = 1 << 16
+BYTES_MAX = 256 << 20  # of a CSV file: more than an hour at 1 kHz; of an .npz file's arrays four times that
+LINE_CHARACTERS_MAX = 1 << 16  # of a heading, and of lines above it
+LINES_BEFORE_MAX = 2000  # above a heading: the Explorer writes some hundred
 SAMPLES_MIN = 1000  # fewer know a standard deviation no better than 2 %
 RATE_MIN_HZ, RATE_MAX_HZ = 20.0, 40_000.0
 GAP = 1.5  # an interval longer than this many periods has lost samples
 SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6}
-ROTATION = {"": math.radians(1.0), "deg/s": math.radians(1.0), "rad/s": 1.0}
+ROTATION = {"deg/s": np.deg2rad(1.0), "rad/s": 1.0}
 OURS = ("t_s", "gyro_x_deg_s", "gyro_y_deg_s", "gyro_z_deg_s")
 OURS_ACCELERATION = ("acc_x_m_s2", "acc_y_m_s2", "acc_z_m_s2")
+GYRO, ACCELERATION = (tuple(f"{name}[{axis}]" for axis in range(3)) for name in ("gyroADC", "accSmooth"))
+BLACKBOX = ("time (us)", *GYRO)
+SCALES = ("gyro_scale", "gyro.scale")  # headers, of which a log has one
+EXPLORER_SCALE = "gyroScale"  # in the Explorer's export: rad/us of a count
+EXPLORER_LOST = 1e-4  # what it is where the log had none
+FINE = "blackbox_high_resolution"
+LOGS = (".bbl", ".bfl", ".txt")
+PRODUCT = b"H Product:Blackbox"
+PRODUCT_WITHIN = 1 << 20  # bytes of a file
 _NAME = re.compile(r"([^( ]+)(?: \((.*)\))?")  # of a blackbox column, with its unit
-BLACKBOX = ("time (us)", "gyroADC[0]", "gyroADC[1]", "gyroADC[2]")
+_PAIR = 2  # cells of a header line in an export
+
+
+@dataclass(frozen=True)
+class Choice:
+    """What is taken of a file, and what the user says of it."""
+
+    number: int | None = None  # of a log in its file, from 1; None: the last that has frames
+    part: Part = WHOLE  # seconds since the first sample
+    unit_deg_s: float | None = None  # of a count of the gyro, where the file does not tell
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,29 +74,56 @@ class Recording:
     gyro: Array  # (N, 3) [rad/s], body axes
     acceleration: Array | None  # (N, 3) [m/s^2], specific force, body axes
     gaps: int  # places where samples are missing
+    notes: tuple[str, ...] = ()  # what was taken, and what is wrong with the file, a line each
 
 
-def read_recording(path: Path, unit_deg_s: float = 1.0) -> Recording:
-    """Read a trace (.npz) or a CSV file (.csv).
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """Samples as a file has them."""
 
-    CSV columns are `OURS`, with `OURS_ACCELERATION` if there is an accelerometer, or those that
-    `blackbox_decode` writes: time, gyroADC[0..2], accSmooth[0..2]. Betaflight's body axes are x forward,
-    y left, z up like ours (its simulator link's FRD is turned on arrival), so nothing changes sign; raw
-    gyroADC counts `unit_deg_s` [deg/s], and accSmooth is scaled to 1 g at rest.
+    time: Array  # (N,) [s]
+    gyro: Array  # (N, 3) [rad/s]
+    acceleration: Array | None  # (N, 3) [m/s^2]
+    notes: tuple[str, ...] = ()
 
-    Raises TraceError on a file that is missing, damaged, too large, too short or of another kind.
+
+def read_recording(path: Path, choice: Choice = Choice()) -> Recording:
+    """Read a file of any of the forms; FILE:N names a log of a file as well.
+
+    Betaflight's body axes are x forward, y left, z up like ours (its simulator link's FRD is turned on
+    arrival), so nothing changes sign. Raises TraceError on a file that is missing, damaged, too large, too
+    short or of another kind, and where nothing tells the gyro's scale.
     """
-    if path.suffix == ".npz":
-        trace = load_trace(path)
-        time, gyro, acceleration = trace.t, np.asarray(trace.gyro, dtype=np.float64), None
-    elif path.suffix == ".csv":
-        time, gyro, acceleration = _read_csv(path, unit_deg_s)
+    path, number = split_number(path)
+    number = choice.number if number is None else number
+    if not path.is_file():
+        raise TraceError(f"log {path}: no such file")
+    if _is_log(path):
+        samples = _of_file(path, number, choice.unit_deg_s)
+    elif number is not None:
+        raise TraceError(f"log {path}: log {number} was asked for, but it is no blackbox log; leave it out")
+    elif path.suffix.lower() == ".npz":
+        samples = _of_arrays(path, choice.unit_deg_s)
+    elif path.suffix.lower() in (".csv", ".txt"):
+        samples = _of_table(path, choice.unit_deg_s)
     else:
-        raise TraceError(f"log {path}: expected a trace (.npz) or a table (.csv)")
+        raise TraceError(
+            f"log {path}: expected a blackbox log (.BBL, .BFL, .TXT), a trace or a decoded log (.npz), or a "
+            "table (.csv)"
+        )
+    return _recording(samples, path, choice.part)
+
+
+def _recording(samples: Samples, path: Path, part: Part) -> Recording:
+    time, gyro, acceleration = samples.time, samples.gyro, samples.acceleration
+    if part != WHOLE and len(time):
+        rows = part_rows(f"log {path}", time - time[0], part)
+        time, gyro = time[rows], gyro[rows]
+        acceleration = None if acceleration is None else acceleration[rows]
     if len(time) < SAMPLES_MIN:
         raise TraceError(f"log {path}: {len(time)} samples, expected at least {SAMPLES_MIN}; record longer")
     rate_hz, gaps = _spacing(time, path)
-    return Recording(rate_hz, gyro, acceleration, gaps)
+    return Recording(rate_hz, gyro, acceleration, gaps, samples.notes)
 
 
 def _spacing(time: Array, path: Path) -> tuple[float, int]:
@@ -81,10 +142,112 @@ def _spacing(time: Array, path: Path) -> tuple[float, int]:
     return rate_hz, int((~whole).sum())
 
 
-def _read_csv(path: Path, unit_deg_s: float) -> tuple[Array, Array, Array | None]:
-    """Time [s], gyro [rad/s] and specific force [m/s^2] of the columns that `read_recording` names."""
-    if not path.is_file():
-        raise TraceError(f"log {path}: no such file")
+def _is_log(path: Path) -> bool:
+    """Whether a file is a blackbox log, whatever it is called."""
+    if path.suffix.lower() in LOGS[:2]:
+        return True
+    with path.open("rb") as file:
+        return PRODUCT in file.read(PRODUCT_WITHIN)
+
+
+def _of_file(path: Path, number: int | None, unit_deg_s: float | None) -> Samples:
+    """Samples of a log, disarmed ones included."""
+    log = read_log(path, number)
+    notes = [f"{path.name}: log {log.number}: {note}" for note in log.notes]
+    if number is None and (count := len(list_logs(path))) > 1:
+        notes.insert(
+            0, f"{path.name} holds {count} logs: number {log.number} is taken; --log N takes another"
+        )
+    return _of_log(log, unit_deg_s, notes)
+
+
+def _of_log(log: Log, unit_deg_s: float | None, notes: Iterable[str] = ()) -> Samples:
+    """Samples of a log's columns by its headers. Raises TraceError where nothing tells the gyro's scale."""
+    where = f"log {log.path}"
+    if log.matrix("gyroADC", len(GYRO)) is None:
+        raise TraceError(f"{where}: log {log.number} has no gyroADC; log the gyro (blackbox_disabled_mask)")
+    known = any(log.header.get(name) for name in SCALES)
+    if unit_deg_s is not None:
+        if known:
+            raise TraceError(f"{where}: its header tells the gyro's scale; leave --gyro-unit out")
+        log = _with_headers(log, {**log.header, SCALES[0]: repr(unit_deg_s), FINE: "0"})
+    elif not known:
+        raise TraceError(
+            f"{where}: nothing tells what a count of gyroADC is; give the log itself (.BBL), or --gyro-unit, "
+            f"deg/s: gyro_scale of the log's header, a tenth of it where {FINE} is 1 there"
+        )
+    told = channels(log)
+    if told.gyro is None:
+        raise TraceError(f"{where}: {SCALES[0]} in its header is no number; give the log itself (.BBL)")
+    forces = told.acceleration
+    if forces is None and (counts := log.matrix("accSmooth", len(ACCELERATION))) is not None:
+        forces = _resting(counts.astype(np.float64))
+    if forces is not None and not forces.any():
+        forces = None  # switched off
+    gyro, acceleration = told.gyro.astype(np.float64), None if forces is None else forces.astype(np.float64)
+    return Samples(log.t, gyro, acceleration, tuple(notes))
+
+
+def _resting(counts: Array) -> Array:
+    """Specific force of counts whose scale is not told: their mean is 1 g, at rest."""
+    rest = float(np.linalg.norm(counts.mean(axis=0))) if len(counts) else 0.0
+    return counts * (GRAVITY / rest) if rest else counts
+
+
+def _with_headers(log: Log, values: Mapping[str, str]) -> Log:
+    return _made_log(log.path, log.columns, values)
+
+
+def _made_log(path: Path, columns: Mapping[str, NDArray[np.int64]], values: Mapping[str, str]) -> Log:
+    """A log of columns that were decoded elsewhere."""
+    return Log(
+        path=path,
+        number=1,
+        size=0,
+        headers=Headers(dict(values), {}, ()),
+        columns=dict(columns),
+        slow={},
+        slow_row=np.zeros(0, np.int64),
+        gps={},
+        events=(),
+        frames=Frames(0, 0, 0, 0),
+        ended=True,
+        notes=(),
+    )
+
+
+def _of_arrays(path: Path, unit_deg_s: float | None) -> Samples:
+    """Samples of a trace, or of what `log decode --npz` wrote."""
+    try:
+        with zipfile.ZipFile(path) as archive:
+            sizes = {member.filename: member.file_size for member in archive.infolist()}
+    except (OSError, zipfile.BadZipFile, zipfile.LargeZipFile, NotImplementedError) as error:
+        raise TraceError(f"log {path}: damaged or no .npz file ({error})") from error
+    if "headers.npy" not in sizes:
+        trace = load_trace(path)
+        if unit_deg_s is not None:
+            raise TraceError(f"log {path}: a trace's gyro is in rad/s; leave --gyro-unit out")
+        return Samples(trace.t, np.asarray(trace.gyro, dtype=np.float64), None)
+    names = {"time", "loopIteration", *GYRO, *ACCELERATION, *(f"gyroFloat[{axis}]" for axis in range(3))}
+    names |= {f"setpointFloat[{axis}]" for axis in range(4)}
+    wanted = [name for name in sorted(names) if f"field/{name}.npy" in sizes]
+    size = sum(sizes[f"field/{name}.npy"] for name in wanted) + sizes["headers.npy"]
+    if size > 4 * BYTES_MAX:
+        raise TraceError(f"log {path}: {size} bytes of arrays, expected at most {4 * BYTES_MAX}")
+    try:
+        with np.load(path, allow_pickle=False) as arrays:
+            columns = {name: np.asarray(arrays[f"field/{name}"], np.int64) for name in wanted}
+            values = {str(name): str(value) for name, value in json.loads(str(arrays["headers"])).items()}
+        if len({column.shape for column in columns.values()} | {(len(next(iter(columns.values()))),)}) > 1:
+            raise ValueError("its columns differ in length")
+    except (OSError, ValueError, EOFError, KeyError, AttributeError, zipfile.BadZipFile) as error:
+        reason = " ".join(str(error).split())
+        raise TraceError(f"log {path}: damaged or no decoded log ({reason}); decode it anew") from error
+    return _of_log(_made_log(path, columns, values), unit_deg_s)
+
+
+def _of_table(path: Path, unit_deg_s: float | None) -> Samples:
+    """Samples of a CSV file, ours or of a blackbox tool."""
     try:
         size = file_size(path)
         if size > BYTES_MAX:
@@ -92,9 +255,8 @@ def _read_csv(path: Path, unit_deg_s: float) -> tuple[Array, Array, Array | None
                 f"log {path}: {size} bytes, expected at most {BYTES_MAX}; cut a minute at rest out of it"
             )
         with path.open(encoding="utf-8-sig", newline="") as file:
-            heading = file.readline(HEADER_CHARACTERS_MAX)
-            names = [name.strip() for name in next(csv.reader([heading], skipinitialspace=True), [])]
-            columns, scales, raw_acceleration = _columns(names, path, unit_deg_s)
+            names, values = _heading(file, path)
+            columns, scales = _columns(names, values, path)
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")  # of an empty table: it is refused for its length
                 table = np.loadtxt(
@@ -109,44 +271,106 @@ def _read_csv(path: Path, unit_deg_s: float) -> tuple[Array, Array, Array | None
             f"log {path}: {names[columns[column]]} of sample {row + 1} is {table[row, column]}, "
             "expected a finite number"
         )
-    table = table.reshape(-1, len(columns)) * scales
+    table = table.reshape(-1, len(columns))
     acceleration = table[:, 4:] if len(columns) > 4 else None
-    if acceleration is not None and raw_acceleration and len(acceleration):
-        rest = float(np.linalg.norm(acceleration.mean(axis=0)))
-        if rest == 0.0:
-            raise TraceError(
-                f"log {path}: accSmooth is zero throughout; log an accelerometer or leave it out"
-            )
-        acceleration = acceleration * (GRAVITY / rest)
-    return table[:, 0], table[:, 1:4], acceleration
+    if scales is None:
+        counts = np.rint(table).astype(np.int64)
+        found = dict(zip(("time", *GYRO, *ACCELERATION), counts.T, strict=False))
+        sidecar = path.with_suffix(".headers.csv")
+        if not values and sidecar.is_file():
+            values = _sidecar(sidecar)
+        samples = _of_log(_made_log(path, found, _log_headers(values)), unit_deg_s)
+        time_us = table[:, 0] * SECONDS[_unit(names, "time") or "us"] / SECONDS["us"]
+        return Samples((time_us - time_us[:1]) / 1e6, samples.gyro, samples.acceleration)
+    if unit_deg_s is not None:
+        raise TraceError(f"log {path}: its gyro is in deg/s, a unit is for raw counts; leave it out")
+    return Samples(table[:, 0] * scales[0], table[:, 1:4] * scales[1], _forces(acceleration, names))
 
 
-def _columns(names: list[str], path: Path, unit_deg_s: float) -> tuple[list[int], Array, bool]:
-    """Where time, gyro and maybe acceleration stand, what turns them into SI, whether 1 g is to be found."""
+def _forces(values: Array | None, names: list[str]) -> Array | None:
+    """Specific force of a table whose gyro has a unit."""
+    if values is None or set(OURS) <= set(names):
+        return values
+    unit = _unit(names, ACCELERATION[0])
+    if unit in ("m/s/s", "m/s2", "m/s^2"):
+        return values
+    if unit == "g":
+        return values * GRAVITY
+    return _resting(values) if values.any() else None
+
+
+def _heading(file: TextIO, path: Path) -> tuple[list[str], dict[str, str]]:
+    """Names of the columns, and the header lines above them: NAME,VALUE, as the Explorer writes them."""
+    values: dict[str, str] = {}
+    first: list[str] = []
+    for _ in range(LINES_BEFORE_MAX):
+        line = file.readline(LINE_CHARACTERS_MAX)
+        if not line:
+            break
+        cells = [cell.strip() for cell in next(csv.reader([line], skipinitialspace=True), [])]
+        if set(OURS) <= set(cells) or {_bare(cell) for cell in cells} >= {"time", *GYRO}:
+            return cells, values
+        first = first or cells
+        if len(cells) == _PAIR:
+            values.setdefault(*cells)
+    raise TraceError(
+        f"log {path}: columns are {', '.join(first)[:120] or 'none'}; expected {', '.join(OURS)} "
+        f"or {', '.join(BLACKBOX)}"
+    )
+
+
+def _bare(name: str) -> str:
+    """A blackbox column's name without its unit."""
+    match = _NAME.fullmatch(name)
+    return match[1] if match else name
+
+
+def _unit(names: list[str], bare: str) -> str:
+    """The unit of a blackbox column, empty where its heading has none or there is no such column."""
+    found = next((match[2] for name in names if (match := _NAME.fullmatch(name)) and match[1] == bare), None)
+    return found or ""
+
+
+def _columns(
+    names: list[str], values: Mapping[str, str], path: Path
+) -> tuple[list[int], tuple[float, float] | None]:
+    """Where time, gyro and maybe acceleration stand; factors of time and gyro to SI, None for raw counts."""
     if set(OURS) <= set(names):
-        if unit_deg_s != 1.0:
-            raise TraceError(f"log {path}: its gyro is in deg/s, a unit is for blackbox logs; leave it out")
-        found, scales = [*OURS], [1.0, *[ROTATION["deg/s"]] * 3]
-        if set(OURS_ACCELERATION) <= set(names):
-            found += OURS_ACCELERATION
-            scales += [1.0] * 3
-        return [names.index(name) for name in found], np.array(scales), False
-    # blackbox_decode puts a unit behind a name, unless the column is raw.
-    bare = {
-        match[1]: (at, match[2] or "") for at, name in enumerate(names) if (match := _NAME.fullmatch(name))
-    }
-    wanted = ["time", *(f"gyroADC[{axis}]" for axis in range(3))]
-    missing = [name for name in wanted if name not in bare]
-    if missing or bare["time"][1] not in SECONDS or bare["gyroADC[0]"][1] not in ROTATION:
+        found = [*OURS, *(OURS_ACCELERATION if set(OURS_ACCELERATION) <= set(names) else ())]
+        return [names.index(name) for name in found], (1.0, ROTATION["deg/s"])
+    bare = [_bare(name) for name in names]
+    wanted = ["time", *GYRO, *(ACCELERATION if set(ACCELERATION) <= set(bare) else ())]
+    places = [bare.index(name) for name in wanted]
+    clock, turn = _unit(names, "time"), _unit(names, GYRO[0])
+    # The Explorer names no unit of the time; it writes its header above, and microseconds.
+    if (clock not in SECONDS and not (values and not clock)) or (turn and turn not in ROTATION):
         raise TraceError(
-            f"log {path}: columns are {', '.join(names)[:120] or 'none'}; expected {', '.join(OURS)} "
+            f"log {path}: columns are {', '.join(names)[:120]}; expected {', '.join(OURS)} "
             f"or {', '.join(BLACKBOX)}"
         )
-    unit = bare["gyroADC[0]"][1]
-    turn = ROTATION[unit] * (1.0 if unit else unit_deg_s)
-    more = [f"accSmooth[{axis}]" for axis in range(3)]
-    scales = [SECONDS[bare["time"][1]], turn, turn, turn]
-    if all(name in bare for name in more):
-        wanted += more
-        scales += [1.0] * 3
-    return [bare[name][0] for name in wanted], np.array(scales), True
+    return places, (SECONDS[clock or "us"], ROTATION[turn]) if turn else None
+
+
+def _sidecar(path: Path) -> dict[str, str]:
+    """The header lines that `log decode --csv`, and blackbox_decode --save-headers, write beside a table."""
+    if file_size(path) > BYTES_MAX >> 6:
+        raise TraceError(f"log {path}: {file_size(path)} bytes, expected the header lines of a log")
+    values: dict[str, str] = {}
+    with path.open(encoding="utf-8-sig", errors="replace", newline="") as file:
+        for cells in islice(csv.reader(file, skipinitialspace=True), LINES_BEFORE_MAX):
+            if len(cells) == _PAIR:
+                values.setdefault(cells[0].strip(), cells[1].strip())
+    return values
+
+
+def _log_headers(values: Mapping[str, str]) -> dict[str, str]:
+    """Header lines as a log has them, of those of an export."""
+    found = dict(values)
+    if SCALES[0] not in found and (told := found.get(EXPLORER_SCALE)):
+        try:
+            lost = float(told) == EXPLORER_LOST
+        except ValueError:
+            lost = True
+        if not lost:
+            found[SCALES[0]] = told
+    return found

@@ -111,12 +111,12 @@ def _ratio(values: Array, by: Array) -> Array:
 
 
 def repeats(recording: Recording) -> Repeats | None:
-    """Figures over the runs of a recording; None where there is one run only.
+    """Figures over the runs of a recording; None where there is one run only, or no torque.
 
     A run without a step is a ramp, unless its throttle stays below JUMP.
     """
     runs = runs_of(recording)
-    if len(runs) < 2:
+    if len(runs) < 2 or not recording.has_torque:
         return None
     ramps = [run for run in runs if not len(jumps(run)) and commanded(run).max() > JUMP]
     return Repeats(len(runs), step_figures(runs), peak(ramps) if ramps else None)

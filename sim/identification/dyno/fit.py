@@ -46,6 +46,8 @@ from toolchain.errors import DynoError
 Array = NDArray[np.float64]
 Progress = Callable[[str], None]
 
+NO_TORQUE = "no torque was measured: K_Q stays unknown; take it from another stand or the propeller's table"
+
 
 @dataclass(frozen=True)
 class SpeedError:
@@ -66,7 +68,7 @@ class Fit:
     recording: Recording
     speed_curve: tuple[Estimate, Estimate, Estimate]  # a, b, c of H(u) = a u^2 + b u + c [rad/s]
     thrust_coefficient: tuple[Estimate, ...]  # polynomial of speed, lowest power first
-    torque_ratio: tuple[Estimate, ...]
+    torque_ratio: tuple[Estimate, ...]  # likewise; empty: no torque was measured
     response: ResponseFit | None
     rejected: ResponseFit | None  # the response that was tried beside it and fits worse
     reason: str  # why this response, or why none
@@ -79,7 +81,7 @@ class Fit:
     outliers: tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_]]  # (N,) of speed, thrust, torque
     speed_errors: tuple[SpeedError, ...]  # one a level, rising, then the rest
     thrust_mae: float  # [N], model against data, outliers left out
-    torque_mae: float  # [N m]
+    torque_mae: float  # [N m]; 0 without a torque
 
     @property
     def speed_max(self) -> float:
@@ -113,7 +115,7 @@ def fit(
     if full <= 0:
         raise DynoError("rpm is 0 nearly everywhere, expected a rotor that turns; is the sensor connected?")
     noise = noise_of(recording.speed, recording.starts, full)
-    slopes, errors = _static_slopes(throttle[settled], recording.speed[settled], full, noise)
+    slopes, errors = static_slopes(throttle[settled], recording.speed[settled], full, noise)
     if throttle.max() < 0.9:
         notes.append(f"throttle ends at {throttle.max():.2f}: H, and the top speed with it, is extrapolated")
 
@@ -135,23 +137,28 @@ def fit(
         speed = curve(slopes, throttle)
 
     progress("thrust and torque")
+    measured_torque = recording.torque if recording.has_torque else np.zeros(len(recording.time))
     speed_off, thrust_off, torque_off = (
-        outliers(values, recording.starts) for values in (recording.speed, recording.thrust, recording.torque)
+        outliers(values, recording.starts) for values in (recording.speed, recording.thrust, measured_torque)
     )
     measured = recording.speed - speed
     clean = np.maximum(speed + average(np.where(speed_off, 0.0, measured), ~speed_off, recording), 0.0)
     steady = steady_rows(recording, speed, rows)
     a, b, c = quadratic(slopes)
     top = max(a + b + c, float(clean.max()))
-    thrust_terms = _fit_polynomial(
+    thrust_terms = fit_polynomial(
         clean[steady], clean[steady] ** 2, recording.thrust[steady], top, speed_dependent, "thrust"
     )
     loads = _at(thrust_terms, clean) * clean**2
-    torque_terms = _fit_polynomial(
-        clean[steady], loads[steady], recording.torque[steady], top, speed_dependent, "torque"
-    )
+    torque_terms: tuple[Estimate, ...] = ()
+    if recording.has_torque:
+        torque_terms = fit_polynomial(
+            clean[steady], loads[steady], measured_torque[steady], top, speed_dependent, "torque"
+        )
+    else:
+        notes.append(NO_TORQUE)
     thrust = _at(thrust_terms, speed) * speed**2
-    torque = _at(torque_terms, speed) * thrust
+    torque = _at(torque_terms, speed) * thrust if torque_terms else np.zeros(len(speed))
     a_error, b_error, c_error = quadratic_errors(errors)
     return Fit(
         recording=recording,
@@ -170,11 +177,11 @@ def fit(
         outliers=(speed_off, thrust_off, torque_off),
         speed_errors=_speed_errors(recording, throttle, rows, speed, speed_off, a + b + c),
         thrust_mae=float(np.abs(recording.thrust - thrust)[~thrust_off].mean()),
-        torque_mae=float(np.abs(recording.torque - torque)[~torque_off].mean()),
+        torque_mae=float(np.abs(measured_torque - torque)[~torque_off].mean()),
     )
 
 
-def _static_slopes(throttle: Array, speed: Array, full: float, noise: float) -> tuple[Array, Array]:
+def static_slopes(throttle: Array, speed: Array, full: float, noise: float) -> tuple[Array, Array]:
     """H from rows at which the rotor has settled, and its covariance."""
     bounds = np.array([0.0, SLOPE_MIN, SLOPE_MIN]), np.array([2.0, 50.0, 50.0])
     found, _, covariance = robust_fit(
@@ -183,7 +190,7 @@ def _static_slopes(throttle: Array, speed: Array, full: float, noise: float) -> 
     return found * full, covariance * full**2
 
 
-def _fit_polynomial(
+def fit_polynomial(
     speed: Array, load: Array, values: Array, top: float, speed_dependent: bool, name: str
 ) -> tuple[Estimate, ...]:
     """Coefficient k(speed) of values = k load, all (n,): a constant, or the polynomial that BIC prefers

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from sim.aircraft.model import RPM
 from sim.identification.dyno.fit import Fit
+from sim.identification.dyno.points import PointsFit
 from sim.identification.dyno.recording import Recording
 from sim.identification.dyno.robust_fit import Estimate
 from sim.identification.dyno.signal import WINDOW_S, jumps, settled_rows
@@ -35,9 +36,9 @@ def save_recording_plot(path: Path, recording: Recording, title: str) -> None:
     save_png(path, draw_recording(recording, title))
 
 
-def save_fit_plot(path: Path, fit: Fit, title: str) -> None:
-    """Write `draw_fit` as PNG."""
-    save_png(path, draw_fit(fit, title))
+def save_fit_plot(path: Path, fit: Fit | PointsFit, title: str) -> None:
+    """Write `draw_fit` or `draw_points` as PNG."""
+    save_png(path, draw_points(fit, title) if isinstance(fit, PointsFit) else draw_fit(fit, title))
 
 
 def draw_recording(recording: Recording, title: str) -> Figure:
@@ -63,22 +64,47 @@ def draw_recording(recording: Recording, title: str) -> Figure:
 
 def draw_fit(fit: Fit, title: str) -> Figure:
     """Data and model over time with what is left, H, K_T and K_Q against data, and each step close up."""
-    rows = 4 if fit.response is not None else 3
+    channels = len(CHANNELS) if fit.torque_ratio else len(CHANNELS) - 1
+    rows = channels + int(fit.response is not None)
     figure = titled_figure((14, 3.9 * rows), title, PAD)
     grid = GridSpec(rows, 2, figure, width_ratios=(2.1, 1))
-    over_time = [_draw_channel(figure, grid[row, 0], fit, row) for row in range(3)]
+    over_time = [_draw_channel(figure, grid[row, 0], fit, row) for row in range(channels)]
     over_time[-1].set_xlabel("time, s", color=INK)
     over_time[0].figure.align_ylabels()
     _draw_curve(figure.add_subplot(grid[0, 1]), fit)
     _draw_coefficient(figure.add_subplot(grid[1, 1]), fit, "thrust")
-    _draw_coefficient(figure.add_subplot(grid[2, 1]), fit, "torque")
+    if fit.torque_ratio:
+        _draw_coefficient(figure.add_subplot(grid[2, 1]), fit, "torque")
     if fit.response is not None:
-        inner = grid[3, :].subgridspec(1, 2)
+        inner = grid[channels, :].subgridspec(1, 2)
         up = figure.add_subplot(inner[0, 0])
         down = figure.add_subplot(inner[0, 1], sharey=up)
         _draw_steps(up, fit, rising=True)
         _draw_steps(down, fit, rising=False)
     return figure
+
+
+def draw_points(fit: PointsFit, title: str) -> Figure:
+    """Thrust and torque of each point over the rotor's speed, beside the fits."""
+    shown = CHANNELS[1:] if fit.torque_ratio else CHANNELS[1:2]
+    figure = titled_figure((6.5 * len(shown), 5), title, PAD)
+    panels = figure.subplots(1, len(shown), squeeze=False)[0]
+    speeds = np.linspace(0.0, fit.speed_max, 201)
+    thrust = _over(fit.thrust_coefficient, speeds) * speeds**2
+    models = (thrust, _over(fit.torque_ratio, speeds) * thrust if fit.torque_ratio else thrust)
+    for panel, (name, label, unit), model in zip(panels, shown, models, strict=False):
+        panel.plot(fit.speed / RPM, getattr(fit, name), ".", color=DATA, ms=5, mew=0, label="points")
+        panel.plot(speeds / RPM, model, color=MODEL, lw=1.6, label="fit", zorder=3)
+        panel.set_xlabel("rotor speed, rpm", color=INK)
+        panel.set_ylabel(unit, color=INK)
+        dress(panel, label)
+        legend_above(panel)
+    return figure
+
+
+def _over(terms: tuple[Estimate, ...], speed: Array) -> Array:
+    """The polynomial of a coefficient at speeds, (n,)."""
+    return np.asarray(np.polynomial.polynomial.polyval(speed, [term.value for term in terms]), np.float64)
 
 
 def _settling(fit: Fit, rows: NDArray[np.intp]) -> float:

@@ -1,6 +1,7 @@
 """Recordings of a dynamometer as CSV files.
 
 One heading line names the columns, in any order, others are skipped; lines that begin with # are skipped.
+Logs of other stands' programs are read by stand.py.
 
     time_s      [s], rising; a pause of PAUSE_S or more begins another run
     throttle    command in force from this row on, 0..1
@@ -21,13 +22,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.aircraft.model import RPM
+from sim.identification.table import read_text
 from toolchain.errors import DynoError
-from toolchain.files import file_size, write_text
+from toolchain.files import write_text
 
 Array = NDArray[np.float64]
 
 COLUMNS = ("time_s", "throttle", "rpm", "thrust_n", "torque_n_m")
-ALIASES = {"time": "time_s", "thrust": "thrust_n", "torque": "torque_n_m"}
 FILE_BYTES_MAX = 128 << 20
 LIMITS = {"rpm": 500_000.0, "thrust_n": 10_000.0, "torque_n_m": 1_000.0}  # beyond any rotor of an aircraft
 ROWS_MIN, ROWS_MAX = 50, 1_000_000
@@ -45,8 +46,13 @@ class Recording:
     throttle: Array  # (N,) in force from this row on, 0..1 but for slips of the logger
     speed: Array  # (N,) [rad/s]
     thrust: Array  # (N,) [N]
-    torque: Array  # (N,) [N m]
+    torque: Array  # (N,) [N m]; NaN throughout where none was measured
     starts: tuple[int, ...] = (0,)  # row at which each run begins
+
+    @property
+    def has_torque(self) -> bool:
+        """Whether a torque was measured."""
+        return not bool(np.isnan(self.torque).all())
 
 
 def write_recording(path: Path, recording: Recording) -> None:
@@ -58,13 +64,25 @@ def write_recording(path: Path, recording: Recording) -> None:
     write_text(path, "\n".join(lines) + "\n")
 
 
+def is_ours(text: str) -> bool:
+    """Whether the heading names all columns of a recording of ours."""
+    lines = (line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#"))
+    names = {cell.strip().strip('"').lower() for cell in next(lines, "").split(",")}
+    return set(COLUMNS) <= names
+
+
 def read_recordings(paths: Sequence[Path]) -> Recording:
     """The runs of all `paths`, one after the other. Raises DynoError naming file and line."""
+    return join_runs([_read(path) for path in paths])
+
+
+def join_runs(files: Sequence[Array]) -> Recording:
+    """The runs of files, each (n, 5) in the order of COLUMNS with rising times, one after the other."""
     columns: list[Array] = []
     starts: list[int] = []
     rows, end = 0, 0.0
-    for path in paths:
-        values = _read(path)
+    for file in files:
+        values = file.copy()
         time = values[:, 0]
         pause = np.diff(time)
         breaks = np.flatnonzero(pause >= max(PAUSE_S, PAUSE_PERIODS * float(np.median(pause)))) + 1
@@ -81,17 +99,7 @@ def read_recordings(paths: Sequence[Path]) -> Recording:
 
 def _read(path: Path) -> Array:
     """Columns of one file in the order of COLUMNS, (n, 5)."""
-    if not path.is_file():
-        raise DynoError(f"{path}: no such file; `neuroflight dyno run --out {path}` makes one")
-    if file_size(path) > FILE_BYTES_MAX:
-        raise DynoError(
-            f"{path}: {file_size(path)} bytes, expected at most {FILE_BYTES_MAX}; log slower or cut it"
-        )
-    try:
-        text = path.read_bytes().decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise DynoError(f"{path}: not a text file ({error.reason} at byte {error.start})") from error
-    reader = csv.reader(io.StringIO(text))
+    reader = csv.reader(io.StringIO(read_text(path, FILE_BYTES_MAX, DynoError)))
     lines: list[int] = []
     rows: list[list[float]] = []
     order: list[int] | None = None
@@ -116,7 +124,7 @@ def _read(path: Path) -> Array:
 
 
 def _order(cells: list[str], path: Path) -> list[int]:
-    names = [ALIASES.get(cell.strip().lower(), cell.strip().lower()) for cell in cells]
+    names = [cell.strip().lower() for cell in cells]
     missing = [name for name in COLUMNS if name not in names]
     if missing:
         raise DynoError(

@@ -9,6 +9,7 @@ from pathlib import Path
 from sim.aircraft.edit import Changes, Value, edit_aircraft
 from sim.aircraft.model import RPM, TorqueResponse, load_aircraft
 from sim.identification.dyno.fit import Fit
+from sim.identification.dyno.points import PointsFit
 from sim.identification.dyno.robust_fit import Estimate
 from toolchain.errors import AircraftError
 from toolchain.files import replacing
@@ -25,16 +26,25 @@ RESPONSE_KEYS = {
 Renames = dict[str, dict[str, str | None]]  # by table: a key and the one in its place, or None
 
 
-def write_fit(source: Path, target: Path, fit: Fit, data: str, inertia: float | None = None) -> None:
+def write_fit(
+    source: Path, target: Path, fit: Fit | PointsFit, data: str, inertia: float | None = None
+) -> None:
     """Write the aircraft of `source` with the propulsion of `fit` to `target`, which may be the same.
 
     data: what was fitted, for a comment. inertia: of the rotor [kg m^2], written too if given; else the
     file's own turns rates into torques. The latency is not written: an aircraft's delay holds the control
-    loop's sample too. Raises AircraftError, with `target` as it was, on a source that is no valid aircraft
-    or cannot be edited.
+    loop's sample too. What the fit does not know stays as it is. Raises AircraftError, with `target` as it
+    was, on a source that is no valid aircraft or cannot be edited, and on points not of a rotor at rest.
     """
+    if isinstance(fit, PointsFit) and fit.doubts:
+        raise AircraftError(f"{target} is not written: {fit.doubts[0]}")
     known = load_aircraft(source).propulsion.rotor_inertia
     text = source.read_bytes().decode("utf-8-sig")
+    if not fit.torque_ratio and "c_q" in tomllib.loads(text).get("propulsion", {}):
+        raise AircraftError(
+            f"{target} is not written: the log has no torque, and c_q of {source} goes with its c_t; give "
+            "thrust_coefficient and torque_ratio_m there instead"
+        )
     changes = _changes(fit, inertia, known)
     renames: Renames = {"propulsion": DIMENSIONLESS}
     if fit.response is not None:
@@ -56,12 +66,13 @@ def write_fit(source: Path, target: Path, fit: Fit, data: str, inertia: float | 
             raise AircraftError(str(error).replace(str(aside), str(target))) from error
 
 
-def _changes(fit: Fit, inertia: float | None, known: float) -> Changes:
-    propulsion: dict[str, Value] = {
-        "speed_curve_rpm": tuple(_rounded(term.value / RPM) for term in fit.speed_curve),
-        "thrust_coefficient": _terms(fit.thrust_coefficient),
-        "torque_ratio_m": _terms(fit.torque_ratio),
-    }
+def _changes(fit: Fit | PointsFit, inertia: float | None, known: float) -> Changes:
+    propulsion: dict[str, Value] = {}
+    if fit.speed_curve is not None:
+        propulsion["speed_curve_rpm"] = tuple(_rounded(term.value / RPM) for term in fit.speed_curve)
+    propulsion["thrust_coefficient"] = _terms(fit.thrust_coefficient)
+    if fit.torque_ratio:
+        propulsion["torque_ratio_m"] = _terms(fit.torque_ratio)
     if inertia is not None:
         propulsion["rotor_inertia_kg_m2"] = inertia
     if fit.response is None:

@@ -13,7 +13,7 @@ import pytest
 from cli.main import main
 from sim.blackbox.commands import EDGES_DEG_S, Sticks, commands, log_sticks, trace_sticks
 from sim.blackbox.events import words
-from sim.blackbox.export import save_csv
+from sim.blackbox.export import save_csv, save_headers
 from sim.blackbox.flight import Part, cut, log_flight, log_trace, trace_flight
 from sim.blackbox.log import Maker, read_log
 from sim.blackbox.quality import Answer, quality, replay_obstacles
@@ -212,6 +212,7 @@ def test_commands_of_a_trace_are_those_of_its_log(tmp_path: Path, capsys: pytest
 def test_csv_is_a_recording_of_the_gyro_for_the_twin(tmp_path: Path) -> None:
     log = read_log(save(tmp_path, log_of(trace(STEPS))))
     save_csv(tmp_path / "log.csv", log)
+    save_headers(tmp_path / "log.csv", log)
     recording = read_recording(tmp_path / "log.csv")
     gyro = channels(log).gyro
     assert gyro is not None and recording.rate_hz == pytest.approx(1000) and recording.gaps == 0

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from sim.flight.trace import Trace, save_trace
 from sim.identification import recording
-from sim.identification.recording import SAMPLES_MIN, read_recording
+from sim.identification.recording import SAMPLES_MIN, Choice, read_recording
 from toolchain.errors import TraceError
 
 Array = NDArray[np.float64]
@@ -54,13 +54,13 @@ def test_acceleration_is_read_as_it_is_when_the_table_is_ours(tmp_path: Path) ->
 
 
 def test_blackbox_columns_keep_their_signs_when_read(tmp_path: Path) -> None:
-    seen = read_recording(write(tmp_path, f"{BLACKBOX}\n{blackbox()}"))
+    seen = read_recording(write(tmp_path, f"{BLACKBOX}\n{blackbox()}"), Choice(unit_deg_s=1.0))
     assert seen.rate_hz == pytest.approx(2000.0)
     assert np.rad2deg(seen.gyro[4]) == pytest.approx([4.0, -4.0, 1.0])
 
 
 def test_blackbox_counts_are_scaled_when_their_unit_is_given(tmp_path: Path) -> None:
-    seen = read_recording(write(tmp_path, f"{BLACKBOX}\n{blackbox()}"), unit_deg_s=0.1)
+    seen = read_recording(write(tmp_path, f"{BLACKBOX}\n{blackbox()}"), Choice(unit_deg_s=0.1))
     assert np.rad2deg(seen.gyro[4]) == pytest.approx([0.4, -0.4, 0.1])
 
 
@@ -76,9 +76,13 @@ def test_blackbox_units_are_converted_when_the_decoder_wrote_them(tmp_path: Path
 def test_blackbox_acceleration_is_one_g_when_the_aircraft_rests(tmp_path: Path) -> None:
     heading = f"{BLACKBOX}, accSmooth[0], accSmooth[1], accSmooth[2]"
     rows = blackbox().replace("ANGLE_MODE|ARM", "X, 0, 0, 2048")
-    seen = read_recording(write(tmp_path, f"{heading}\n{rows}"))
+    seen = read_recording(write(tmp_path, f"{heading}\n{rows}"), Choice(unit_deg_s=1.0))
     assert seen.acceleration is not None
     assert seen.acceleration[0] == pytest.approx([0.0, 0.0, 9.80665])
+    off = read_recording(
+        write(tmp_path, f"{heading}\n{rows.replace('X, 0, 0, 2048', 'X, 0, 0, 0')}"), Choice(unit_deg_s=1.0)
+    )
+    assert off.acceleration is None
 
 
 def test_trace_gives_its_gyro_when_read(tmp_path: Path) -> None:
@@ -123,11 +127,7 @@ def test_gaps_are_counted_and_left_out_of_the_rate_when_samples_are_lost(tmp_pat
         (f"t,x,y,z\n{ours(np.arange(COUNT) / 1000)}", "columns are t, x, y, z; expected t_s"),
         (f"{BLACKBOX.replace('(us)', '(h)')}\n{blackbox()}", "expected t_s"),
         ("\0\1\2" * 5000, "columns are"),
-        (
-            f"{BLACKBOX}, accSmooth[0], accSmooth[1], accSmooth[2]\n"
-            + blackbox().replace("ARM", "ARM,0,0,0"),
-            "accSmooth is zero",
-        ),
+        (f"{BLACKBOX}\n{blackbox()}", "give the log itself (.BBL), or --gyro-unit, deg/s"),
     ],
 )
 def test_log_is_refused_in_one_line_when_it_is_no_record(tmp_path: Path, text: str, message: str) -> None:
@@ -142,9 +142,10 @@ def test_log_is_refused_in_one_line_when_it_is_no_record(tmp_path: Path, text: s
 @pytest.mark.parametrize(
     ("name", "data", "message"),
     [
-        ("log.txt", b"", "expected a trace"),
+        ("log.dat", b"", "expected a blackbox log"),
         ("log.csv", b"\xff\xfe\xfa", "damaged or no table"),
         ("log.npz", b"PK\3\4", "damaged or no .npz"),
+        ("log.bbl", b"H nothing", "holds no log"),
         ("log.csv", None, "no such file"),
         ("log.npz", None, "no such file"),
     ],
@@ -169,4 +170,4 @@ def test_log_is_refused_before_it_is_read_when_it_is_too_large(
 
 def test_unit_is_refused_when_the_columns_name_theirs(tmp_path: Path) -> None:
     with pytest.raises(TraceError, match="leave it out"):
-        read_recording(write(tmp_path, f"{OURS}\n{ours(np.arange(COUNT) / 1000)}"), unit_deg_s=0.1)
+        read_recording(write(tmp_path, f"{OURS}\n{ours(np.arange(COUNT) / 1000)}"), Choice(unit_deg_s=0.1))

@@ -39,7 +39,7 @@ def test_recording_comes_back_when_written_and_read(tmp_path: Path) -> None:
 
 
 def test_columns_are_found_by_name_when_in_another_order_with_others_between(tmp_path: Path) -> None:
-    lines = ["# bench 3", "volts,torque,thrust,rpm,throttle,time"]
+    lines = ["# bench 3", "volts,torque_n_m,thrust_n,RPM,throttle,time_s"]
     lines += [f"16.1,0.02,2.5,6000,0.5,{0.01 * k:.2f}" for k in range(60)]
     (tmp_path / "a.csv").write_text("\ufeff" + "\r\n".join(lines))
     recording = read_recordings([tmp_path / "a.csv"])

@@ -1,0 +1,175 @@
+"""Thrust and torque coefficients from steady points of a stand, and the speed curve where throttle is known.
+
+Plain least squares through zero: T = K_T w^2, and Q = K_Q T with the thrust of that fit. A stand's averages
+have no noise to be robust against; what is left out are slips of the speed's sensor, told by their number.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.identification.dyno.fit import NO_TORQUE, fit_polynomial, static_slopes
+from sim.identification.dyno.model import quadratic, quadratic_errors
+from sim.identification.dyno.robust_fit import Estimate
+from sim.identification.dyno.signal import JUMP, NOISE_FLOOR, deviation
+from sim.identification.dyno.stand import POINTS_MIN, Stand
+from toolchain.errors import DynoError
+
+Array = NDArray[np.float64]
+Rows = NDArray[np.bool_]
+
+STRONG = 0.25  # of the greatest thrust: rows above it tell the coefficient roughly
+SLIP = 0.2  # of the greatest thrust: a row this far off, and SLIPS_OFF times the others' distance, is a slip
+SLIPS_OFF = 6.0
+SLIPS_MAX = 0.1  # part of the rows: where more are off, thrust does not follow the speed's square
+LEFT_MAX = 0.15  # part of the greatest thrust or torque that the fit may leave (rms)
+
+
+@dataclass(frozen=True, eq=False)
+class PointsFit:
+    """Coefficients of steady points; no response, because points do not show one."""
+
+    speed: Array  # (N,) [rad/s], of the rows with a turning rotor, slips included
+    thrust: Array  # (N,) [N]
+    torque: Array | None  # (N,) [N m]
+    slips: int  # of them, left out
+    speed_max: float  # [rad/s], greatest of the points
+    speed_curve: tuple[Estimate, Estimate, Estimate] | None  # a, b, c of H(u) [rad/s]; None: throttle unknown
+    thrust_coefficient: tuple[Estimate, ...]  # polynomial of speed, lowest power first
+    torque_ratio: tuple[Estimate, ...]  # likewise; empty: no torque was measured
+    thrust_left: float  # rms of what the fit leaves, in parts of the greatest thrust
+    torque_left: float  # likewise of the torque; 0 without one
+    reason: str  # why no response is known
+    doubts: tuple[str, ...]  # why these are not coefficients of a rotor at rest: they are not to be written
+    notes: tuple[str, ...]
+
+    @property
+    def response(self) -> None:
+        """None, as of a recording that shows no response."""
+        return
+
+
+def fit_points(stands: Sequence[Stand], reason: str, *, speed_dependent: bool = False) -> PointsFit:
+    """Fit the rows of all `stands` in which the rotor turns. Raises DynoError where they are too few.
+
+    reason: why the response is not known. speed_dependent: K_T and K_Q may be polynomials of speed.
+    """
+    speed, thrust = (np.concatenate([getattr(one, name) for one in stands]) for name in ("speed", "thrust"))
+    torque = _all(stands, "torque")
+    throttle = _all(stands, "throttle")
+    turning = (speed > 0.0) & np.isfinite(thrust)
+    if turning.sum() < POINTS_MIN:
+        raise DynoError(
+            f"{int(turning.sum())} rows with a turning rotor, expected at least {POINTS_MIN}; record more"
+        )
+    notes = [note for one in stands for note in one.notes]
+    if torque is None:
+        notes.append(NO_TORQUE)
+    top = float(thrust[turning].max())
+    rough = turning & (thrust > STRONG * top)
+    if top <= 0.0 or not rough.any():
+        raise DynoError(
+            "thrust is not above 0 in any row, expected it to rise with speed; is the sensor connected?"
+        )
+    off = np.abs(thrust - float(np.median(thrust[rough] / speed[rough] ** 2)) * speed**2)
+    slips = turning & (off > max(SLIP * top, SLIPS_OFF * deviation(off[turning])))
+    used = turning & ~slips
+    doubts = []
+    if slips.sum() > SLIPS_MAX * turning.sum():
+        used, slips = turning, np.zeros_like(slips)
+    elif slips.any():
+        notes.append(
+            f"{int(slips.sum())} rows with a speed that cannot be, by the thrust of the others: left out"
+        )
+    w, load = speed[used], speed[used] ** 2
+    if speed_dependent:
+        thrust_terms = fit_polynomial(w, load, thrust[used], float(w.max()), True, "thrust")
+    else:
+        thrust_terms = (_through_zero(load, thrust[used]),)
+    thrust_left = _left(thrust[used] - _at(thrust_terms, w) * load, thrust[used])
+    torque_terms: tuple[Estimate, ...] = ()
+    torque_left = 0.0
+    if torque is not None:  # of rows of its own, where sensors are read in turns
+        braked = (speed > 0.0) & np.isfinite(torque) & ~slips
+        w, loads = speed[braked], _at(thrust_terms, speed[braked]) * speed[braked] ** 2
+        if len(w) < POINTS_MIN:
+            raise DynoError(
+                f"{len(w)} rows with a torque, expected at least {POINTS_MIN}; record more levels"
+            )
+        if speed_dependent:
+            torque_terms = fit_polynomial(w, loads, torque[braked], float(w.max()), True, "torque")
+        else:
+            torque_terms = (_through_zero(loads, torque[braked]),)
+        torque_left = _left(torque[braked] - _at(torque_terms, w) * loads, torque[braked])
+    against = int((thrust[used] < -SLIP * top).sum())
+    if thrust_left > LEFT_MAX:
+        wind = f", in {against} rows it pulls the other way: was it in wind?" if against else "."
+        doubts.append(
+            f"thrust does not follow the square of the speed, {100 * thrust_left:.0f} % of the greatest are "
+            f"left (rms){wind} These are not the coefficients of a rotor at rest"
+        )
+    if torque_left > LEFT_MAX:
+        doubts.append(
+            f"torque does not follow the thrust, {100 * torque_left:.0f} % of the greatest are left (rms)"
+        )
+    curve = None
+    if throttle is not None:
+        curve = _curve(throttle, speed, used, notes)
+    return PointsFit(
+        speed=speed[turning],
+        thrust=thrust[turning],
+        torque=None if torque is None else torque[turning],
+        slips=int(slips.sum()),
+        speed_max=float(speed[used].max()),
+        speed_curve=curve,
+        thrust_coefficient=thrust_terms,
+        torque_ratio=torque_terms,
+        thrust_left=thrust_left,
+        torque_left=torque_left,
+        reason=reason,
+        doubts=tuple(doubts),
+        notes=tuple(dict.fromkeys(notes)),
+    )
+
+
+def _all(stands: Sequence[Stand], name: str) -> Array | None:
+    """A column of all logs; None where one of them lacks it."""
+    columns = [getattr(one, name) for one in stands]
+    return None if any(column is None for column in columns) else np.concatenate(columns)
+
+
+def _at(terms: tuple[Estimate, ...], speed: Array) -> Array:
+    """A polynomial at speeds, (n,)."""
+    return np.asarray(np.polynomial.polynomial.polyval(speed, [term.value for term in terms]), np.float64)
+
+
+def _through_zero(load: Array, values: Array) -> Estimate:
+    """The factor of values = k load by least squares, and its standard error."""
+    square = float(load @ load)
+    factor = float(load @ values) / square
+    rest = values - factor * load
+    return Estimate(factor, math.sqrt(float(rest @ rest) / (len(values) - 1) / square))
+
+
+def _left(rest: Array, values: Array) -> float:
+    return float(np.sqrt(np.mean(rest**2)) / np.abs(values).max())
+
+
+def _curve(
+    throttle: Array, speed: Array, turning: Rows, notes: list[str]
+) -> tuple[Estimate, Estimate, Estimate] | None:
+    levels = np.unique(np.round(throttle[turning] / JUMP))
+    if len(levels) < 3:
+        notes.append(f"throttle has fewer than three levels {JUMP:g} apart: no speed curve")
+        return None
+    if (most := float(throttle[turning].max())) < 0.9:
+        notes.append(f"throttle ends at {most:.2f}: H, and the top speed with it, is extrapolated")
+    full = float(speed.max())
+    slopes, errors = static_slopes(throttle[turning], speed[turning], full, NOISE_FLOOR * full)
+    a, b, c = (Estimate(*pair) for pair in zip(quadratic(slopes), quadratic_errors(errors), strict=True))
+    return a, b, c

@@ -1,0 +1,185 @@
+"""Tables of numbers in text files, as measuring programs and spreadsheets write them.
+
+What differs is found in the file itself: the encoding, the mark between cells, the decimal mark, and the line
+that names the columns, above which there may be others. Nothing in a file is executed.
+"""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from toolchain.errors import NeuroflightError
+from toolchain.files import file_size
+
+Array = NDArray[np.float64]
+Failure = type[NeuroflightError]
+
+MARKS = (
+    "\t",
+    ";",
+    ",",
+    "|",
+    "  ",
+    " ",
+)  # between cells; two blanks: of headings that have single ones in them
+LINES_BEFORE_MAX = 200  # above the heading
+COMMENTS = ("#", "%", "//")
+FOREIGN_MAX = 0.05  # part of the characters beyond ASCII, above which a file that is no UTF-8 is no text
+MISSING = frozenset(("", "nan", "-nan", "n/a", "na", "#n/a", "-", "--", "null", "none"))
+_THOUSANDS = {mark: re.compile(rf"[+-]?[1-9]\d{{0,2}}({re.escape(mark)}\d{{3}})+") for mark in ".,"}
+
+
+@dataclass(frozen=True)
+class Table:
+    """Cells below a heading."""
+
+    names: tuple[str, ...]  # of the columns, as they are written
+    rows: list[list[str]]  # each as long as `names`
+    lines: list[int]  # of the file, on which each row stands, from 1
+
+
+def read_text(path: Path, bytes_max: int, failure: Failure) -> str:
+    """Decode a text file: UTF-8 or UTF-16 by their marks, else UTF-8, else Windows' western code page.
+
+    Raises `failure` on a file that is missing, too large or no text.
+    """
+    if not path.is_file():
+        raise failure(f"{path}: no such file")
+    try:
+        size = file_size(path)
+        data = path.read_bytes() if size <= bytes_max else b""
+    except OSError as error:
+        raise failure(f"{path}: cannot be read: {error.strerror}") from error
+    if size > bytes_max:
+        raise failure(f"{path}: {size} bytes, expected at most {bytes_max}; log slower or cut it")
+    utf_16 = data[:2] in (b"\xff\xfe", b"\xfe\xff")
+    try:
+        text = data.decode("utf-16" if utf_16 else "utf-8-sig")
+    except UnicodeDecodeError as error:
+        text = data.decode("cp1252", errors="replace")
+        if utf_16 or sum(not character.isascii() for character in text) > FOREIGN_MAX * len(text):
+            raise failure(f"{path}: not a text file ({error.reason} at byte {error.start})") from error
+    if "\0" in text:
+        raise failure(f"{path}: not a text file (a byte 0 at character {text.index(chr(0))})")
+    return text
+
+
+def find_table(
+    text: str, score: Callable[[Sequence[str]], int], enough: int, rows_max: int, where: str, failure: Failure
+) -> Table | None:
+    """Find the heading, by how many of its cells `score` knows, and split the rows below it.
+
+    The mark between cells is the one that shows most known cells, at least `enough`, in the first lines; None
+    where no line has so many. Cells that a row lacks are empty. Raises `failure`, naming `where`, on a row
+    that is too long, on too many rows, and on cells that are no CSV.
+    """
+    lines = text.splitlines()
+    best, heading, mark = enough - 1, -1, ""
+    for number, line in enumerate(lines[:LINES_BEFORE_MAX]):
+        for candidate in MARKS:
+            if candidate.strip() and candidate not in line:
+                continue
+            try:
+                found = score(split(line, candidate))
+            except csv.Error:
+                continue
+            if found > best:
+                best, heading, mark = found, number, candidate
+    if heading < 0:
+        return None
+    names = split(lines[heading], mark)
+    while names and not names[-1]:
+        names.pop()  # a mark at the end of the line
+    rows: list[list[str]] = []
+    places: list[int] = []
+    for number, line in enumerate(lines[heading + 1 :], heading + 2):
+        if not line.strip() or line.lstrip().startswith(COMMENTS):
+            continue
+        if len(rows) == rows_max:
+            raise failure(f"{where}: more than {rows_max} rows; log slower or cut it")
+        try:
+            cells = split(line, " " if mark == "  " else mark)
+        except csv.Error as error:
+            raise failure(f"{where}: line {number}: not CSV: {error}") from error
+        if not any(cells):
+            continue
+        while len(cells) > len(names) and not cells[-1]:
+            cells.pop()
+        if len(cells) > len(names):
+            raise failure(
+                f"{where}: line {number}: {len(cells)} columns, expected {len(names)} as in the heading"
+            )
+        rows.append(cells + [""] * (len(names) - len(cells)))
+        places.append(number)
+    return Table(tuple(names), rows, places)
+
+
+def split(line: str, mark: str) -> list[str]:
+    """Cells of a line, without blanks and quotes around them."""
+    if mark == " ":
+        return [cell.strip('"') for cell in line.split()]
+    if mark == "  ":
+        return [cell.strip().strip('"') for cell in re.split(r"\s{2,}|\t", line.strip())]
+    (cells,) = csv.reader([line], delimiter=mark, skipinitialspace=True)
+    return [cell.strip() for cell in cells]
+
+
+def numbers(table: Table, columns: Sequence[int], where: str, failure: Failure) -> Array:
+    """Numbers of some columns, (rows, columns); NaN where a cell is empty or says that there is none.
+
+    Raises `failure`, naming `where`, on a cell that is no number, and where it cannot be told whether a mark
+    stands before decimals or between thousands.
+    """
+    cells = [[row[column] for column in columns] for row in table.rows]
+    decimal = _decimal_mark([cell for row in cells for cell in row], where, failure)
+    other = "." if decimal == "," else ","
+    values = np.full((len(cells), len(columns)), np.nan)
+    for row, texts in enumerate(cells):
+        for column, text in enumerate(texts):
+            if text.lower() in MISSING:
+                continue
+            try:
+                plain = text.replace(" ", "").replace("\N{NO-BREAK SPACE}", "").replace(other, "")
+                value = float(plain.replace(decimal, "."))
+            except ValueError:
+                value = np.inf
+            if not abs(value) < 1e12:
+                raise failure(
+                    f"{where}: line {table.lines[row]}: {table.names[columns[column]]} is {text[:40]!r}, "
+                    "expected a number; leave out rows without one"
+                )
+            values[row, column] = value
+    return values
+
+
+def _decimal_mark(cells: Sequence[str], where: str, failure: Failure) -> str:
+    """Tell the mark before decimals, by the numbers in which both marks stand or one cannot be thousands."""
+    with_comma = [cell for cell in cells if "," in cell]
+    if not with_comma:
+        return "."
+    for cell in with_comma:
+        if "." in cell:
+            return "," if cell.rindex(",") > cell.rindex(".") else "."
+    thousands = [cell for cell in with_comma if _THOUSANDS[","].fullmatch(cell)]
+    points = [cell for cell in cells if "." in cell]
+    if len(thousands) < len(with_comma):  # 0,5 or 12,34: decimals
+        odd = next((cell for cell in points if not _THOUSANDS["."].fullmatch(cell)), None)
+        if odd is not None:
+            raise failure(
+                f"{where}: numbers with a decimal comma and with a point, "
+                f"{next(c for c in with_comma if c not in thousands)!r} and {odd!r}; expected one of them"
+            )
+        return ","
+    if any(not _THOUSANDS["."].fullmatch(cell) for cell in points):
+        return "."
+    raise failure(
+        f"{where}: is {thousands[0]!r} a number of thousands or has it a decimal comma? Nothing in the file "
+        "tells; write numbers without marks between thousands"
+    )

@@ -1,0 +1,360 @@
+"""Thrust stands' logs in the forms of their programs, made here of known coefficients, read and fitted."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from cli.main import main
+from sim.aircraft.model import FOLDER, load_aircraft
+from sim.identification.dyno.headings import Quantity, known_unit, read_heading
+from sim.identification.dyno.points import fit_points
+from sim.identification.dyno.stand import Choices, choices, read_logs
+from toolchain.errors import DynoError
+
+K_T, K_Q = 1.4e-6, 0.0123  # of the stand that is made up, N s^2/rad^2 and m
+NOTHING = Choices()
+# The heading of RCbenchmark's program 1.x, as its logs have it.
+RCBENCHMARK = (
+    "Time (s),ESC signal (µs),Servo 1 (µs),AccX (g),Torque (N·m),Thrust (gf),Voltage (V),Current (A),"
+    "Motor Electrical Speed (RPM),Motor Optical Speed (RPM),Electrical Power (W),Motor Efficiency (%),"
+    "Overall Efficiency (gf/W),Vibration (g),App message,"
+)
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """What the command says."""
+
+    thrust: float
+    torque: float | None
+    document: dict[str, object]
+
+
+def fitted(path: Path, capsys: pytest.CaptureFixture[str], *words: str) -> Fitted:
+    """Coefficients of `dyno fit`."""
+    capsys.readouterr()
+    assert main(["dyno", "fit", str(path), "--json", *words]) == 0
+    document = json.loads(capsys.readouterr().out)
+    torque = document["torque_ratio_m"]
+    return Fitted(document["thrust_coefficient"][0]["value"], torque and torque[0]["value"], document)
+
+
+def refused(path: Path, capsys: pytest.CaptureFixture[str], *words: str) -> str:
+    """The one line that it refuses with."""
+    capsys.readouterr()
+    assert main(["dyno", "fit", str(path), *words]) == 1
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    return error
+
+
+def speeds(count: int = 21) -> list[float]:
+    return [float(w) for w in np.linspace(600.0, 2600.0, count)]
+
+
+def steps(count: int = 21, *, sign: float = 1.0, optical: bool = False) -> list[str]:
+    """Averaged steps as RCbenchmark's script logs them, the first two rows stamped late."""
+    rows = []
+    for k, w in enumerate(speeds(count)):
+        time = 3.5 * k if k else 3.6
+        rpm = w * 60 / (2 * math.pi)
+        pair = f"0,{rpm!r}" if optical else f"{rpm!r},0"
+        thrust = K_T * w * w
+        rows.append(
+            f"{time},{1000 + 40 * k},,-0.03,{sign * K_Q * thrust!r},{1000 * thrust / 9.80665!r},11.8,1.2,"
+            f"{pair},14.6,6.3,1.3,0.21,,"
+        )
+    return rows
+
+
+def write(folder: Path, lines: list[str], heading: str = RCBENCHMARK, encoding: str = "utf-8-sig") -> Path:
+    path = folder / "StepsTest.csv"
+    path.write_bytes("\r\n".join([heading, *lines, ""]).encode(encoding))
+    return path
+
+
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-8", "cp1252", "utf-16"])
+@pytest.mark.parametrize("optical", [False, True])
+def test_averaged_steps_give_both_coefficients_as_they_are(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], encoding: str, optical: bool
+) -> None:
+    found = fitted(write(tmp_path, steps(optical=optical), encoding=encoding), capsys)
+    assert found.thrust == pytest.approx(K_T, rel=1e-12)
+    assert found.torque == pytest.approx(K_Q, rel=1e-12)
+    assert found.document["rows"] == 21
+    assert found.document["response"] is None
+    assert str(found.document["reason"]).startswith("the response cannot be known: StepsTest.csv has")
+    assert found.document["speed_curve_rpm"] is None
+
+
+def test_signs_of_a_stand_mounted_the_other_way_are_turned_and_told(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    found = fitted(write(tmp_path, steps(sign=-1.0)), capsys)
+    assert found.torque == pytest.approx(K_Q, rel=1e-12)
+    assert any("torque is below 0" in str(note) for note in found.document["notes"])  # type: ignore[attr-defined]
+
+
+def test_pulses_become_a_speed_curve_when_their_ends_are_given(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = write(tmp_path, steps())
+    told = fitted(path, capsys).document["notes"]
+    assert any("--esc-us" in str(note) for note in told)  # type: ignore[attr-defined]
+    curve = fitted(path, capsys, "--esc-us", "1000", "1800").document["speed_curve_rpm"]
+    a, b, c = (term["value"] for term in curve)  # type: ignore[attr-defined]
+    assert c == pytest.approx(600 * 60 / (2 * math.pi), rel=1e-3)
+    assert a + b + c == pytest.approx(2600 * 60 / (2 * math.pi), rel=1e-3)
+
+
+def test_a_stand_without_torque_gives_thrust_alone(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    heading = "Time (s),ESC signal (µs),Thrust (kgf),Motor Optical Speed (RPM)"
+    rows = [f"{k},1500,{K_T * w * w / 9.80665!r},{w * 60 / (2 * math.pi)!r}" for k, w in enumerate(speeds())]
+    path = write(tmp_path, rows, heading)
+    found = fitted(path, capsys)
+    assert found.thrust == pytest.approx(K_T, rel=1e-12)
+    assert found.torque is None
+    own = tmp_path / "own.toml"
+    own.write_bytes((FOLDER / "nf1.toml").read_bytes())
+    assert main(["dyno", "fit", str(path), "--write", str(own)]) == 0
+    before, after = load_aircraft("nf1").propulsion, load_aircraft(own).propulsion
+    assert after.thrust_coefficient[0] == pytest.approx(K_T, rel=1e-5)
+    assert replace(after, thrust_coefficient=before.thrust_coefficient) == before
+
+
+def test_sensors_read_in_turns_are_fitted_each_by_its_rows(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rows = []
+    for k, w in enumerate(speeds(60)):
+        thrust = K_T * w * w
+        cells = ("", f"{thrust!r}") if k % 2 else (f"{-K_Q * thrust!r}", "")
+        rows.append(f"{k * 0.01},,{cells[0]},{cells[1]},{w!r}")
+    path = write(tmp_path, rows, "Time (s),ESC signal (us),Torque (N m),Thrust (N),Speed (rad/s)")
+    found = fitted(path, capsys)
+    assert (found.thrust, found.torque) == (pytest.approx(K_T, rel=1e-12), pytest.approx(K_Q, rel=1e-12))
+
+
+def test_a_dense_log_with_a_throttle_is_a_recording_and_shows_the_response(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    own = tmp_path / "own.csv"
+    assert main(["dyno", "run", "--aircraft", "nf1", "--noise", "0.5", "--seed", "3", "--out", str(own)]) == 0
+    truth = fitted(own, capsys).document
+    lines = own.read_text().splitlines()[1:]
+    rows = ["0,1000,0,0,0", "0,1000,0,0,0"]
+    for line in lines:
+        t, u, rpm, thrust, torque = (float(cell) for cell in line.split(","))
+        rows.append(f"{t + 0.01},{1000 + 1000 * u},{-torque * 100},{thrust / 0.00980665},{rpm * 7}")
+    heading = "Time (s);ESC signal (µs);Torque (N·cm);Thrust (gf);eRPM"
+    path = write(tmp_path, [row.replace(",", ";") for row in rows], heading, "cp1252")
+    assert "counts electrical turns" in refused(path, capsys)
+    words = ("--poles", "14", "--esc-us", "1000", "2000")
+    found = fitted(path, capsys, *words).document
+    assert found["response"]["kind"] == truth["response"]["kind"]  # type: ignore[index]
+    for name in ("thrust_coefficient", "torque_ratio_m", "speed_curve_rpm"):
+        for mine, other in zip(found[name], truth[name], strict=True):  # type: ignore[call-overload]
+            assert mine["value"] == pytest.approx(other["value"], rel=2e-3)
+    without = [row.replace(",", ";") for row in (",".join(np.delete(row.split(","), 2)) for row in rows)]
+    path = write(tmp_path, without, heading.replace("Torque (N·cm);", ""), "cp1252")
+    plot = tmp_path / "fit.png"
+    found = fitted(path, capsys, *words, "--plot", str(plot)).document
+    assert found["torque_ratio_m"] == [] and found["torque_mae_n_m"] is None
+    assert found["response"]["kind"] == truth["response"]["kind"]  # type: ignore[index]
+    assert plot.read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_rotor_in_wind_is_told_and_not_written(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rows = [f"{K_T * w * w - 5.0},{w},{-0.05 * w / 2600}" for w in speeds()]
+    path = write(tmp_path, rows, "Thrust (N),Speed (rad/s),Torque (N·m)")
+    warned = fitted(path, capsys).document["warnings"]
+    assert "was it in wind?" in warned[0]  # type: ignore[index]
+    own = tmp_path / "own.toml"
+    own.write_bytes(before := (FOLDER / "nf1.toml").read_bytes())
+    assert "is not written: thrust does not follow" in refused(path, capsys, "--write", str(own))
+    assert own.read_bytes() == before
+
+
+def test_slips_of_the_speed_sensor_are_left_out_and_counted(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    lines = steps(40)
+    cells = lines[30].split(",")
+    cells[8] = str(2 * float(cells[8]))
+    lines[30] = ",".join(cells)
+    found = fitted(write(tmp_path, lines), capsys)
+    assert found.document["slips"] == 1
+    assert found.thrust == pytest.approx(K_T, rel=1e-12)
+
+
+def test_two_sensors_of_speed_that_disagree_are_told(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rows = [f"{K_T * w * w},{w * 7},{w}" for w in speeds()]
+    path = write(tmp_path, rows, "Thrust (N),Electrical Speed (rad/s),Optical Speed (rad/s)")
+    found = fitted(path, capsys)
+    assert found.thrust == pytest.approx(K_T, rel=1e-12)
+    assert any("7 times as large" in str(note) for note in found.document["notes"])  # type: ignore[attr-defined]
+    assert fitted(path, capsys, "--poles", "14").document["notes"][0].startswith("speed is")  # type: ignore[index]
+
+
+@pytest.mark.parametrize(
+    ("heading", "words", "message"),
+    [
+        ("Thrust,RPM", [], "column 'Thrust' names no unit; give it by --unit thrust=UNIT, one of: N, gf"),
+        ("Thrust (stone),RPM", [], "a unit that is not known, 'stone'; give it by --unit thrust=UNIT"),
+        ("Thrust (N),Speed", [], "column 'Speed' names no unit; give it by --unit speed=UNIT"),
+        ("Thrust (N),eRPM", [], "counts electrical turns; give the motor's magnets by --poles"),
+        ("Thrust A (N),Thrust B (N),RPM", [], "2 columns may be the thrust: 'Thrust A (N)', 'Thrust B (N)'"),
+        ("Push (N),RPM", [], "no line names a thrust and a speed"),
+        ("Thrust (N),RPM", ["--column", "thrust=Push (N)"], "0 columns of that name"),
+        (
+            "Thrust (N),RPM",
+            ["--unit", "thrust=stone"],
+            "--unit thrust=stone: unknown; expected one of: N, gf",
+        ),
+        ("Thrust (N),RPM", ["--unit", "push=N"], "expected QUANTITY=... with one of: time, throttle, speed"),
+        ("Thrust (N),RPM", ["--poles", "7"], "--poles 7, expected an even number"),
+        ("Thrust (N),RPM", ["--esc-us", "2000", "1000"], "--esc-us 2000 1000, expected the pulse of 0"),
+        ("Thrust (N),RPM,Throttle", [], "names no unit; give it by --unit throttle=UNIT"),
+        ("Thrust (N),RPM,throttle", [], "'throttle' reaches 900, expected 0 to 1; is it in percent"),
+        ("Time (\N{REPLACEMENT CHARACTER}s),Thrust (N),RPM", [], "unit that is not known, '?s'"),
+    ],
+)
+def test_what_headings_do_not_tell_is_asked_for_in_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], heading: str, words: list[str], message: str
+) -> None:
+    count = heading.count(",") + 1
+    rows = [",".join([str(100 * k)] * count) for k in range(1, 10)]
+    assert message in refused(write(tmp_path, rows, heading, "utf-8"), capsys, *words)
+
+
+def test_a_unit_or_a_column_that_is_given_serves(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rows = [f"{K_T * w * w / 9.80665e-3!r},{w * 60 / (2 * math.pi)!r}" for w in speeds()]
+    path = write(tmp_path, rows, "Pull,RPM")
+    words = ("--column", "thrust=Pull", "--unit", "thrust=gf")
+    assert fitted(path, capsys, *words).thrust == pytest.approx(K_T, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("cells", "message"),
+    [
+        (["1,000", "2,500", "4,500"], "has it a decimal comma? Nothing in the file tells"),
+        (["1,5", "2.5", "4.5"], "numbers with a decimal comma and with a point"),
+        (["1.5", "2.5x", "4.5"], "line 3: Thrust (N) is '2.5x', expected a number"),
+        (["1.5", "inf", "4.5"], "line 3: Thrust (N) is 'inf', expected a number"),
+    ],
+)
+def test_numbers_that_can_be_read_in_two_ways_are_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], cells: list[str], message: str
+) -> None:
+    rows = [f"{cell};{1000 * k}" for k, cell in enumerate(cells, 1)]
+    assert message in refused(write(tmp_path, rows, "Thrust (N);RPM"), capsys)
+
+
+def test_names_of_other_things_are_no_quantities() -> None:
+    for text in (
+        "Overall Efficiency (gf/W)", "Propeller Mech. Efficiency (N/W)", "Vibration (g)", "AccX (g)", "",
+        "Servo 1 (µs)", "Mechanical Power (W)", "4N76 Temp (ºC)", "ESC temperature (C)", "Airspeed (m/s)",
+        "T (C)", "App message",
+    ):  # fmt: skip
+        assert read_heading(text) is None, text
+
+
+# The independent reading: factors of units to SI as tables print them, applied here by hand.
+THRUST = {
+    "N": 1.0,
+    "gf": 0.00980665,
+    "g": 0.00980665,
+    "kgf": 9.80665,
+    "kg": 9.80665,
+    "lbf": 4.4482216,
+    "ozf": 0.27801385,
+}
+TORQUE = {
+    "N·m": 1.0, "Nm": 1.0, "N*m": 1.0, "N.m": 1.0, "mN·m": 1e-3, "N·cm": 1e-2, "gf·cm": 9.80665e-5,
+    "kgf·cm": 0.0980665, "ozf·in": 7.0615518e-3, "oz-in": 7.0615518e-3, "lbf·in": 0.11298483,
+    "in-lbf": 0.11298483, "lbf·ft": 1.3558179,
+}  # fmt: skip
+SPEED = {
+    "rpm": 0.10471976,
+    "RPM": 0.10471976,
+    "rad/s": 1.0,
+    "Hz": 6.2831853,
+    "rps": 6.2831853,
+    "1/min": 0.10471976,
+}
+FORMS = ("{} ({})", "{} [{}]", "{}({})", "{} - {}")
+
+
+def number(value: float, decimal: str, thousands: str) -> str:
+    """A number as a spreadsheet of some country writes it."""
+    text = f"{value:,.9f}" if abs(value) >= 1 else f"{value:.9g}" if abs(value) > 1e-4 else f"{value:.15f}"
+    return text.replace(",", "T").replace(".", decimal).replace("T", thousands)
+
+
+@settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(data=st.data())
+def test_every_mix_of_units_marks_and_encodings_gives_the_same_rotor(
+    tmp_path: Path, data: st.DataObject
+) -> None:
+    draw = data.draw
+    thrust_unit, torque_unit = draw(st.sampled_from(sorted(THRUST))), draw(st.sampled_from(sorted(TORQUE)))
+    speed_unit = draw(st.sampled_from(sorted(SPEED)))
+    k_t, k_q = draw(st.floats(1e-8, 1e-4)), draw(st.floats(1e-3, 0.1))
+    thrust_sign, torque_sign = draw(st.sampled_from([1, -1])), draw(st.sampled_from([1, -1]))
+    w = np.array(draw(st.lists(st.floats(50, 4000), min_size=5, max_size=30, unique=True)))
+    mark, decimal = draw(
+        st.sampled_from([(",", "."), (";", "."), (";", ","), ("\t", "."), ("\t", ","), ("|", ".")])
+    )
+    thousands = draw(st.sampled_from(["", {".": ",", ",": "."}[decimal]])) if mark != "," else ""
+    encoding = draw(st.sampled_from(["utf-8", "utf-8-sig", "cp1252", "utf-16"]))
+    form = draw(st.sampled_from(FORMS))
+    columns = {
+        form.format("Thrust", thrust_unit): thrust_sign * k_t * w**2 / THRUST[thrust_unit],
+        form.format("Torque", torque_unit): torque_sign * k_q * k_t * w**2 / TORQUE[torque_unit],
+        form.format(draw(st.sampled_from(["Motor Optical Speed", "Rotation speed"])), speed_unit): w
+        / SPEED[speed_unit],
+        "Overall Efficiency (gf/W)": np.full(len(w), 0.25),
+        "App message": None,
+    }
+    order = draw(st.permutations(sorted(columns)))
+    before = draw(
+        st.sampled_from([[], ["# bench 3"], ["Motor: X 2207", "Propeller: 5x4.3x3", ""], ["sep=" + mark]])
+    )
+    quote = draw(st.sampled_from(["", '"']))
+    lines = [*before, mark.join(f"{quote}{name}{quote}" for name in order)]
+    for row in range(len(w)):
+        cells = []
+        for name in order:
+            column = columns[name]
+            cells.append("" if column is None else number(float(column[row]), decimal, thousands))
+        lines.append(mark.join(f"{quote}{cell}{quote}" for cell in cells))
+    path = tmp_path / "log.csv"
+    path.write_bytes(draw(st.sampled_from(["\n", "\r\n"])).join([*lines, ""]).encode(encoding))
+    _, stands, reason = read_logs([path], NOTHING)
+    found = fit_points(stands, reason)
+    assert found.thrust_coefficient[0].value == pytest.approx(k_t, rel=1e-5)
+    assert found.torque_ratio[0].value == pytest.approx(k_q, rel=1e-5)
+
+
+def test_every_unit_that_is_known_is_asked_for_by_its_own_name() -> None:
+    for texts, quantity in ((THRUST, Quantity.THRUST), (TORQUE, Quantity.TORQUE), (SPEED, Quantity.SPEED)):
+        for text in texts:
+            assert known_unit(quantity, text) is not None, text
+    assert choices([], ["thrust=gf", "time=ms"], None, None).units == {
+        Quantity.THRUST: "gf",
+        Quantity.TIME: "ms",
+    }
+    with pytest.raises(DynoError, match="expected QUANTITY="):
+        choices(["thrust"], [], None, None)
