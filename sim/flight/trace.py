@@ -58,12 +58,12 @@ class Trace:
 
     @property
     def step_s(self) -> float:
-        """Time from row to row [s], the mean where a log's clock is uneven; 0 for a single row."""
+        """The usual time from row to row [s], the median where a log's clock is uneven; 0 for a single row."""
         if len(self.t) < 2:
             return 0.0
-        first, mean = float(self.t[1] - self.t[0]), float(self.t[-1] - self.t[0]) / (len(self.t) - 1)
-        # A mean of even times may be another number by a bit, and figures with it.
-        return first if abs(first - mean) < EVEN * mean else mean
+        first, usual = float(self.t[1] - self.t[0]), float(np.median(np.diff(self.t)))
+        # Differences of even times are other numbers by a bit, and figures with them.
+        return first if abs(first - usual) < EVEN * usual else usual
 
     def by_gyro(self) -> Trace:
         """The flight as a log tells it: no true rate, the gyro stands in its place."""
