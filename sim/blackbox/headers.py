@@ -144,6 +144,8 @@ def _header_lines(data: bytes, start: int) -> tuple[list[bytes], int, int]:
     at = start
     while len(lines) < LINES_MAX:
         end = data.find(b"\n", at, at + LINE_BYTES_MAX)
+        if lines and data.startswith(_NEXT, at):
+            break
         if end >= 0 and data.startswith(b"H ", at) and b":" in data[at:end]:
             lines.append(data[at:end])
             at = end + 1
@@ -244,8 +246,13 @@ def _lost(headers: Headers) -> dict[str, str]:
     packed = any(one.encoding == TAG8_4S16 for kind in fields.values() for one in kind)
     need("Data version", packed, "2 is taken")
     for line, predictor in (("minthrottle", MINTHROTTLE), ("vbatref", VBATREF), ("motorOutput", MINMOTOR)):
-        mine = ", ".join(one.name for kind in fields.values() for one in kind if one.predictor == predictor)
-        need(line, predictor in predictors, f"{mine} may be wrong by a constant")
+        based = [
+            one.name.partition("[")[0]
+            for kind in fields.values()
+            for one in kind
+            if one.predictor == predictor
+        ]
+        need(line, based, f"values of {', '.join(dict.fromkeys(based))} may be wrong by a constant")
     if HOME in predictors and "H" not in fields:
         found["Field H name"] = "positions are told without the home that they are relative to"
     firmware = told.get("Firmware revision", "").split()

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from sim.blackbox.log import Maker, floats, list_logs, read_log
+from cli.main import main
+from sim.blackbox.log import GLANCE_BYTES, Maker, floats, glance, list_logs, read_log
 from tests.sim.blackbox.writer import (
     END,
     GROUP,
@@ -19,7 +21,9 @@ from tests.sim.blackbox.writer import (
     header,
     inter,
     intra,
+    signed,
     slow,
+    unsigned,
 )
 from toolchain.errors import TraceError
 
@@ -123,3 +127,148 @@ def test_blank_rest_of_a_cards_file_is_no_damage(tmp_path: Path) -> None:
     path = save(tmp_path, PRODUCT, NUMBERS, fields(COLUMNS), flight(COLUMNS, ROWS), bytes(1 << 20))
     log = read_log(path)
     assert len(log) == 200 and log.notes == ("no end of the log: the power was cut, or the file",)
+
+
+def test_the_last_log_with_frames_is_read_when_those_behind_it_have_none(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A flash chip's dump: 44 logs that were begun and never written, of each kind."""
+    head = [PRODUCT, NUMBERS, fields(COLUMNS, ["flightModeFlags"])]
+    flown = [*head, flight(COLUMNS, ROWS), END]
+    empty = [[*head], [*head, END], [*head, event(15, 4), END], [*head, slow([0]), event(30, 1, 0)]]
+    path = save(tmp_path, *flown, *flown, *(part for at in range(44) for part in empty[at % 4]))
+    log = read_log(path)
+    assert log.number == 2 and len(log) == 200 and len(list_logs(path)) == 46 and not log.notes
+    for action in ("quality", "decode"):
+        assert main(["log", action, str(path), "--json"]) == 0
+        assert json.loads(capsys.readouterr().out)["log"] == 2
+    assert main(["log", "list", str(path), "--json"]) == 0
+    notes = [row["note"] for row in json.loads(capsys.readouterr().out)]
+    assert notes == ["", "", *["no frames that can be read"] * 44]
+    with pytest.raises(TraceError, match="log 46 of 46 has no frame that can be read"):
+        read_log(path, 46)
+    # What stands behind it and is lost to damage is told.
+    path = save(tmp_path, *flown, *head, b"\x80" * 500, *flown[:2], flown[-2])
+    assert read_log(path).number == 1 and "2 logs behind this one cannot be read" in read_log(path).notes
+    path = save(tmp_path, *head, END, *head, END)
+    with pytest.raises(TraceError, match="log 2 of 2 has no frame that can be read"):
+        read_log(path)
+
+
+def test_length_is_told_without_decoding_when_the_clock_begins_anew_twice(tmp_path: Path) -> None:
+    """A row each 9 s for four hours; noise makes the file longer than what is looked at."""
+    columns = [Column(f"debug[{at}]") for at in range(80)]
+    rows = np.random.default_rng(7).integers(-(1 << 30), 1 << 30, (1600, 80)).tolist()
+    clock = [(5_000_000 + 9_000_000 * at) % (1 << 32) for at in range(len(rows))]
+    path = save(tmp_path, PRODUCT, NUMBERS, fields(columns), flight(columns, rows, clock=clock), END)
+    [one] = list_logs(path)
+    assert one.size > 4 * GLANCE_BYTES
+    assert glance(path.read_bytes(), one) == 9.0 * (len(rows) - 1)
+
+
+def gps_log(*frames: bytes, home: bool = True) -> list[bytes]:
+    """A log of main frames, with the lines of GPS frames as Betaflight has them."""
+    position = {
+        "Field G name": "time,GPS_numSat,GPS_coord[0],GPS_coord[1],GPS_speed",
+        "Field G signed": "0,0,1,1,0",
+        "Field G predictor": "10,0,7,7,0",
+        "Field G encoding": "1,1,0,0,1",
+    }
+    where = {
+        "Field H name": "GPS_home[0],GPS_home[1]",
+        "Field H signed": "1,1",
+        "Field H predictor": "0,0",
+        "Field H encoding": "0,0",
+    }
+    return [PRODUCT, NUMBERS, fields(COLUMNS), header(position | (where if home else {})), *frames, END]
+
+
+def test_positions_are_kept_with_their_own_time(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Home is at 52.1 N, 5.2 W; the clock's 32 bits begin anew between two positions."""
+    start = (1 << 32) - 40_500
+    first, second = flight(COLUMNS, ROWS[:32], start=start), flight(COLUMNS, ROWS[:64], start=start)
+    home = b"H" + signed(521_000_000) + signed(-52_000_000)
+    here = b"G" + unsigned(250) + unsigned(11) + signed(-1500) + signed(70) + unsigned(9)
+    there = b"G" + unsigned(400) + unsigned(12) + signed(1500) + signed(-70) + unsigned(10)
+    parts = gps_log(first[: len(flight(COLUMNS, ROWS[:1], start=start))], home, here)
+    frames = first[len(flight(COLUMNS, ROWS[:1], start=start)) :] + second[len(first) :]
+    path = save(tmp_path, *parts[:-1], frames, there, END)
+    log = read_log(path)
+    assert len(log) == 64 and not log.notes and log.positions == 2
+    assert log.gps["time"].tolist() == [start + 250, start + 63_400]
+    assert log.gps["GPS_coord[0]"].tolist() == [520_998_500, 521_001_500]
+    assert log.gps["GPS_coord[1]"].tolist() == [-51_999_930, -52_000_070]
+    csv, npz = tmp_path / "a.csv", tmp_path / "a.npz"
+    assert main(["log", "decode", str(path), "--csv", str(csv), "--npz", str(npz)]) == 0
+    assert "2 GPS rows in a.gps.csv" in " ".join(capsys.readouterr().out.split())
+    heading, *rows = (tmp_path / "a.gps.csv").read_text().splitlines()
+    assert heading == "time (us),GPS_numSat,GPS_coord[0],GPS_coord[1],GPS_speed"
+    assert rows[1] == f"{start + 63_400},12,521001500,-52000070,10"
+    with np.load(npz) as arrays:
+        assert arrays["gps/GPS_speed"].tolist() == [9, 10]
+    # Without a home they are nowhere.
+    path = save(
+        tmp_path, *gps_log(first, here, flight(COLUMNS, ROWS[:32], start=start), home=False)[:-2], END
+    )
+    log = read_log(path)
+    assert log.positions == 0 and any("Field H name: positions are told" in note for note in log.notes)
+    assert "1 GPS frames before a home, or behind damage, left out" in log.notes
+
+
+def test_sticks_of_data_version_1_are_read(tmp_path: Path) -> None:
+    """Its groups of four have the lower of two halves of a byte first, and the lower of two bytes."""
+    columns = [Column(f"rcCommand[{at}]", 8) for at in range(4)]
+    head = PRODUCT.replace(b"version:2", b"version:1") + NUMBERS + fields(columns)
+    frames = intra(0, 5_000_000, [10, -20, 30, 1000])
+    frames += b"P" + signed(1000) + bytes((0b11_10_01_01, 0xE3, 0x80, 0x2C, 0x01))  # +3, -2, -128, +300
+    frames += b"P" + signed(0) + bytes((0b01_01_00_11, 0x00, 0x80, 0x7F))  # -32768, 0, -1, +7
+    log = read_log(save(tmp_path, head, frames, END))
+    rows = np.stack([log.columns[one.name] for one in columns], axis=1).tolist()
+    assert not log.notes and log.time_us.tolist() == [5_000_000, 5_001_000, 5_002_000]
+    assert rows == [[10, -20, 30, 1000], [13, -22, -98, 1300], [13 - 32768, -22, -99, 1307]]
+
+
+@pytest.mark.parametrize(
+    ("lost", "told"),
+    [
+        ("gyro_scale", "a count of the gyro is taken as 1 deg/s"),
+        ("motorOutput", "what motor values mean is not known"),
+        ("blackbox_high_resolution", "they may be tenths"),
+        ("Firmware revision", "whose log it is is not known"),
+        ("looptime", ""),
+        ("", ""),
+    ],
+)
+def test_a_lost_line_is_told_when_a_firmware_always_writes_it(tmp_path: Path, lost: str, told: str) -> None:
+    lines = {
+        "Firmware type": "Cleanflight",
+        "Firmware revision": "Betaflight 4.4.2 (23d066d08) STM32F405",
+        "I interval": 32,
+        "P interval": "1/1",
+        "gyro_scale": "0x3f800000",
+        "motorOutput": "158,2047",
+        "blackbox_high_resolution": 0,
+        "looptime": 125,
+    }
+    kept = header({name: value for name, value in lines.items() if name != lost})
+    log = read_log(save(tmp_path, PRODUCT, kept, fields(COLUMNS), flight(COLUMNS, ROWS), END))
+    assert log.notes == ((f"header lines are lost: {lost}: {log.headers.lost()[lost]}",) if told else ())
+    assert told in "".join(log.notes)
+    assert (rows_of(log.path, [column.name for column in COLUMNS]) == ROWS).all()
+
+
+def test_events_of_other_firmwares_do_not_cost_rows(tmp_path: Path) -> None:
+    others = (
+        b"E\x0d\x05" + signed(-3),
+        b"E\x0d\x85\0\0\x80?",
+        event(50, 3),
+        event(40, 1),
+        b"E\x0a\1\2\3\4\5",
+    )
+    begun, whole = len(flight(COLUMNS, ROWS[:50])), flight(COLUMNS, ROWS)
+    data = [whole[:begun], *others, whole[begun:], END]
+    log = read_log(save(tmp_path, PRODUCT, NUMBERS, fields(COLUMNS), *data))
+    assert len(log) == 200 and not log.notes
+    assert [(one.name, one.row) for one in log.events[:2]] == [("adjustment", 50)] * 2
+    assert log.events[0].values == {"function": 5, "value": -3}
+    assert log.events[1].values["float_bits"] == 0x3F800000

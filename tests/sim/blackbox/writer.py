@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 PRODUCT = b"H Product:Blackbox flight data recorder by Nicholas Sherlock\nH Data version:2\n"
@@ -33,7 +33,7 @@ def signed(value: int) -> bytes:
     return unsigned((value << 1) ^ (value >> 63))
 
 
-def header(lines: dict[str, object]) -> bytes:
+def header(lines: Mapping[str, object]) -> bytes:
     """Header lines."""
     return b"".join(f"H {name}:{value}\n".encode() for name, value in lines.items())
 
