@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sim.blackbox.log import Maker, floats, list_logs, read_log
+from sim.blackbox.firmware import Maker
+from sim.blackbox.log import floats, list_logs, read_log
 from tests.sim.blackbox.writer import (
     END,
     GROUP,
