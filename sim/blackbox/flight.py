@@ -122,7 +122,7 @@ def check_motors(log: Log, told: Channels, rows: slice) -> None:
         value = log.columns[f"motor[{motor}]"][rows.start + row]
         raise TraceError(
             f"{log.path}: log {log.number}: in row {rows.start + row}, {_seconds(told, rows)[row]:.3f} s, "
-            f"motor[{motor}] is {value}, which no motor is given; take a part without by --from and --to"
+            f"motor[{motor}] is {value}, which no motor is given; leave them out by --from and --to"
         )
 
 

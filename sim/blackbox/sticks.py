@@ -182,4 +182,4 @@ def _spans(bad: Rows, seconds: Array) -> str:
 
 def _mend(bad: Rows) -> str:
     """How to go around them, where there is a part without."""
-    return "" if bad.all() else "; take a part without by --from and --to"
+    return "" if bad.all() else "; leave them out by --from and --to"
