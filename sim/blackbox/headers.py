@@ -247,10 +247,8 @@ def _lost(headers: Headers) -> dict[str, str]:
     need("Data version", packed, "2 is taken")
     for line, predictor in (("minthrottle", MINTHROTTLE), ("vbatref", VBATREF), ("motorOutput", MINMOTOR)):
         mine = ", ".join(one.name for kind in fields.values() for one in kind if one.predictor == predictor)
-        follows = f"{mine} may be wrong by a constant"
-        if line == "motorOutput":
-            follows = "motors cannot be read, tell it by --header motorOutput=LOW,HIGH"
-        need(line, predictor in predictors, follows)
+        mend = f"--header {line}={'LOW,HIGH' if line == 'motorOutput' else 'NUMBER'}"
+        need(line, predictor in predictors, f"{mine} may be wrong by a constant, tell it by {mend}")
     if HOME in predictors and "H" not in fields:
         found["Field H name"] = "positions are told without the home that they are relative to"
     if not told.get("Firmware revision") and "Firmware type" not in told:

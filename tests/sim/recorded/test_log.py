@@ -60,6 +60,7 @@ def test_tenths_are_read_when_the_log_has_them(tmp_path: Path) -> None:
 
 OLD: dict[str, object] = {
     "Firmware revision": "Betaflight 3.1.7 (e1c4b5c) BETAFLIGHTF3",
+    "gyro_scale": "0x3f800000",
     "rates": "78,78,78",
     "rcRate": 105,
     "rcYawRate": 105,
