@@ -49,14 +49,15 @@ def read_commands(
         raise ScenarioError(f"recording {error}") from error
     first = int(np.flatnonzero(flown.armed)[0])
     seconds = flown.time(first)[rows.start - first : rows.stop - first]
-    notes = [f"{path.name}: {note}" for note in (*log.notes, asked.note) if note]
-    if count > 1 and number is None:
-        notes.append(f"{path.name} holds {count} logs: number {log.number} is flown; {path.name}:1 names one")
+    odd = [*log.notes, *filter(None, [asked.note])]
     if lost := int(log.missing[rows][1:].sum()):
-        notes.append(f"{path.name}: {lost} rows are missing: the command before them is held")
+        odd.append(f"{lost} rows are missing: the command before them is held")
     throttle = np.zeros(len(log)) if asked.throttle is None else asked.throttle
     if asked.throttle is None:
-        notes.append(f"{path.name}: no throttle was logged: it is flown without")
+        odd.append("no throttle was logged: it is flown without")
+    notes = [f"{path.name}: {'; '.join(odd)}"] if odd else []
+    if count > 1 and number is None:
+        notes.append(f"{path.name} holds {count} logs: number {log.number} is flown; {path.name}:1 names one")
     name, since_s = path.stem, float(seconds[0])
     try:
         return Commands(

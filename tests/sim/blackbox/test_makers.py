@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +28,7 @@ def written(
     folder: Path,
     rows: Any,
     names: list[str],
-    lines: dict[str, object],
+    lines: Mapping[str, object],
     flags: tuple[int, ...] = (1,),
     bases: dict[str, int] | None = None,
     told: dict[str, str] | None = None,
@@ -47,7 +48,7 @@ def written(
     return read_log(path, lines=told)
 
 
-def units(folder: Path, rows: Any, names: list[str], lines: dict[str, object], **more: Any) -> Channels:
+def units(folder: Path, rows: Any, names: list[str], lines: Mapping[str, object], **more: Any) -> Channels:
     return channels(written(folder, rows, names, lines, **more))
 
 

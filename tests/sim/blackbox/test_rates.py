@@ -42,8 +42,7 @@ def one_stick(style: Style, x: float, rate: int, top: int, expo: int, *, bent: b
         if bent:
             return command * centre / min(max(1 - x * factor, 0.01), 1)
         return x * centre / min(max(1 - command * factor, 0.01), 1)
-    power = top / 16 + 2
-    return rate * 5 * (x * (1 - e) + x**power * e)
+    return float(rate * 5 * (x * (1 - e) + x ** (top / 16 + 2) * e))
 
 
 def header(rng: np.random.Generator) -> tuple[dict[str, str], np.ndarray]:
