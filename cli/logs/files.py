@@ -59,8 +59,9 @@ def _folder(folder: Path) -> Iterator[Row]:
 
 
 def _file(path: Path) -> Iterator[Row]:
+    from sim.blackbox.firmware import Maker
     from sim.blackbox.headers import read_bytes
-    from sim.blackbox.log import glance, is_blank, list_logs, maker
+    from sim.blackbox.log import glance, is_blank, list_logs
     from toolchain.files import file_size
 
     size = file_size(path)
@@ -77,7 +78,7 @@ def _file(path: Path) -> Iterator[Row]:
             notes.append("no frames that can be read")
         said = headers.get("Firmware revision", "") or headers.get("Firmware type", "")
         version = headers.get("nf_version", "")
-        firmware = f"{maker(one.headers).value} {version}" if version else said
+        firmware = f"{Maker.NEUROFLIGHT.value} {version}" if version else said
         yield Row(
             path.name,
             one.number,

@@ -31,6 +31,39 @@ def add_choice_arguments(parser: argparse.ArgumentParser) -> None:
         help="which log of the file, from 1; default: the last that has frames",
     )
     parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
+    add_header_argument(parser)
+
+
+def add_header_argument(parser: argparse.ArgumentParser) -> None:
+    """--header."""
+    parser.add_argument(
+        "--header",
+        action="append",
+        default=[],
+        metavar="NAME=VALUE",
+        help="take the log as if its header had this line, which it lost or its firmware does not write; may "
+        "be given several times",
+    )
+
+
+def header_lines(args: argparse.Namespace) -> dict[str, str]:
+    """What --header tells, by name. Raises NeuroflightError where it is no header line."""
+    found = {}
+    for text in args.header:
+        name, equals, value = text.partition("=")
+        name, value = name.strip(), value.strip()
+        if (
+            not equals
+            or not name
+            or not value
+            or not (name + value).isprintable()
+            or name.startswith("Field ")
+        ):
+            raise NeuroflightError(
+                f"--header: got {text!r}, expected NAME=VALUE of a header line, such as motorOutput=138,2047"
+            )
+        found[name] = value
+    return found
 
 
 def add_part_arguments(parser: argparse.ArgumentParser, since: str) -> None:
@@ -64,12 +97,12 @@ def open_log(args: argparse.Namespace, path: Path | None = None) -> Log:
 
     from sim.blackbox.log import read_log
 
-    path = args.file if path is None else path
+    path, told = args.file if path is None else path, header_lines(args)
     columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
     hidden = bool(args.json) or not sys.stderr.isatty()
     with Progress(*columns, console=Console(stderr=True), transient=True, disable=hidden) as bar:
         task = bar.add_task(f"decoding {path.name}", total=1.0)
-        log = read_log(path, args.log, lambda done: bar.update(task, completed=done))
+        log = read_log(path, args.log, lambda done: bar.update(task, completed=done), told)
     return log
 
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.blackbox.flight import WHOLE, Part, armed_rows, cut
+from sim.blackbox.flight import WHOLE, Part, armed_rows, check_sticks, cut
 from sim.blackbox.log import Log
 from sim.blackbox.units import channels
 from sim.flight.trace import Trace
@@ -77,12 +77,12 @@ class Sticks:
 def log_sticks(log: Log, part: Part = WHOLE) -> Sticks:
     """What was asked for in a log's armed rows. Raises TraceError where it has no setpoint."""
     told = channels(log)
-    if told.setpoint is None or told.throttle is None:
-        raise TraceError(
-            f"{log.path}: log {log.number} has no setpoint[0..3], which holds a pilot's commands; log it "
-            "(blackbox_disabled_mask), with Betaflight 4.1 or newer"
-        )
+    if told.setpoint is None:
+        raise TraceError(f"{log.path}: log {log.number} has {told.pilot.lacks}")
+    if told.throttle is None:
+        raise TraceError(f"{log.path}: log {log.number} has no throttle (setpoint[3] or rcCommand[3])")
     rows = armed_rows(log, told, part)
+    check_sticks(log, told, rows)
     t = told.time(rows.start)[: rows.stop - rows.start]
     sticks = Sticks(told.setpoint[rows], told.throttle[rows], t)
     if not (np.isfinite(sticks.setpoint).all() and np.isfinite(sticks.throttle).all()):

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from sim.blackbox.decoding import Event
-from sim.blackbox.log import Log, Maker
+from sim.blackbox.firmware import Maker
+from sim.blackbox.log import Log
 from toolchain.contract import FallbackCause, FlightState, LogEvent, StopCause
 
 DISARMING = (  # Betaflight's reasons, which ours are told by as well

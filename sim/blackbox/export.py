@@ -49,8 +49,8 @@ def save_npz(path: Path, log: Log) -> None:
     """Write columns as the format has them, and in units.
 
     `field/NAME` (N,), `slow/NAME` (K,), `slow_row` (K,) and `gps/NAME` (G,) are the format's numbers; `t`,
-    `setpoint`, `gyro`, `throttle`, `motors`, `dshot`, `voltage`, `current` have units (sim.blackbox.units),
-    those that the log has; `headers` and `events` are JSON.
+    `setpoint`, `gyro`, `throttle`, `motors`, `dshot`, `rpm`, `voltage`, `current` have units
+    (sim.blackbox.units), those that the log has; `headers` and `events` are JSON.
     """
     told = channels(log)
     arrays: dict[str, object] = {f"field/{name}": column for name, column in log.columns.items()}
@@ -58,7 +58,7 @@ def save_npz(path: Path, log: Log) -> None:
     arrays["slow_row"] = log.slow_row
     arrays |= {f"gps/{name}": column for name, column in log.gps.items()}
     arrays["t"] = told.time()
-    for name in ("setpoint", "gyro", "throttle", "motors", "dshot", "voltage", "current"):
+    for name in ("setpoint", "gyro", "throttle", "motors", "dshot", "rpm", "voltage", "current"):
         if (array := getattr(told, name)) is not None:
             arrays[name] = array
     arrays["headers"] = np.array(json.dumps(log.header))

@@ -14,12 +14,14 @@ from numpy.typing import NDArray
 from sim.analysis.flight_report import Flight
 from sim.analysis.metrics import figures
 from sim.blackbox.log import Log
+from sim.blackbox.sticks import RATE_MOST_DEG_S, check
 from sim.blackbox.units import Channels, channels
 from sim.flight.trace import COLUMNS, Trace
 from toolchain.contract import IDLE_DEFAULT, Mix
 from toolchain.errors import TraceError
 
 RATE_MIN_HZ = 20.0  # rows a second, below which no response shows
+GYRO_LOST = "no line gyro_scale in its headers: tell it by --header gyro_scale=DEG_S, deg/s of a count"
 
 
 @dataclass(frozen=True)
@@ -74,27 +76,18 @@ def log_trace(log: Log, part: Part = WHOLE, told: Channels | None = None) -> Tra
     the log lacks.
     """
     told = channels(log) if told is None else told
-    if told.setpoint is None or told.gyro is None or told.motors is None or told.dshot is None:
-        lacking = [
-            name
-            for name, column in (
-                ("setpoint[0..3]", told.setpoint),
-                ("gyroADC[0..2]", told.gyro),
-                ("motor[0..]", told.motors),
-            )
-            if column is None
-        ]
-        raise TraceError(
-            f"{log.path}: log {log.number} has no {' and no '.join(lacking)}; figures of a flight need "
-            "them: log them (blackbox_disabled_mask)"
-        )
-    assert told.throttle is not None  # it comes with the setpoint
+    where = f"{log.path}: log {log.number}"
+    if told.setpoint is None or told.throttle is None or told.gyro is None or told.motors is None:
+        raise TraceError(f"{where} has {_lacking(log, told)}; figures of a flight need them")
+    assert told.dshot is not None  # it comes with the motors
     if log.rate_hz < RATE_MIN_HZ:
         raise TraceError(
             f"{log.path}: log {log.number} has {log.rate_hz:.3g} rows a second, figures of a "
             f"flight need {RATE_MIN_HZ:g}"
         )
     rows = armed_rows(log, told, part)
+    check_sticks(log, told, rows)
+    check_motors(log, told, rows)
     gyro = told.gyro[rows]
     try:
         return Trace(
@@ -107,7 +100,51 @@ def log_trace(log: Log, part: Part = WHOLE, told: Channels | None = None) -> Tra
             throttle=told.throttle[rows],
         )
     except TraceError as error:
-        raise TraceError(f"{log.path}: log {log.number}: {error}") from error
+        raise TraceError(f"{where}: {error}") from error
+
+
+def check_sticks(log: Log, told: Channels, rows: slice, most_deg_s: float = RATE_MOST_DEG_S) -> None:
+    """Refuse armed rows with a command that no stick gives, naming the first. Raises TraceError."""
+    asked = told.pilot
+    assert asked.rates is not None
+    throttle = None if asked.throttle is None else asked.throttle[rows]
+    where = f"{log.path}: log {log.number}"
+    check(where, asked.rates[rows], throttle, _seconds(told, rows), rows.start, most_deg_s)
+
+
+def check_motors(log: Log, told: Channels, rows: slice) -> None:
+    """Refuse armed rows with a motor value that no motor is given, naming the first. Raises TraceError."""
+    assert told.motors is not None
+    bad = np.isnan(told.motors[rows])
+    if bad.any():
+        row = int(bad.any(axis=1).argmax())
+        motor = int(bad[row].argmax())
+        value = log.columns[f"motor[{motor}]"][rows.start + row]
+        raise TraceError(
+            f"{log.path}: log {log.number}: in row {rows.start + row}, {_seconds(told, rows)[row]:.3f} s, "
+            f"motor[{motor}] is {value}, which no motor is given; leave them out by --from and --to"
+        )
+
+
+def _seconds(told: Channels, rows: slice) -> NDArray[np.float64]:
+    """Times of armed rows since the first of them [s]."""
+    first = int(np.flatnonzero(told.armed)[0])
+    return told.time(first)[rows.start - first : rows.stop - first]
+
+
+def _lacking(log: Log, told: Channels) -> str:
+    """What a trace needs that a log does not have, and what mends it."""
+    found = []
+    if told.setpoint is None:
+        found.append(told.pilot.lacks)
+    elif told.throttle is None:
+        found.append("no throttle (setpoint[3] or rcCommand[3])")
+    if told.gyro is None:
+        lost = log.matrix("gyroADC", 3) is not None
+        found.append(GYRO_LOST if lost else "no gyroADC[0..2]: log it (blackbox_disabled_mask)")
+    if told.motors is None:
+        found.append(told.motors_note or "no motor[0..]: log it (blackbox_disabled_mask)")
+    return "; ".join(found)
 
 
 def log_flight(

@@ -12,6 +12,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from sim.blackbox.encodings import NEG_14BIT, READERS, TAG8_4S16, UNSIGNED_VB
+from sim.blackbox.firmware import Maker, firmware
+from sim.blackbox.scales import gyro_count
 from toolchain.errors import TraceError
 from toolchain.files import file_size
 
@@ -252,24 +254,28 @@ def _lost(headers: Headers) -> dict[str, str]:
             for one in kind
             if one.predictor == predictor
         ]
-        need(line, based, f"values of {', '.join(dict.fromkeys(based))} may be wrong by a constant")
+        mend = f"--header {line}={'LOW,HIGH' if line == 'motorOutput' else 'NUMBER'}"
+        columns = ", ".join(dict.fromkeys(based))
+        need(line, based, f"values of {columns} may be wrong by a constant, tell it by {mend}")
     if HOME in predictors and "H" not in fields:
         found["Field H name"] = "positions are told without the home that they are relative to"
-    firmware = told.get("Firmware revision", "").split()
-    if not firmware and "Firmware type" not in told:
+    if not told.get("Firmware revision") and "Firmware type" not in told:
         return found  # another program's, of which nothing is known
     need("Firmware revision", True, "whose log it is is not known")
+    whose = firmware(told)
     if "gyro.scale" not in told:
-        need("gyro_scale", {"gyroADC[0]", "gyroData[0]"} & names, "a count of the gyro is taken as 1 deg/s")
+        follows = "a count of the gyro is taken as 1 deg/s"
+        if gyro_count(told, whose) is None:
+            follows = "the gyro cannot be read, tell it by --header gyro_scale=DEG_S"
+        need("gyro_scale", {"gyroADC[0]", "gyroData[0]"} & names, follows)
     need("acc_1G", "accSmooth[0]" in names, "what a count of accSmooth is is not known")
-    if firmware[:1] == ["Betaflight"] and len(firmware) > 1:
-        version = tuple(int(part) for part in re.findall(r"[0-9]{1,6}", firmware[1])[:2])
+    if whose.maker is Maker.BETAFLIGHT:
         need(
             "motorOutput",
-            version >= OUTPUT_FROM and "motor[0]" in names,
+            whose.version >= OUTPUT_FROM and "motor[0]" in names,
             "what motor values mean is not known",
         )
-        fine = version >= FINE_FROM and {"gyroADC[0]", "setpoint[0]", "rcCommand[0]"} & names
+        fine = whose.version >= FINE_FROM and {"gyroADC[0]", "setpoint[0]", "rcCommand[0]"} & names
         need("blackbox_high_resolution", fine, "numbers are taken as whole deg/s, they may be tenths")
     return found
 

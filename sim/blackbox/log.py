@@ -6,11 +6,8 @@ that the format has; sim.blackbox.units gives them units.
 
 from __future__ import annotations
 
-import math
-import struct
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from enum import Enum
 from functools import cached_property
 from pathlib import Path
 
@@ -19,6 +16,7 @@ from numpy.typing import NDArray
 
 from sim.blackbox.decoding import Event, Progress, decode
 from sim.blackbox.encodings import WORD
+from sim.blackbox.firmware import Maker, firmware
 from sim.blackbox.headers import LOGS_MAX, Extent, Headers, find_logs, read_bytes, read_headers
 from sim.blackbox.transfer import text_transfer
 from toolchain.errors import TraceError
@@ -28,14 +26,6 @@ Integers = NDArray[np.int64]
 
 GLANCE_BYTES = 1 << 16  # some I frames at least
 BLOCK_BYTES = 512  # of a card
-
-
-class Maker(Enum):
-    """Whose firmware wrote a log."""
-
-    NEUROFLIGHT = "Neuroflight"
-    BETAFLIGHT = "Betaflight"
-    OTHER = "another firmware"
 
 
 @dataclass(frozen=True)
@@ -77,7 +67,7 @@ class Log:
     @property
     def maker(self) -> Maker:
         """Whose firmware wrote it."""
-        return maker(self.headers)
+        return firmware(self.header).maker
 
     @cached_property
     def time_us(self) -> Integers:
@@ -168,28 +158,6 @@ def floats(column: Integers) -> NDArray[np.float32]:
     return words(column).view(np.float32)
 
 
-def header_float(headers: Headers, name: str) -> float | None:
-    """The number in header `name`: decimal, or the bits of a float32 with 0x; None where there is none."""
-    text = headers.values.get(name, "").strip()
-    try:
-        if text.lower().startswith("0x"):
-            number = struct.unpack("<f", (int(text, 16) % WORD).to_bytes(4, "little"))[0]
-        else:
-            number = float(text)
-    except ValueError:
-        return None
-    return float(number) if math.isfinite(number) else None
-
-
-def maker(headers: Headers) -> Maker:
-    """Whose firmware wrote the log."""
-    if "nf_version" in headers.values:
-        return Maker.NEUROFLIGHT
-    if headers.values.get("Firmware revision", "").startswith("Betaflight"):
-        return Maker.BETAFLIGHT
-    return Maker.OTHER
-
-
 @dataclass(frozen=True)
 class Listed:
     """A log of a file, not decoded."""
@@ -252,14 +220,22 @@ def choose(path: Path, listed: Sequence[Listed], number: int) -> Listed:
     return listed[number - 1]
 
 
-def read_log(path: Path, number: int | None = None, progress: Progress = lambda _: None) -> Log:
+def read_log(
+    path: Path,
+    number: int | None = None,
+    progress: Progress = lambda _: None,
+    lines: Mapping[str, str] | None = None,
+) -> Log:
     """Decode a log of the file `path`: log `number`, from 1; None: the last with frames that can be read.
 
-    Only the bytes of that log, and of those behind it that have no such frame, are decoded. Damage is told in
-    the log's notes and counts. Raises TraceError where there is no log or nothing of it can be read.
+    Only the bytes of that log, and of those behind it that have no such frame, are decoded. lines: of the
+    header that the user tells, by name, in place of the file's. Damage is told in the log's notes and counts.
+    Raises TraceError where there is no log or nothing of it can be read.
     """
     data = read_bytes(path)
     listed = list_logs(path, data)
+    if lines:
+        listed = [_told(one, lines) for one in listed]
     reason: TraceError | None = None
     hidden = 0  # logs behind the one that is read whose bytes are no frames
     for one in reversed(listed) if number is None else [choose(path, listed, number)]:
@@ -280,6 +256,11 @@ def read_log(path: Path, number: int | None = None, progress: Progress = lambda 
         hidden += log.frames.corrupt > 0
     assert reason is not None  # a file of logs has one
     raise reason
+
+
+def _told(one: Listed, lines: Mapping[str, str]) -> Listed:
+    """A log as if its header had these lines."""
+    return replace(one, headers=replace(one.headers, values={**one.headers.values, **lines}))
 
 
 def decode_log(path: Path, data: bytes, one: Listed, progress: Progress = lambda _: None) -> Log:

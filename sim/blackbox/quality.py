@@ -7,7 +7,10 @@ from enum import Enum
 
 import numpy as np
 
-from sim.blackbox.log import Log, Maker
+from sim.blackbox.firmware import Maker
+from sim.blackbox.flight import GYRO_LOST
+from sim.blackbox.log import Log
+from sim.blackbox.sticks import beyond, is_stick
 from sim.blackbox.units import Channels, channels, control_rate_hz
 from toolchain.contract import AXES, DSHOT_MAX
 
@@ -99,6 +102,7 @@ def _questions(log: Log, told: Channels) -> list[Question]:
         _tracking(log, told),
         _exact(log, told),
         _effort(told, ours=ours),
+        _rotors(log, told),
         _spectrum(log),
         _one(
             "what the gyro's filters do",
@@ -107,7 +111,7 @@ def _questions(log: Log, told: Channels) -> list[Question]:
             "no gyroUnfilt[0..2]"
             + (" (Betaflight before 4.4 logs it by debug_mode only)" if not ours else ""),
         ),
-        _one("battery", told.voltage is not None, "vbatLatest in 0.01 V", "no vbatLatest that is in volts"),
+        _one("battery", told.voltage is not None, "voltage", "no voltage whose unit the log tells"),
         _one(
             "attitude",
             log.matrix("imuQuaternion", 3) is not None,
@@ -131,13 +135,13 @@ def _one(name: str, there: bool, yes: str, no: str) -> Question:
 
 
 def _tracking(log: Log, told: Channels) -> Question:
-    lacking = [
-        name
-        for name, column in (("setpoint[0..3]", told.setpoint), ("gyroADC[0..2]", told.gyro))
-        if column is None
-    ]
+    lacking = [] if told.setpoint is not None else [told.pilot.lacks]
+    if told.gyro is None:
+        lacking.append(GYRO_LOST if log.matrix("gyroADC", 3) is not None else "no gyroADC[0..2]")
     if lacking:
-        return Question("tracking and step responses", Answer.NO, f"no {' and no '.join(lacking)}")
+        return Question("tracking and step responses", Answer.NO, "; ".join(lacking))
+    if told.pilot.note:
+        return Question("tracking and step responses", Answer.PARTLY, told.pilot.note)
     if log.lost:
         return Question(
             "tracking and step responses",
@@ -163,7 +167,7 @@ def _exact(log: Log, told: Channels) -> Question:
 def _effort(told: Channels, *, ours: bool) -> Question:
     name = "effort and smoothness of the motors"
     if told.motors is None:
-        return Question(name, Answer.NO, "no motor[0..]")
+        return Question(name, Answer.NO, told.motors_note or "no motor[0..]")
     if not ours:
         return Question(
             name,
@@ -173,6 +177,18 @@ def _effort(told: Channels, *, ours: bool) -> Question:
     if told.idle is None:
         return Question(name, Answer.PARTLY, "no nf_idle in the headers: give --idle")
     return Question(name, Answer.YES, f"motor[0..], idle {told.idle:g}")
+
+
+def _rotors(log: Log, told: Channels) -> Question:
+    name = "speeds of the rotors"
+    if told.rpm is not None:
+        poles = log.header["motor_poles"]
+        return Question(name, Answer.YES, f"eRPM with {poles} poles, up to {told.rpm.max():,.0f} rpm")
+    if log.matrix("eRPM") is None:
+        return Question(name, Answer.NO, "no eRPM[0..] (bidirectional DShot)")
+    return Question(
+        name, Answer.NO, "eRPM without motor_poles: add --header motor_poles=N, the motor's magnets"
+    )
 
 
 def _spectrum(log: Log) -> Question:
@@ -226,7 +242,7 @@ def _motor_limits(told: Channels, rows: np.ndarray) -> tuple[float, float]:
     """Part of the rows with a motor at full power, and with one at its idle or below."""
     if told.motors is None or told.dshot is None:
         return 0.0, 0.0
-    motors = told.motors[rows]
+    motors = np.nan_to_num(told.motors[rows], nan=1.0 - FULL)  # neither full nor idle
     full = (motors >= FULL) | (told.dshot[rows] == DSHOT_MAX)
     idle = np.zeros(1) if told.idle is None else (motors <= told.idle + 1e-3).any(axis=1)
     return float(full.any(axis=1).mean()), float(idle.mean())
@@ -239,7 +255,9 @@ def _warnings(
     full: float,
     gap_s: float,
 ) -> list[str]:
-    found = list(log.notes)
+    found = [*log.notes, *_impossible(log, told)]
+    if told.motors_note and not {"motorOutput", "minthrottle"} & log.headers.lost().keys():
+        found.append(told.motors_note)
     if log.lost:
         part = 100 * log.lost / (len(log) + log.lost)
         places = int((log.missing > 0).sum())
@@ -262,6 +280,25 @@ def _warnings(
         found.append(f"rows come unevenly: {100 * spread:.0f} % of {log.row_us:.0f} us; spectra are blurred")
     if not told.armed.any():
         found.append("the motors were never armed")
+    return found
+
+
+def _impossible(log: Log, told: Channels) -> list[str]:
+    """Values that no stick and no motor can have: nothing is flown or computed of these rows."""
+    found = []
+    asked, wrong = told.pilot, {}
+    if asked.throttle is not None:
+        wrong["a throttle that no stick gives"] = ~is_stick(asked.throttle)
+    if asked.rates is not None:
+        wrong["a commanded rate that no stick gives"] = beyond(asked.rates)
+    if told.motors is not None:
+        wrong["a value that no motor is given"] = np.asarray(np.isnan(told.motors).any(axis=1))
+    for what, bad in wrong.items():
+        if bad.any():
+            row = int(bad.argmax())
+            found.append(f"{int(bad.sum())} rows have {what}, the first row {row} at {log.t[row]:.3f} s")
+    if asked.rates is not None and (part := float(np.isnan(asked.rates).any(axis=1).mean())):
+        found.append(f"the stick commands an angle in {_percent(part)} of the rows")
     return found
 
 

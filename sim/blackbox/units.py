@@ -13,18 +13,18 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.blackbox.log import Log, Maker, floats, header_float
-from sim.control.motors import motor_fractions
-from toolchain.contract import DSHOT_MAX, DSHOT_MIN, DSHOT_SPAN, DSHOT_STOP, GRAVITY, MOTOR_COUNT_MAX, Mix
+from sim.blackbox.firmware import Firmware, Maker, firmware, has_box_mask
+from sim.blackbox.log import Log, floats
+from sim.blackbox.motors import motor_idle, motors
+from sim.blackbox.scales import current, fine, gyro_count, header_number, rotor_rpm, voltage
+from sim.blackbox.sticks import Pilot, pilot
+from toolchain.contract import DSHOT_STOP, GRAVITY, MOTOR_COUNT_MAX, Mix
 
 Floats = NDArray[np.float32]
 Array = NDArray[np.float64]
 
-BASEFLIGHT_SCALE = 1e-5  # a gyro_scale below it is in rad/us, as Baseflight had it; others are in deg/s
-PULSE_STOP_US, PULSE_FULL_US = 1000.0, 2000.0  # motor values of an analog protocol
 PID_BIT = 1  # of our slow field nfFlags: the PID flies
-ARM_BIT = 1  # of flightModeFlags, Betaflight's and ours
-CENTIVOLTS_FROM = (4, 0)  # Betaflight's version since which vbatLatest is in 0.01 V
+ARM_BIT = 1  # of flightModeFlags, where they are boxes
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,13 +34,16 @@ class Channels:
     clock_us: NDArray[np.int64]  # (N,) the log's own clock
     armed: NDArray[np.bool_]  # (N,)
     exact: bool  # setpoint, gyro and throttle are the bits that the controller had
-    setpoint: Floats | None  # (N, 3) [rad/s]
+    pilot: Pilot  # what was asked for as the log has it, and where it has it from
+    setpoint: Floats | None  # (N, 3) [rad/s]; NaN where the stick commanded an angle
     gyro: Floats | None  # (N, 3) [rad/s], filtered
     gyro_unfiltered: Floats | None  # (N, 3) [rad/s]
-    throttle: Floats | None  # (N,) the pilot's thrust, 0..1
-    motors: Array | None  # (N, M) fractions 0..1 as an ESC decodes them
+    throttle: Floats | None  # (N,) the pilot's thrust, 0..1; beyond where the log's number is no stick's
+    motors: Array | None  # (N, M) fractions 0..1 as an ESC decodes them; NaN where a value is no motor's
     dshot: NDArray[np.uint16] | None  # (N, M) DShot values; of an analog protocol those that mean the same
     digital: bool  # the motors' protocol has such values
+    motors_note: str  # what is to be told of motor values, or keeps them from being read; "" for nothing
+    rpm: Array | None  # (N, M) [rpm] of the rotors
     idle: float | None  # motor fraction at zero thrust
     mix: Mix | None  # of outputs and throttle; None: by another rule than ours
     voltage: Array | None  # (N,) [V]
@@ -54,106 +57,88 @@ class Channels:
 
 def channels(log: Log) -> Channels:
     """Columns of `log` in units."""
-    scale = _gyro_scale(log)
-    fine = 10.0 if log.headers.integer("blackbox_high_resolution", 0) else 1.0
-    gyro, setpoint = log.matrix("gyroADC", 3), log.matrix("setpoint", 4)
-    exact_gyro, exact_setpoint = log.matrix("gyroFloat", 3), log.matrix("setpointFloat", 4)
-    exact = log.maker is Maker.NEUROFLIGHT and exact_gyro is not None and exact_setpoint is not None
-    unfiltered = log.matrix("gyroUnfilt", 3)
-    dshot, motors, digital = _motors(log)
+    told = firmware(log.header)
+    count, parts = gyro_count(log.header, told), fine(log.header)
+    turned = motors(log, told)
     forces, one_g = log.matrix("accSmooth", 3), log.headers.integer("acc_1G", 0)
-    armed = _armed(log, dshot)
-    rates: Floats | None
-    wanted: Floats | None
+    erpm = log.matrix("eRPM")
+    armed = _armed(log, told, turned.dshot)
+    exact = _exact(log)
+    gyro: Floats | None
+    setpoint: Floats | None
     throttle: Floats | None
-    if exact and exact_gyro is not None and exact_setpoint is not None:
-        rates, wanted, throttle = _exact(exact_gyro, exact_setpoint)
+    if exact is not None:
+        gyro, setpoint, throttle = exact
+        asked = Pilot(
+            np.rad2deg(setpoint.astype(np.float64)), throttle.astype(np.float64), "setpointFloat[0..3]"
+        )
     else:
-        rates = None if gyro is None else (gyro * (scale / fine)).astype(np.float32)
-        wanted = None if setpoint is None else np.deg2rad(setpoint[:, :3] / fine).astype(np.float32)
-        throttle = None if setpoint is None else np.clip(setpoint[:, 3] / 1000.0, 0, 1).astype(np.float32)
+        gyro = _rates(log, "gyroADC", count, parts)
+        asked = pilot(log, told, None if gyro is None else np.rad2deg(gyro.astype(np.float64)), armed)
+        setpoint = None if asked.rates is None else np.deg2rad(asked.rates).astype(np.float32)
+        throttle = None if asked.throttle is None else asked.throttle.astype(np.float32)
     return Channels(
         clock_us=log.time_us,
         armed=armed,
-        exact=exact,
-        setpoint=wanted,
-        gyro=rates,
-        gyro_unfiltered=None if unfiltered is None else (unfiltered * (scale / fine)).astype(np.float32),
+        exact=exact is not None,
+        pilot=asked,
+        setpoint=setpoint,
+        gyro=gyro,
+        gyro_unfiltered=_rates(log, "gyroUnfilt", count, parts),
         throttle=throttle,
-        motors=motors,
-        dshot=dshot,
-        digital=digital,
+        motors=turned.fractions,
+        dshot=turned.dshot,
+        digital=turned.digital,
+        motors_note=turned.note,
+        rpm=rotor_rpm(None if erpm is None else erpm[:, :MOTOR_COUNT_MAX], log.header),
         idle=_idle(log, armed),
         mix=_mix(log, armed),
-        voltage=_hundredths(log, "vbatLatest"),
-        current=_hundredths(log, "amperageLatest"),
+        voltage=voltage(log.columns, log.header, told),
+        current=current(log.columns, log.header, told),
         acceleration=None if forces is None or one_g < 1 else forces.astype(np.float64) * (GRAVITY / one_g),
     )
 
 
 def control_rate_hz(log: Log) -> float:
     """Control steps a second: as the header says, else as rows come; 0 where nothing tells."""
-    told = header_float(log.headers, "nf_control_rate")
+    told = header_number(log.header, "nf_control_rate")
     if told and told > 0:
         return told
     return log.rate_hz * log.stride
 
 
-def version(log: Log) -> tuple[int, ...]:
-    """The version in `Firmware revision:Betaflight 4.6.0 ..`; empty for others."""
-    parts = log.header.get("Firmware revision", "").split()
-    numbers = parts[1].split(".") if len(parts) > 1 and parts[0] == "Betaflight" else []
-    return tuple(int(one) for one in numbers if one.isdigit() and len(one) < 6)
-
-
-def _exact(gyro: NDArray[np.int64], setpoint: NDArray[np.int64]) -> tuple[Floats, Floats, Floats]:
+def _exact(log: Log) -> tuple[Floats, Floats, Floats] | None:
+    """Gyro, setpoint and throttle as our controller had them; None where the log does not hold these."""
+    gyro, setpoint = log.matrix("gyroFloat", 3), log.matrix("setpointFloat", 4)
+    if log.maker is not Maker.NEUROFLIGHT or gyro is None or setpoint is None:
+        return None
     wanted = floats(setpoint)
     return floats(gyro), np.ascontiguousarray(wanted[:, :3]), np.ascontiguousarray(wanted[:, 3])
 
 
-def _gyro_scale(log: Log) -> float:
-    """[rad/s] of one count of gyroADC."""
-    scale = header_float(log.headers, "gyro_scale")
-    if scale is None or scale <= 0:
-        scale = 1.0
-    return scale * 1e6 if scale < BASEFLIGHT_SCALE else float(np.deg2rad(scale))
+def _rates(log: Log, name: str, count: float | None, parts: float) -> Floats | None:
+    """A gyro's field [rad/s]; count: rad/s of one of its counts, `parts` of which it has."""
+    values = log.matrix(name, 3)
+    return None if values is None or count is None else (values * (count / parts)).astype(np.float32)
 
 
-def _armed(log: Log, dshot: NDArray[np.uint16] | None) -> NDArray[np.bool_]:
-    """By the motors where the values say so, else by the flags, else everywhere."""
-    if log.maker is Maker.NEUROFLIGHT and dshot is not None:
+def _armed(log: Log, told: Firmware, dshot: NDArray[np.uint16] | None) -> NDArray[np.bool_]:
+    """By the motors where the values say so, else by the boxes, else everywhere: such logs are armed ones."""
+    if told.maker is Maker.NEUROFLIGHT and dshot is not None:
         return np.asarray((dshot > DSHOT_STOP).all(axis=1))
     flags = log.held("flightModeFlags")
-    if flags is None or log.maker is Maker.OTHER:
+    if flags is None:
+        flags = log.held("rcModeFlags")  # INAV's since 8
+    if flags is None or not has_box_mask(told):
         return np.ones(len(log), bool)
     return np.asarray((flags & ARM_BIT) != 0)
-
-
-def _motors(log: Log) -> tuple[NDArray[np.uint16] | None, Array | None, bool]:
-    """DShot values, fractions, and whether the protocol is digital."""
-    values = log.matrix("motor")
-    if values is None:
-        return None, None, False
-    values = values[:, :MOTOR_COUNT_MAX]
-    output = log.headers.integers("motorOutput")
-    if log.maker is Maker.NEUROFLIGHT or (len(output) == 2 and output[1] > PULSE_FULL_US):
-        bounded = np.where(values < DSHOT_MIN, DSHOT_STOP, np.minimum(values, DSHOT_MAX)).astype(np.uint16)
-        return bounded, motor_fractions(bounded), True
-    fraction = np.clip((values - PULSE_STOP_US) / (PULSE_FULL_US - PULSE_STOP_US), 0.0, 1.0)
-    dshot = np.where(fraction > 0, DSHOT_MIN + np.floor(DSHOT_SPAN * fraction + 0.5), DSHOT_STOP)
-    return dshot.astype(np.uint16), fraction, False
 
 
 def _idle(log: Log, armed: NDArray[np.bool_]) -> float | None:
     """Ours tells the policy's and the PID's: that of the one that flew for longer."""
     if log.maker is Maker.NEUROFLIGHT:
         return _part(_controllers(log, "nf_idle", armed))
-    output = log.headers.integers("motorOutput")
-    if len(output) != 2:
-        return None
-    if output[1] > PULSE_FULL_US:
-        return max(0.0, (output[0] - DSHOT_MIN) / DSHOT_SPAN)
-    return min(1.0, max(0.0, (output[0] - PULSE_STOP_US) / (PULSE_FULL_US - PULSE_STOP_US)))
+    return motor_idle(log)
 
 
 def _mix(log: Log, armed: NDArray[np.bool_]) -> Mix | None:
@@ -179,9 +164,3 @@ def _part(text: str) -> float | None:
     except ValueError:
         return None
     return part if 0.0 <= part < 1.0 else None
-
-
-def _hundredths(log: Log, name: str) -> Array | None:
-    values = log.columns.get(name)
-    known = log.maker is Maker.NEUROFLIGHT or version(log) >= CENTIVOLTS_FROM
-    return None if values is None or not known else values / 100.0

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from sim.aircraft.model import FILE_BYTES_MAX, FOLDER, Aircraft, parse_aircraft, shipped
 from sim.analysis.confidence import NORMAL
+from sim.blackbox.flight import check_motors
 from sim.blackbox.log import read_log
 from sim.blackbox.units import channels
 from sim.flight.trace import load_trace
@@ -70,14 +71,16 @@ def read_turning(path: Path, motors: int) -> Turning:
         trace = load_trace(file)
         time, fractions, gyro = trace.t, trace.motors, trace.gyro.astype(np.float64)
     elif file.suffix in SUFFIXES:
-        told = channels(read_log(file, number))
+        log = read_log(file, number)
+        told = channels(log)
         rates = told.gyro_unfiltered if told.gyro_unfiltered is not None else told.gyro
         if told.motors is None or rates is None:
-            raise TraceError(f"log {path}: has no motors or no gyro; log both")
+            raise TraceError(f"log {path}: has {told.motors_note or 'no motors or no gyro; log both'}")
         armed = np.flatnonzero(told.armed)
         if not len(armed):
             raise TraceError(f"log {path}: has no armed row: nothing was flown")
         part = slice(int(armed[0]), int(armed[-1]) + 1)
+        check_motors(log, told, part)
         time = told.time(part.start)[: part.stop - part.start]
         fractions, gyro = told.motors[part], rates[part].astype(np.float64)
     else:

@@ -11,27 +11,33 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from sim.blackbox.flight import WHOLE, Part, part_rows
+from sim.blackbox.sticks import check
 from sim.control import sticks
 from sim.flight.scenario import Scenario, Segment
 from sim.physics.world import Mount
 from toolchain.contract import RATE_FULL_STICK_DEG_S
-from toolchain.errors import ScenarioError
+from toolchain.errors import ScenarioError, TraceError
 
 LENGTH_MAX_S = 3600.0  # as a scenario's longest segment
 ROWS_MAX = 8_000_000  # an hour at 2 kHz
-# A command that float32 rounded up from full stick, or that a log rounded to whole deg/s, is full stick.
-BEYOND_DEG_S = 0.51
 
 
 @dataclass(frozen=True, eq=False)
 class Commands:
-    """N commands; each holds from its time to the next, the last for the median of these times."""
+    """N commands; each holds from its time to the next, the last for the median of these times.
+
+    What no stick gives, or only one that turns faster than ours at its end, is refused: nothing is flown that
+    the pilot did not ask for.
+    """
 
     name: str  # of the file, without its suffix
     time: NDArray[np.float64]  # (N,) [s], rising
-    setpoint: NDArray[np.float64]  # (N, 3) [deg/s], body frame
+    setpoint: NDArray[np.float64]  # (N, 3) [deg/s], body frame, within full stick
     throttle: NDArray[np.float64]  # (N,) pilot's thrust, 0..1
     notes: tuple[str, ...] = ()  # what the user must know of how they were read, a sentence each
+    first_row: int = 0  # of the recording, that they begin with
+    since_s: float = 0.0  # seconds of the recording before them
 
     def __post_init__(self) -> None:
         """Raises ScenarioError, beginning with the name, on commands that cannot be flown."""
@@ -55,6 +61,13 @@ class Commands:
             raise ScenarioError(
                 f"{self.name}: {self.length_s:g} s of commands, expected at most {LENGTH_MAX_S:g}; cut it"
             )
+        full, seconds = float(RATE_FULL_STICK_DEG_S), self.time - self.time[0] + self.since_s
+        try:
+            check(self.name, self.setpoint, self.throttle, seconds, self.first_row, full)
+        except TraceError as error:
+            raise ScenarioError(str(error)) from error
+        object.__setattr__(self, "setpoint", self.setpoint.clip(-full, full))
+        object.__setattr__(self, "throttle", self.throttle.clip(0.0, 1.0))
 
     @property
     def length_s(self) -> float:
@@ -62,31 +75,12 @@ class Commands:
         return float(self.time[-1] - self.time[0] + np.median(np.diff(self.time)))
 
     def warnings(self) -> tuple[str, ...]:
-        """The notes, and what sticks cannot express, a sentence each."""
-        full = RATE_FULL_STICK_DEG_S
-        size = np.abs(self.setpoint).max(axis=1)
-        beyond = int((size > full + BEYOND_DEG_S).sum())
-        found = list(self.notes)
-        if beyond:
-            found.append(
-                f"{self.name}: {beyond} of {len(size)} commands ask for more than full stick ({size.max():g} "
-                f"deg/s, full stick is {full}): they are flown as {full}"
-            )
-        off = int(((self.throttle < 0) | (self.throttle > 1)).sum())
-        if off:
-            found.append(
-                f"{self.name}: {off} of {len(size)} throttles are outside 0 to 1: they are flown as its ends"
-            )
-        return tuple(found)
+        """What the user must know of how they were read, a sentence each."""
+        return self.notes
 
     def scenario(self, mount: Mount | None = None) -> Scenario:
-        """The flight of these commands, on sticks that SBUS can express, held between commands.
-
-        Beyond full stick they are full stick; `warnings` says so.
-        """
-        full = RATE_FULL_STICK_DEG_S
-        rates, power = self.setpoint.clip(-full, full), self.throttle.clip(0.0, 1.0)
-        us = sticks.channels(rates, power, armed=True)
+        """The flight of these commands, on sticks that SBUS can express, held between commands."""
+        us = sticks.channels(self.setpoint, self.throttle, armed=True)
         changes = np.flatnonzero((us[1:] != us[:-1]).any(axis=1)) + 1
         begins = np.concatenate([[0], changes])
         ends = np.append(self.time[changes] - self.time[0], self.length_s)
@@ -94,7 +88,39 @@ class Commands:
         segments = tuple(
             Segment(duration, (roll, pitch, yaw), thrust)
             for duration, (roll, pitch, yaw), thrust in zip(
-                durations, rates[begins].tolist(), power[begins].tolist(), strict=True
+                durations, self.setpoint[begins].tolist(), self.throttle[begins].tolist(), strict=True
             )
         )
         return Scenario(self.name, segments, Mount.CENTRE if mount is None else mount)
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """N rows of commands as a file has them, which may be of any kind."""
+
+    name: str  # of the file, without its suffix
+    where: str  # names the file in messages
+    time: NDArray[np.float64]  # (N,) [s]
+    setpoint: NDArray[np.float64]  # (N, 3) [deg/s]
+    throttle: NDArray[np.float64]  # (N,)
+    notes: tuple[str, ...] = ()
+
+
+def part_of(whole: Recording, part: Part) -> Commands:
+    """The commands of a part of a recording, seconds since its first row. Raises ScenarioError."""
+    rows = slice(0, len(whole.time))
+    try:
+        if part != WHOLE and len(whole.time):
+            rows = part_rows(whole.name, whole.time - whole.time[0], part)
+        since_s = float(whole.time[rows.start] - whole.time[0]) if rows.start else 0.0
+        return Commands(
+            whole.name,
+            whole.time[rows],
+            whole.setpoint[rows],
+            whole.throttle[rows],
+            whole.notes,
+            rows.start,
+            since_s,
+        )
+    except (ScenarioError, TraceError) as error:
+        raise ScenarioError(f"{whole.where}: {str(error).removeprefix(f'{whole.name}: ')}") from error

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import zipfile
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sim.blackbox.flight import WHOLE, Part
 from sim.flight.scenario import Scenario, load_scenario
 from sim.physics.world import Mount
-from sim.recorded.commands import ROWS_MAX, Commands
+from sim.recorded.commands import ROWS_MAX, Commands, Recording, part_of
 from sim.recorded.log import SUFFIXES as LOG_SUFFIXES
 from sim.recorded.log import read_commands, split_number
 from sim.recorded.table import parse_table
@@ -31,11 +33,12 @@ def is_recording(name: str) -> bool:
     return split_number(Path(name))[0].suffix.lower() in SUFFIXES
 
 
-def load_commands(path: Path) -> Commands:
+def load_commands(path: Path, part: Part = WHOLE, told: Mapping[str, str] | None = None) -> Commands:
     """The commands of an archive, a table or a log; FILE:N is log N of the file, from 1.
 
-    Raises ScenarioError on a file that is missing, damaged or none of these, NeuroflightError where what
-    reads logs is not installed.
+    part: that is taken; told: header lines of a log that the user tells, by name. Raises ScenarioError on a
+    file that is missing, damaged or none of these, or asks for what no stick gives; NeuroflightError where
+    what reads logs is not installed.
     """
     path, number = split_number(path)
     where = f"recording {path}"
@@ -44,32 +47,41 @@ def load_commands(path: Path) -> Commands:
         if "\0" in str(path) or not path.is_file():
             raise ScenarioError(f"{where}: no such file; give the path of a file of {', '.join(SUFFIXES)}")
         if suffix in LOG_SUFFIXES:
-            return read_commands(path, number)
+            return read_commands(path, number, part, told)
         if suffix not in BYTES_MAX:
             raise ScenarioError(f"{where}: expected a file of {', '.join(SUFFIXES)}")
         if (size := file_size(path)) > BYTES_MAX[suffix]:
             raise ScenarioError(f"{where}: {size} bytes, expected at most {BYTES_MAX[suffix]}; cut it")
-        return (
-            _from_arrays(path, where) if suffix == NPZ else parse_table(path.read_bytes(), where, path.stem)
-        )
+        if suffix == NPZ:
+            return _from_arrays(path, where, part)
+        return parse_table(path.read_bytes(), where, path.stem, part, told)
     except OSError as error:
         raise ScenarioError(f"{where}: cannot be read: {error}") from error
 
 
 def load_flight(
-    name: str, seed: int, count: int, mount: Mount | None = None
+    name: str,
+    seed: int,
+    count: int,
+    mount: Mount | None = None,
+    part: Part = WHOLE,
+    told: Mapping[str, str] | None = None,
 ) -> tuple[Scenario, tuple[str, ...]]:
     """A scenario by name, from its file, or of recorded commands, and what the user must know of it.
+
+    part, told: of recorded commands, as `load_commands` takes them.
 
     Raises ScenarioError as `load_scenario` and `load_commands` do.
     """
     if not is_recording(name):
+        if part != WHOLE or told:
+            raise ScenarioError(f"--from, --to and --header: of recorded commands, got the scenario {name}")
         return load_scenario(name, seed, count, mount), ()
-    commands = load_commands(Path(name))
+    commands = load_commands(Path(name), part, told)
     return commands.scenario(mount), commands.warnings()
 
 
-def _from_arrays(path: Path, where: str) -> Commands:
+def _from_arrays(path: Path, where: str, part: Part) -> Commands:
     """A trace, or an archive with t [s], setpoint [rad/s] or setpoint_deg_s, and throttle if it has it."""
     try:
         with zipfile.ZipFile(path):
@@ -88,10 +100,7 @@ def _from_arrays(path: Path, where: str) -> Commands:
     except _DAMAGED as error:
         reason = " ".join(str(error).split())
         raise ScenarioError(f"{where}: damaged or no .npz file ({reason}); record it anew") from error
-    try:
-        return Commands(path.stem, time, setpoint, throttle)
-    except ScenarioError as error:
-        raise ScenarioError(f"{where}: {str(error).removeprefix(f'{path.stem}: ')}") from error
+    return part_of(Recording(path.stem, where, time, setpoint, throttle), part)
 
 
 def _array(archive: np.lib.npyio.NpzFile, name: str, where: str) -> NDArray[np.float64]:

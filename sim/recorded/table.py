@@ -5,11 +5,13 @@ Known columns:
     t_s, roll_deg_s, pitch_deg_s, yaw_deg_s         body frame; `throttle`, 0..1, if there is one
     time (us) | time | time (s), setpoint[0..2]     as blackbox_decode, the Blackbox Explorer and
                                                     `neuroflight log decode` write them; `time` is in us
+    axisRate[0..2]                                  INAV's setpoint
     rcCommand[0..2]                                 sticks, -500 to 500, where no setpoint was logged
     setpoint[3], 0 to 1000, or rcCommand[3], 1000 to 2000, is the throttle
 
-Other columns are passed over, and so are the lines of settings that the Explorer writes before the heading,
-except the one that says that setpoint[0..2] and rcCommand are in tenths.
+Other columns are passed over. Of the settings that the Explorer writes before the heading, those count that
+say that setpoint[0..2] and rcCommand are in tenths, and the rates: sticks are flown by these, held against
+gyroADC[0..2] if the table has it.
 """
 
 from __future__ import annotations
@@ -17,118 +19,174 @@ from __future__ import annotations
 import csv
 import io
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.recorded.commands import ROWS_MAX, Commands
-from toolchain.contract import CHANNEL_MAX_US, CHANNEL_MIN_US, RATE_FULL_STICK_DEG_S
+from sim.blackbox.firmware import firmware, has_box_mask
+from sim.blackbox.flight import WHOLE, Part
+from sim.blackbox.proof import choose
+from sim.blackbox.rates import RatesError, readings
+from sim.blackbox.scales import fine, gyro_count
+from sim.blackbox.sticks import AIRBORNE, ANGLE_BITS, ANGLE_FLAGS, ask_rates
+from sim.recorded.commands import ROWS_MAX, Commands, Recording, part_of
+from toolchain.contract import CHANNEL_MAX_US, CHANNEL_MIN_US
 from toolchain.errors import ScenarioError
 
 if TYPE_CHECKING:
     from _csv import Reader
 
-FINE = ["blackbox_high_resolution", "1"]  # a setting that the Explorer writes before the heading
 HEADING_LINES_MAX = 4096  # of settings before the heading
 LOG_TIMES = {"time (us)": 1e-6, "time": 1e-6, "time (s)": 1.0}  # [s] of a column's unit
 PLAIN_TIMES = {"t_s": 1.0}
 PLAIN = ("roll_deg_s", "pitch_deg_s", "yaw_deg_s")
-SETPOINT = tuple(f"setpoint[{axis}]" for axis in range(3))  # [deg/s]
-STICKS = tuple(f"rcCommand[{axis}]" for axis in range(3))
-KINDS = ((PLAIN, PLAIN_TIMES), (SETPOINT, LOG_TIMES), (STICKS, LOG_TIMES))  # the first that a table has
-STICK_SPAN = 500.0  # of rcCommand at full stick
+SETPOINT, TARGET, STICKS, GYRO = (
+    tuple(f"{name}[{axis}]" for axis in range(3)) for name in ("setpoint", "axisRate", "rcCommand", "gyroADC")
+)
+# The first that a table has.
+KINDS = ((PLAIN, PLAIN_TIMES), (SETPOINT, LOG_TIMES), (TARGET, LOG_TIMES), (STICKS, LOG_TIMES))
+FLAGS = ("flightModeFlags (flags)", "flightModeFlags")
+LEVEL = ("ANGLE", "HORIZON")  # modes in which a stick commands an angle
 # Column of the throttle: its value at none, and from there to full.
 THROTTLES = {
     "throttle": (0.0, 1.0),
     "setpoint[3]": (0.0, 1000.0),
     "rcCommand[3]": (CHANNEL_MIN_US, CHANNEL_MAX_US - CHANNEL_MIN_US),
 }
+Array = NDArray[np.float64]
+Rows = NDArray[np.bool_]
+
 EXPECTED = f"t_s, {', '.join(PLAIN)}, or time (us), setpoint[0], setpoint[1], setpoint[2] of a Betaflight log"
 
 
 @dataclass(frozen=True)
 class _Columns:
-    """Which columns of the table are read."""
+    """Which columns of the table are read, and the settings before them."""
 
     time: str
     unit_s: float  # of the time
     rates: tuple[str, ...]
     throttle: str | None
-    parts: int = 1  # of a log's units: its numbers are tenths with 10
+    gyro: tuple[str, ...]  # beside sticks; () for none
+    flags: str | None  # likewise
+    settings: Mapping[str, str]
 
     @property
     def names(self) -> tuple[str, ...]:
-        """All of them, in the order of reading."""
-        return (self.time, *self.rates, *([] if self.throttle is None else [self.throttle]))
+        """All that hold numbers, in the order of reading."""
+        return (self.time, *self.rates, *([] if self.throttle is None else [self.throttle]), *self.gyro)
 
 
-def parse_table(data: bytes, where: str, name: str) -> Commands:
-    """Commands of the bytes of a CSV file; `where` names it in messages. Raises ScenarioError."""
+def parse_table(
+    data: bytes, where: str, name: str, part: Part = WHOLE, told: Mapping[str, str] | None = None
+) -> Commands:
+    """Commands of the bytes of a CSV file; `where` names it in messages. Raises ScenarioError.
+
+    part: that is taken; told: settings of the log that the user tells, by name.
+    """
     try:
         rows = csv.reader(io.StringIO(data.decode("utf-8-sig"), newline=""), strict=True)
-        heading, columns = _heading(rows, where)
-        values = _values(rows, [heading.index(each) for each in columns.names], columns.names, where)
+        heading, columns = _heading(rows, where, told or {})
+        values, level = _values(rows, heading, columns, where)
     except (csv.Error, UnicodeDecodeError) as error:
         raise ScenarioError(f"{where}: no table of text and commas: {error}") from error
     if len(values) < 2:
         raise ScenarioError(f"{where}: {len(values)} rows of commands, expected at least 2")
-    rates, notes = values[:, 1:4] / columns.parts, tuple[str, ...]()
-    if columns.rates == STICKS:
-        rates = rates * (RATE_FULL_STICK_DEG_S / STICK_SPAN)
-        notes = (
-            f"{where}: no column setpoint[0]: the sticks (rcCommand) are flown, "
-            f"{RATE_FULL_STICK_DEG_S} deg/s at full stick",
-        )
+    parts = 1.0 if columns.rates == PLAIN else fine(columns.settings)
+    time, rates, notes = values[:, 0] * columns.unit_s, values[:, 1:4] / parts, tuple[str, ...]()
     throttle = np.zeros(len(values))
     if columns.throttle is not None:
         least, span = THROTTLES[columns.throttle]
-        parts = columns.parts if columns.throttle.startswith("rcCommand") else 1
-        throttle = (values[:, 4] / parts - least) / span
+        throttle = (
+            values[:, 4] / (parts if columns.throttle.startswith("rcCommand") else 1.0) - least
+        ) / span
+    if columns.rates == STICKS:
+        gyro = values[:, -3:] / parts if columns.gyro else None
+        rates, note = _by_rates(rates, gyro, throttle >= AIRBORNE, time, columns.settings, level, where)
+        notes = (f"{where}: {note}",)
+    return part_of(Recording(name, where, time, rates, throttle, notes), part)
+
+
+def _by_rates(
+    sticks: Array,
+    gyro: Array | None,
+    flown: Rows,
+    time: Array,
+    settings: Mapping[str, str],
+    level: Rows,
+    where: str,
+) -> tuple[Array, str]:
+    """Rates (N, 3) [deg/s] of the sticks by the settings, and what is to be told. Raises ScenarioError.
+
+    gyro (N, 3): its counts; flown (N,): whether there is thrust; level (N,): whether an angle is commanded.
+    """
+    whose = firmware(settings)
+    count = gyro_count(settings, whose)
+    turning = None if gyro is None or count is None else gyro * np.rad2deg(count)
+    if level.any():
+        row = int(level.argmax())
+        raise ScenarioError(
+            f"{where}: row {row} ({time[row] - time[0]:.3f} s) and {int(level.sum()) - 1} more command an "
+            f"angle ({' or '.join(LEVEL)} mode), expected a rate; delete these rows"
+        )
+    apart = np.diff(time)
+    rate_hz = 1.0 / float(np.median(apart)) if (apart > 0).all() else 0.0
     try:
-        return Commands(name, values[:, 0] * columns.unit_s, rates, throttle, notes)
-    except ScenarioError as error:
-        raise ScenarioError(f"{where}: {str(error).removeprefix(f'{name}: ')}") from error
+        chosen, note = choose(readings(settings, whose), sticks, turning, flown, rate_hz)
+    except RatesError as error:
+        raise ScenarioError(f"{where}: no column setpoint[0], and {ask_rates(str(error))}") from error
+    told = f"no column setpoint[0]: rcCommand is flown by {chosen.name}"
+    return chosen.curve(sticks), f"{told}{note and ', '}{note}"
 
 
-def _heading(rows: Reader, where: str) -> tuple[list[str], _Columns]:
+def _heading(rows: Reader, where: str, told: Mapping[str, str]) -> tuple[list[str], _Columns]:
     """The heading line and the columns to read: the first line that has all of a kind."""
     first: list[str] | None = None
-    parts = 1
+    settings: dict[str, str] = {}
     for row in rows:
         heading = [cell.strip() for cell in row]
         first = heading if first is None else first
-        if (columns := _columns(heading)) is not None:
+        if (columns := _columns(heading, {**settings, **told})) is not None:
             twice = [name for name in columns.names if heading.count(name) != 1]
             if twice:
                 raise ScenarioError(
                     f"{where}: column {twice[0]} stands {heading.count(twice[0])} times in the heading line, "
                     f"expected once"
                 )
-            return heading, replace(columns, parts=1 if columns.rates == PLAIN else parts)
-        if heading == FINE:
-            parts = 10
+            return heading, columns
+        if len(heading) == 2:
+            settings.setdefault(*heading)
         if rows.line_num >= HEADING_LINES_MAX:
             break
-    told = ", ".join(first or [])[:60]
-    raise ScenarioError(f"{where}: no heading line with known columns ({told!r}); expected {EXPECTED}")
+    shown = ", ".join(first or [])[:60]
+    raise ScenarioError(f"{where}: no heading line with known columns ({shown!r}); expected {EXPECTED}")
 
 
-def _columns(heading: Sequence[str]) -> _Columns | None:
+def _columns(heading: Sequence[str], settings: Mapping[str, str]) -> _Columns | None:
     """The columns of a heading line; None: it is no heading, or lacks some."""
     throttle = next((name for name in THROTTLES if name in heading), None)
+    if "gyroScale" in settings:  # as the Explorer calls it
+        settings = {"gyro_scale": settings["gyroScale"], **settings}
     for rates, times in KINDS:
         time = next((name for name in times if name in heading), None)
         if time is not None and set(rates) <= set(heading):
-            return _Columns(time, times[time], rates, throttle)
+            gyro = GYRO if rates == STICKS and set(GYRO) <= set(heading) else ()
+            flags = next((name for name in FLAGS if name in heading), None) if rates == STICKS else None
+            return _Columns(time, times[time], rates, throttle, gyro, flags, settings)
     return None
 
 
-def _values(rows: Reader, order: Sequence[int], names: Sequence[str], where: str) -> NDArray[np.float64]:
-    """The cells of these columns, (N, len(order))."""
+def _values(rows: Reader, heading: Sequence[str], columns: _Columns, where: str) -> tuple[Array, Rows]:
+    """The cells of the columns of numbers (N, ..), and whether flags name a mode of an angle (N,)."""
+    names = columns.names
+    order = [heading.index(each) for each in names]
+    flags = None if columns.flags is None else heading.index(columns.flags)
+    bits = ANGLE_BITS if has_box_mask(firmware(columns.settings)) else ANGLE_FLAGS
     values: list[list[float]] = []
+    level: list[bool] = []
     for row in rows:
         if not row:
             continue
@@ -147,4 +205,8 @@ def _values(rows: Reader, order: Sequence[int], names: Sequence[str], where: str
                 )
             numbers.append(number)
         values.append(numbers)
-    return np.array(values).reshape(len(values), len(order))
+        modes = row[flags].strip() if flags is not None and flags < len(row) else ""
+        level.append(
+            bool(int(modes) & bits) if modes.isdecimal() else any(one in LEVEL for one in modes.split("|"))
+        )
+    return np.array(values).reshape(len(values), len(names)), np.array(level, bool)

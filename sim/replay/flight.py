@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flash.setting_text import parse_setting
-from sim.blackbox.log import Log, Maker, floats, words
+from sim.blackbox.firmware import Maker
+from sim.blackbox.log import Log, floats, words
 from sim.replay.inputs import Answers, Edge, Flight, Inputs
 from toolchain.contract import GYRO_BAD_MS, LOG_RECEIVER_BYTES, LogEvent, LogGroup
 from toolchain.errors import LinkError, TraceError

@@ -62,6 +62,9 @@ def test_compare_flies_the_recording_with_every_controller(recording: Path, caps
         (["--commands", "{}", "--piece", "0.01"], "--piece 0.01, expected 0.1 to 3600"),
         (["--commands", "{}.nothing"], "recording {}.nothing: no such file"),
         (["--piece", "3"], "--piece: cuts recorded commands; give them with --commands"),
+        (["--from", "1"], "--from, --to, --header: of recorded commands; give them with --commands"),
+        (["--commands", "{}", "--from", "9"], "pilot has no row from 9 s to its end; it is 3.000 s long"),
+        (["--commands", "{}", "--header", "rates"], "--header: got 'rates', expected NAME=VALUE"),
     ],
 )
 def test_what_cannot_be_is_rejected_in_one_line(
@@ -71,3 +74,24 @@ def test_what_cannot_be_is_rejected_in_one_line(
     error = capsys.readouterr().err
     assert message.format(recording) in error
     assert error.count("\n") == 1
+
+
+def test_a_flight_is_refused_with_its_row_and_flown_around_it(recording: Path, capsys: Capture) -> None:
+    rows = recording.read_text().split("\n")
+    rows[151] = ",".join([*rows[151].split(",")[:4], "4294968.296"])
+    recording.write_text("\n".join(rows))
+    words = ["evaluate", "pid", "--commands", str(recording), "--piece", "1", "--json"]
+    assert main(words) == 1
+    error = capsys.readouterr().err
+    assert (
+        f"recording {recording}: in row 150 (1.500 s) the throttle is 4.29497e+06, expected 0 to 1" in error
+    )
+    assert "--from and --to" in error and error.count("\n") == 1
+    assert main(["fly", "--on", "reference", "--scenario", str(recording)]) == 1
+    assert "in row 150 (1.500 s)" in capsys.readouterr().err
+    assert main([*words, "--to", "1.5"]) == 0
+    assert json.loads(capsys.readouterr().out)["episodes"] == 1
+    assert main([*words, "--from", "1.51"]) == 0
+    capsys.readouterr()
+    assert main(["fly", "--scenario", "roll", "--from", "1"]) == 1
+    assert "--from, --to and --header: of recorded commands, got the scenario roll" in capsys.readouterr().err

@@ -11,7 +11,8 @@ import pytest
 
 from cli.main import main
 from sim.aircraft.model import load_aircraft
-from sim.blackbox.log import Maker, read_log
+from sim.blackbox.firmware import Maker
+from sim.blackbox.log import read_log
 from sim.blackbox.units import channels
 from sim.flight.loop import fly
 from sim.flight.trace import Trace

@@ -13,9 +13,7 @@ from sim.recorded.commands import Commands
 from sim.recorded.files import load_commands
 from toolchain.errors import ScenarioError, TrainingError
 from training.tasks.limits import check_limits
-from training.tasks.task import FULL_STICK_DEG_S, LENGTH_MAX_S, Setpoints
-
-FULL_STICK = FULL_STICK_DEG_S * (1 + 1e-6)  # [deg/s], as float32 may round it
+from training.tasks.task import LENGTH_MAX_S, Setpoints
 
 
 @dataclass(frozen=True)
@@ -76,10 +74,4 @@ def _read(path: Path) -> tuple[Commands, str]:
         raise TrainingError(str(error)) from error
     except OSError as error:
         raise TrainingError(f"recording {path}: cannot be read: {error}") from error
-    most = float(np.abs(recording.setpoint).max())
-    if most > FULL_STICK:
-        raise TrainingError(
-            f"recording {path}: commands reach {most:g} deg/s, full stick is {FULL_STICK_DEG_S:g}; "
-            f"is it in another unit?"
-        )
     return recording, sha256

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from cli.main import main
-from sim.blackbox.log import GLANCE_BYTES, Maker, floats, glance, list_logs, read_log
+from sim.blackbox.firmware import Maker
+from sim.blackbox.log import GLANCE_BYTES, floats, glance, list_logs, read_log
 from tests.sim.blackbox.writer import (
     END,
     GROUP,

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from sim.blackbox.flight import Part
 from sim.control import sticks
 from sim.recorded.files import load_commands, load_flight
 from toolchain.contract import CHANNEL_THROTTLE
@@ -52,14 +53,47 @@ def test_tenths_are_read_when_the_settings_before_the_table_say_so(tmp_path: Pat
     assert commands.throttle.tolist() == [0.0, 0.25, 0.5]
 
 
-def test_sticks_are_flown_and_told_when_a_table_has_no_setpoints(tmp_path: Path) -> None:
+STICKS = "time,rcCommand[0],rcCommand[1],rcCommand[2]\n0,500,-250,0\n4000,0,0,100\n"
+RATES = '"Firmware revision","Betaflight 4.3.0 (a) X"\n"rates_type","1"\n"rc_rates","70,60,50"\n'
+RATES += '"rc_expo","0,0,0"\n"rates","0,0,0"\n'
+
+
+def test_sticks_are_flown_by_the_rates_of_the_settings_when_a_table_has_no_setpoints(tmp_path: Path) -> None:
     path = tmp_path / "sticks.csv"
-    path.write_text("time,rcCommand[0],rcCommand[1],rcCommand[2]\n0,500,-250,0\n4000,0,0,100\n")
+    path.write_text(RATES + STICKS)
     commands = load_commands(path)
-    assert commands.setpoint.tolist() == [[1000, -500, 0], [0, 0, 200]]
+    assert commands.setpoint == pytest.approx(np.array([[700.0, -300, 0], [0, 0, 100]]))
     assert commands.throttle.tolist() == [0, 0]
     [words] = commands.warnings()
-    assert "no column setpoint[0]: the sticks (rcCommand) are flown, 1000 deg/s at full stick" in words
+    assert "no column setpoint[0]: rcCommand is flown by Raceflight rates, not held against the gyro" in words
+
+
+def test_rates_of_a_table_are_asked_for_and_taken_when_it_has_none(tmp_path: Path) -> None:
+    path = tmp_path / "sticks.csv"
+    path.write_text(STICKS)
+    with pytest.raises(ScenarioError) as error:
+        load_commands(path)
+    assert "no column setpoint[0], and the header has no line rc_rates: tell the rates" in str(error.value)
+    assert "--header NAME=VALUE" in str(error.value)
+    told = {"rates_type": "1", "rc_rates": "70,60,50", "rc_expo": "0,0,0", "rates": "0,0,0"}
+    commands = load_commands(path, told=told)
+    assert commands.setpoint == pytest.approx(np.array([[700.0, -300, 0], [0, 0, 100]]))
+
+
+@pytest.mark.parametrize("modes", ["ARM|ANGLE", "HORIZON", "3"])
+def test_sticks_that_command_an_angle_are_not_flown(modes: str, tmp_path: Path) -> None:
+    path = tmp_path / "sticks.csv"
+    first, *rows = STICKS.split()
+    path.write_text(RATES + f"{first},flightModeFlags (flags)\n{rows[0]},{modes}\n{rows[1]},ARM\n")
+    with pytest.raises(ScenarioError, match=r"row 0 \(0\.000 s\) and 0 more command an angle"):
+        load_commands(path)
+
+
+def test_rates_of_inavs_table_are_its_targets(tmp_path: Path) -> None:
+    path = tmp_path / "inav.csv"
+    path.write_text("time (us),axisRate[0],axisRate[1],axisRate[2],rcCommand[0],rcCommand[1],rcCommand[2]\n"
+                    "0,350,0,0,250,0,0\n1000,350,-20,0,250,0,0\n")  # fmt: skip
+    assert load_commands(path).setpoint.tolist() == [[350, 0, 0], [350, -20, 0]]
 
 
 @pytest.mark.parametrize(("name", "unit"), [("setpoint", np.pi / 180), ("setpoint_deg_s", 1.0)])
@@ -87,16 +121,64 @@ def test_commands_hold_until_the_next_when_flown_at_another_rate(tmp_path: Path)
     assert channels[:, CHANNEL_THROTTLE].tolist() == [1000] * 5 + [1500] * 10
 
 
-def test_commands_beyond_full_stick_are_told_and_flown_as_full_stick(tmp_path: Path) -> None:
-    path = tmp_path / "fast.csv"
+def test_a_stick_a_little_beyond_its_end_is_at_its_end(tmp_path: Path) -> None:
+    path = tmp_path / "ends.csv"
     path.write_text(
-        "time (us),setpoint[0],setpoint[1],setpoint[2],setpoint[3]\n0,1210,0,0,0\n4000,0,0,-1000,1003"
+        "time (us),setpoint[0],setpoint[1],setpoint[2],setpoint[3]\n0,1000.4,0,0,-4\n4000,0,0,-1000,1003"
     )
-    scenario, [beyond, throttle] = load_flight(str(path), seed=1, count=1)
-    assert "fast: 1 of 2 commands ask for more than full stick (1210 deg/s, full stick is 1000)" in beyond
-    assert "fast: 1 of 2 throttles are outside 0 to 1" in throttle
-    rates = np.rad2deg(sticks.setpoint(scenario.timeline(1000)[0]))
-    assert np.rint(rates).tolist() == [[1000, 0, 0]] * 4 + [[0, 0, -1000]] * 4
+    scenario, words = load_flight(str(path), seed=1, count=1)
+    assert not words
+    channels, _ = scenario.timeline(1000)
+    assert np.rint(np.rad2deg(sticks.setpoint(channels))).tolist() == [[1000, 0, 0]] * 4 + [[0, 0, -1000]] * 4
+    assert channels[:, CHANNEL_THROTTLE].tolist() == [1000] * 4 + [2000] * 4
+
+
+def test_nothing_is_flown_from_a_value_that_is_no_stick(tmp_path: Path) -> None:
+    """1,000 tables and archives, of which each row is judged here: the first that cannot be is named."""
+    rng = np.random.default_rng(11)
+    refused = 0
+    for number in range(1000):
+        rows = int(rng.integers(3, 12))
+        rates, throttle = rng.uniform(-1000, 1000, (rows, 3)), rng.uniform(-0.1, 1.1, rows)
+        wild = rng.random(rows) < 0.1
+        far = 10.0 ** rng.uniform(0.15, 9, rows) * rng.choice([-1, 1], rows)
+        throttle = np.where(wild & (rng.random(rows) < 0.5), far, throttle)
+        rates[wild & (rng.random(rows) < 0.5), int(rng.integers(3))] = 1000 * far[int(rng.integers(rows))]
+        name = f"{number}.npz" if number % 2 else f"{number}.csv"
+        if number % 2:
+            np.savez(tmp_path / name, t=np.arange(rows) / 100, setpoint_deg_s=rates, throttle=throttle)
+        else:
+            table = np.column_stack([np.arange(rows) / 100, rates, throttle])
+            heading = "t_s,roll_deg_s,pitch_deg_s,yaw_deg_s,throttle"
+            np.savetxt(tmp_path / name, table, delimiter=",", header=heading, comments="", fmt="%.17g")
+        fast = (np.abs(rates) > 1000.51).any(axis=1)
+        bad = fast if fast.any() else (throttle < -0.115) | (throttle > 1.115)
+        if bad.any():
+            refused += 1
+            with pytest.raises(ScenarioError) as error:
+                load_flight(str(tmp_path / name), seed=1, count=1)
+            row = int(bad.argmax())
+            assert f"in row {row} ({row / 100:.3f} s)" in str(error.value)
+            assert ("turn at" if fast.any() else "the throttle is") in str(error.value)
+            continue
+        commands = load_commands(tmp_path / name)
+        assert commands.setpoint == pytest.approx(rates)
+        assert commands.throttle == pytest.approx(throttle.clip(0, 1))
+    assert 300 < refused < 700
+
+
+def test_a_part_is_flown_around_what_is_no_stick(tmp_path: Path) -> None:
+    path = tmp_path / "wild.csv"
+    rows = [f"{row / 100},{row},0,0,{4294967 if row == 40 else 0.5}" for row in range(100)]
+    path.write_text("\n".join(["t_s,roll_deg_s,pitch_deg_s,yaw_deg_s,throttle", *rows]))
+    words = r"in row 40 \(0\.400 s\) the throttle is 4\.29497e\+06, expected 0 to 1; leave them out by --from"
+    with pytest.raises(ScenarioError, match=words):
+        load_commands(path)
+    before, after = load_commands(path, Part(0.0, 0.4)), load_commands(path, Part(0.41))
+    assert before.setpoint[:, 0].tolist() == list(range(40))
+    assert after.setpoint[:, 0].tolist() == list(range(41, 100)) and after.first_row == 41
+    with pytest.raises(ScenarioError, match="has no row from 2 s to its end"):
+        load_commands(path, Part(2.0))
 
 
 def archive(**arrays: Any) -> bytes:
@@ -118,7 +200,7 @@ def npy() -> bytes:
     return file.getvalue()
 
 
-RATES = np.zeros((2, 3))
+STILL = np.zeros((2, 3))
 
 
 @pytest.mark.parametrize(
@@ -134,10 +216,10 @@ RATES = np.zeros((2, 3))
         ("a.npz", lone("t.npy", b""), "arrays t; expected t [s] and setpoint [rad/s]"),
         ("a.npz", archive(t=[0.0, 1.0], setpoint=np.array([None, 1])), "damaged or no .npz file"),
         ("a.npz", archive(t=[0.0, 1.0], setpoint=np.array(["a", "b"])), "setpoint is <U1 (2,), expected"),
-        ("a.npz", archive(t=[0.0, 1.0, 2.0], setpoint=RATES), "setpoint has shape (2, 3), expected (3, 3)"),
-        ("a.npz", archive(t=[0.0, 1.0], setpoint=RATES, throttle=RATES), "throttle has shape (2, 3)"),
-        ("a.npz", archive(t=[0.0, 1.0], setpoint=RATES * np.nan), "setpoint has a value that is no number"),
-        ("a.npz", archive(t=[0.0], setpoint=RATES[:1]), "1 rows of commands, expected 2 to"),
+        ("a.npz", archive(t=[0.0, 1.0, 2.0], setpoint=STILL), "setpoint has shape (2, 3), expected (3, 3)"),
+        ("a.npz", archive(t=[0.0, 1.0], setpoint=STILL, throttle=STILL), "throttle has shape (2, 3)"),
+        ("a.npz", archive(t=[0.0, 1.0], setpoint=STILL * np.nan), "setpoint has a value that is no number"),
+        ("a.npz", archive(t=[0.0], setpoint=STILL[:1]), "1 rows of commands, expected 2 to"),
     ],
 )  # fmt: skip
 def test_an_invalid_recording_is_rejected_in_one_line(

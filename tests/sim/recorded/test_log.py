@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from sim.blackbox.flight import Part
 from sim.control import sticks
 from sim.recorded.files import load_commands, load_flight
 from tests.sim.blackbox.writer import END, PRODUCT, Column, fields, flight, header, slow
@@ -57,16 +58,94 @@ def test_tenths_are_read_when_the_log_has_them(tmp_path: Path) -> None:
     assert np.abs(load_commands(path).setpoint - np.array(ROWS[10:], float)[:, :3] / 10).max() < 1e-4
 
 
-def test_sticks_are_flown_and_told_when_a_log_has_no_setpoints(tmp_path: Path) -> None:
+OLD: dict[str, object] = {
+    "Firmware revision": "Betaflight 3.1.7 (e1c4b5c) BETAFLIGHTF3",
+    "gyro_scale": "0x3f800000",
+    "rates": "78,78,78",
+    "rcRate": 105,
+    "rcYawRate": 105,
+    "rcExpo": 10,
+    "rcYawExpo": 0,
+}
+STICK_ROWS = [[*row[:3], 1000 + row[3]] for row in ROWS]
+
+
+def test_sticks_are_flown_by_the_rates_of_the_header_when_a_log_has_no_setpoints(tmp_path: Path) -> None:
     path = tmp_path / "old.TXT"
-    path.write_bytes(log(STICKS, [[*row[:3], 1000 + row[3]] for row in ROWS]))
+    path.write_bytes(log(STICKS, STICK_ROWS, **OLD))
     commands = load_commands(path)
-    armed = np.array(ROWS[10:], float)
-    assert np.abs(commands.setpoint - 2 * armed[:, :3]).max() < 1e-9
-    assert np.abs(commands.throttle - armed[:, 3] / 1000).max() < 1e-9
+    x = np.array(ROWS[10:], float)[:, :3] / 500
+    expo = np.array([0.1, 0.1, 0.0])
+    expected = 200 * 1.05 * x * (1 - expo + expo * np.abs(x) ** 3) / (1 - 0.78 * np.abs(x))
+    assert np.abs(commands.setpoint - expected).max() < 1e-9
+    assert np.abs(commands.throttle - np.array(ROWS[10:], float)[:, 3] / 1000).max() < 1e-9
     [words] = commands.warnings()
-    assert (
-        words == "old.TXT: no setpoint was logged: the sticks (rcCommand) are flown, 1000 deg/s at full stick"
+    assert words.startswith(
+        "old.TXT: no setpoint was logged: rcCommand is flown by Betaflight rates of the header"
+    )
+    assert words.endswith("not held against the gyro: no row of it is a flight by rates with a gyro")
+
+
+def test_rates_are_asked_for_when_a_header_does_not_tell_them(tmp_path: Path) -> None:
+    path = tmp_path / "old.TXT"
+    path.write_bytes(log(STICKS, STICK_ROWS))
+    with pytest.raises(
+        ScenarioError, match=r"no setpoint\[0\.\.3\], and the header has no line rc_rates: tell"
+    ):
+        load_commands(path)
+    told = {"rates_type": "1", "rc_rates": "50,50,50", "rc_expo": "0,0,0", "rates": "0,0,0"}
+    commands = load_commands(path, told=told)
+    assert commands.setpoint == pytest.approx(np.array(ROWS[10:], float)[:, :3])
+
+
+GYRO = [*STICKS, *(Column(f"gyroADC[{axis}]") for axis in range(3))]
+
+
+@pytest.mark.parametrize("factor", [1.0, 0.3])
+def test_rates_are_held_against_the_gyro_of_the_flight(factor: float, tmp_path: Path) -> None:
+    path = tmp_path / "old.bfl"
+    strokes = np.rint(300 * np.sin(np.arange(1000)[:, None] / np.array([40, 55, 70])))
+    x = strokes / 500
+    expo = np.array([0.1, 0.1, 0.0])
+    rates = 210 * x * (1 - expo + expo * np.abs(x) ** 3) / (1 - 0.78 * np.abs(x))
+    gyro = np.rint(factor * np.vstack([np.zeros((20, 3)), rates[:-20]]))
+    rows = np.column_stack([strokes, np.full(1000, 1400), gyro]).astype(int).tolist()
+    path.write_bytes(log(GYRO, rows, **OLD))
+    if factor == 1.0:
+        commands = load_commands(path)
+        assert np.abs(commands.setpoint - rates[10:]).max() < 1e-9
+        assert commands.warnings() == (
+            "old.bfl: no setpoint was logged: rcCommand is flown by Betaflight rates of the header",
+        )
+        return
+    with pytest.raises(
+        ScenarioError, match=r"the gyro does not follow the sticks by Betaflight rates: on roll"
+    ):
+        load_commands(path)
+
+
+@pytest.mark.parametrize("mode", [2, 4])
+def test_sticks_that_command_an_angle_are_not_flown(mode: int, tmp_path: Path) -> None:
+    path = tmp_path / "angle.bfl"
+    path.write_bytes(log(STICKS, STICK_ROWS, **OLD).replace(b"S\x01", bytes((0x53, 1 | mode))))
+    with pytest.raises(ScenarioError, match="the stick commands an angle"):
+        load_commands(path)
+
+
+def test_a_log_is_not_flown_when_a_value_is_no_stick(tmp_path: Path) -> None:
+    path = tmp_path / "wrapped.bfl"
+    rows = [[*row[:3], row[3] if at < 60 else 2_000_000_000] for at, row in enumerate(ROWS)]
+    path.write_bytes(log(rows=rows))
+    with pytest.raises(ScenarioError) as error:
+        load_commands(path)
+    assert "log 1: in row 60 (0.050 s) and 39 more the throttle is 2e+06, expected 0 to 1" in str(error.value)
+    assert len(load_commands(path, Part(0.0, 0.05)).time) == 50
+    rows = [[1500 if at == 80 else row[0], *row[1:]] for at, row in enumerate(ROWS)]
+    path.write_bytes(log(rows=rows))
+    with pytest.raises(ScenarioError) as error:
+        load_commands(path)
+    assert "in row 80 (0.070 s) roll is asked to turn at 1500 deg/s, expected at most 1000; leave" in str(
+        error.value
     )
 
 

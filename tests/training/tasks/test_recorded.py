@@ -98,7 +98,7 @@ def test_a_recording_must_be_named() -> None:
         ("a.csv", f"{HEADING}\n0,0,0,0\n1,0,nan,0\n".encode(), "line 3: pitch_deg_s is 'nan'"),
         ("a.csv", f"{HEADING}\n0,0,0,0\n1,0\n".encode(), "line 3: pitch_deg_s is ''"),
         ("a.csv", f"{HEADING}\n1,0,0,0\n1,0,0,0\n".encode(), "the time is 1 s after 1 s, expected"),
-        ("a.csv", f"{HEADING}\n0,0,0,0\n9,0,0,1500\n".encode(), "commands reach 1500 deg/s, full stick"),
+        ("a.csv", f"{HEADING}\n0,0,0,0\n9,0,0,1500\n".encode(), "yaw is asked to turn at 1500 deg/s"),
         ("a.csv", f"{HEADING}\n0,0,0,0\n0.5,0,0,0\n".encode(), "lasts 0.5 s, expected at least the 1 s"),
         ("a.csv", b"\xff\xfe", "no table of text and commas"),
         ("a.csv", f'{HEADING}\n"0,0'.encode(), "no table of text and commas"),

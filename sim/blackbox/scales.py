@@ -1,0 +1,128 @@
+"""What one count of a log's field is: of the gyro, of the battery's voltage and current, of a rotor's speed.
+
+Betaflight's sources at each version, Cleanflight's, INAV's and Rotorflight's say it; the header's own lines
+where there are some.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.blackbox.firmware import Firmware, Maker
+
+Array = NDArray[np.float64]
+Columns = Mapping[str, NDArray[np.int64]]
+
+BASEFLIGHT_SCALE = 1e-5  # a gyro_scale below it is in rad/us, as Baseflight had it; others are in deg/s
+ADC_FULL, ADC_VOLTS = 4095.0, 3.3
+ERPM = 100.0  # of an electrical revolution a minute, in a count of eRPM
+WORD = 1 << 32
+
+
+def header_number(header: Mapping[str, str], name: str) -> float | None:
+    """Return the number in a header line: decimal, or the bits of a float32 with 0x; None: it has none."""
+    text = header.get(name, "").strip()
+    try:
+        if text.lower().startswith("0x"):
+            number = struct.unpack("<f", (int(text, 16) % WORD).to_bytes(4, "little"))[0]
+        else:
+            number = float(text)
+    except ValueError:
+        return None
+    return float(number) if math.isfinite(number) else None
+
+
+def fine(header: Mapping[str, str]) -> float:
+    """Counts of a deg/s of gyro and setpoint, and of a step of rcCommand: 10 with high resolution."""
+    return 10.0 if header_number(header, "blackbox_high_resolution") else 1.0
+
+
+def gyro_count(header: Mapping[str, str], firmware: Firmware) -> float | None:
+    """rad/s of one count of gyroADC, without high resolution; None where nothing tells it.
+
+    Firmwares that filter the gyro in deg/s write 1: a lost line does not hide it.
+    """
+    for name in ("gyro_scale", "gyro.scale"):
+        scale = header_number(header, name)
+        if scale is not None and scale > 0:
+            return scale * 1e6 if scale < BASEFLIGHT_SCALE else float(np.deg2rad(scale))
+    in_deg_s = (
+        firmware.since(Maker.BETAFLIGHT, 3, 1)
+        or firmware.since(Maker.CLEANFLIGHT, 2)
+        or firmware.maker in (Maker.NEUROFLIGHT, Maker.INAV, Maker.EMUFLIGHT, Maker.ROTORFLIGHT)
+    )
+    return float(np.deg2rad(1.0)) if in_deg_s else None
+
+
+def voltage(columns: Columns, header: Mapping[str, str], firmware: Firmware) -> Array | None:
+    """Of the battery, (N,) [V]; None where there is none, or nothing tells its unit."""
+    maker = firmware.maker
+    if maker in (Maker.INAV, Maker.ROTORFLIGHT):
+        counts = columns.get("vbat" if maker is Maker.INAV else "Vbat")
+        if counts is not None:
+            return counts / 100.0
+    counts = columns.get("vbatLatest")
+    if counts is None:
+        return None
+    if (
+        maker is Maker.NEUROFLIGHT
+        or firmware.since(Maker.BETAFLIGHT, 4)
+        or firmware.since(Maker.CLEANFLIGHT, 4)
+    ):
+        return counts / 100.0
+    if _is_converted(firmware):
+        return counts / 10.0
+    scale = header_number(header, "vbatscale")  # ten times the divider's ratio
+    if scale is None or scale <= 0 or not _is_adc(firmware):
+        return None
+    return np.asarray(counts * (ADC_VOLTS / ADC_FULL * scale / 10.0), np.float64)
+
+
+def current(columns: Columns, header: Mapping[str, str], firmware: Firmware) -> Array | None:
+    """Of the battery, (N,) [A]; None where there is none, or nothing tells its unit."""
+    maker = firmware.maker
+    if maker in (Maker.INAV, Maker.ROTORFLIGHT):
+        counts = columns.get("amperage" if maker is Maker.INAV else "Ibat")
+        if counts is not None:
+            return counts / 100.0
+    counts = columns.get("amperageLatest")
+    if counts is None:
+        return None
+    if maker is Maker.NEUROFLIGHT or firmware.since(Maker.BETAFLIGHT, 4) or _is_converted(firmware):
+        return counts / 100.0
+    try:
+        offset_mv, scale = (float(part) for part in header.get("currentMeter", "").split(","))
+    except ValueError:
+        return None
+    if scale == 0 or not _is_adc(firmware):  # scale: in 0.1 mV an ampere
+        return None
+    return np.asarray((counts * (1e3 * ADC_VOLTS / ADC_FULL) - offset_mv) * 10.0 / scale, np.float64)
+
+
+def rotor_rpm(erpm: NDArray[np.int64] | None, header: Mapping[str, str]) -> Array | None:
+    """Speeds of rotors (N, M) [rpm] from eRPM; None where there is none, or motor_poles is not told."""
+    poles = header_number(header, "motor_poles")
+    if erpm is None or poles is None or poles < 2:
+        return None
+    return np.asarray(erpm * (ERPM * 2.0 / poles), np.float64)
+
+
+def _is_converted(firmware: Firmware) -> bool:
+    """Whether volts are in tenths and amperes in hundredths, rather than counts of the converter."""
+    return (
+        firmware.since(Maker.BETAFLIGHT, 3, 1)
+        or firmware.since(Maker.CLEANFLIGHT, 2)
+        or firmware.maker is Maker.EMUFLIGHT
+    )
+
+
+def _is_adc(firmware: Firmware) -> bool:
+    """Whether they are counts of the converter."""
+    return firmware.maker in (Maker.CLEANFLIGHT, Maker.BASEFLIGHT, Maker.INAV) or (
+        firmware.maker is Maker.BETAFLIGHT and firmware.version != ()
+    )

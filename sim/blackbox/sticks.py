@@ -1,0 +1,185 @@
+"""What the pilot asked for in a log: rates and thrust, from whichever field the firmware wrote them to.
+
+Betaflight since 4.0 and our own firmware log the setpoint, INAV the target of its rate controller (axisRate).
+Others log the stick only, of which the rates in the header make a command. A value that no stick can have is
+damage, or a field that was read wrong: nothing may be flown from it (`check`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.blackbox.firmware import Firmware, Maker, has_box_mask
+from sim.blackbox.log import Log
+from sim.blackbox.proof import choose
+from sim.blackbox.rates import SETTINGS, RatesError, readings
+from sim.blackbox.scales import fine, header_number
+from toolchain.contract import AXES, CHANNEL_MAX_US, CHANNEL_MIN_US
+from toolchain.errors import TraceError
+
+Array = NDArray[np.float64]
+Rows = NDArray[np.bool_]
+
+RATE_MOST_DEG_S = 2000.0  # that any of these firmwares commands: Betaflight's settings end at 1998
+SLACK = 0.115  # of a stick beyond its ends: receivers give, and Betaflight takes, pulses of 885 to 2115 us
+THROTTLE_COUNTS = 1000.0  # of setpoint[3] at full thrust
+ROUNDED_DEG_S = 0.51  # beyond, that a limit is in a log of whole deg/s, or in float32
+AIRBORNE = 0.1  # throttle from which a flight is taken to follow its commands
+ANGLE_BITS, ANGLE_FLAGS = 0b110, 0b11  # ANGLE and HORIZON, as boxes and as flags of modes
+
+
+@dataclass(frozen=True, eq=False)
+class Pilot:
+    """What was asked for in N rows; None: the log does not tell it."""
+
+    rates: Array | None = None  # (N, 3) [deg/s]; NaN where the stick commanded an angle
+    throttle: Array | None = None  # (N,) of full thrust, beyond 0..1 where the log's number is no stick's
+    source: str = ""  # the field that rates come from
+    note: str = ""  # what is to be told of them
+    lacks: str = ""  # why there are none, and what mends it
+
+
+def pilot(log: Log, firmware: Firmware, gyro: Array | None, armed: Rows) -> Pilot:
+    """Read what was asked for; gyro (N, 3) [deg/s], armed (N,)."""
+    parts = fine(log.header)
+    throttle = _throttle(log, firmware, parts)
+    setpoint = log.matrix("setpoint", 3)
+    if setpoint is not None:
+        counts = log.columns.get("setpoint[3]")
+        if counts is not None and firmware.maker is not Maker.ROTORFLIGHT:
+            throttle = _ends(counts / THROTTLE_COUNTS)
+        return Pilot(setpoint / parts, throttle, "setpoint[0..2]")
+    target = log.matrix("axisRate", 3)
+    if target is not None:
+        return Pilot(target.astype(np.float64), throttle, "axisRate[0..2]")
+    sticks = log.matrix("rcCommand", 3)
+    if sticks is None:
+        return Pilot(
+            throttle=throttle,
+            lacks="neither setpoint nor rcCommand: log one of them (blackbox_disabled_mask)",
+        )
+    level = _level(log, firmware)
+    steady = armed & ~level
+    if throttle is not None:
+        steady &= (throttle >= AIRBORNE) & is_stick(throttle)
+    try:
+        chosen, note = choose(readings(log.header, firmware), sticks / parts, gyro, steady, log.rate_hz)
+    except RatesError as error:
+        return Pilot(throttle=throttle, lacks=f"no setpoint[0..3], and {ask_rates(str(error))}")
+    rates = chosen.curve(sticks / parts)
+    rates[level] = np.nan
+    told = f"no setpoint was logged: rcCommand is flown by {chosen.name} of the header"
+    return Pilot(rates, throttle, f"rcCommand by {chosen.name}", f"{told}{note and ', '}{note}")
+
+
+def ask_rates(why: str) -> str:
+    """What lacks for the rates, and how a user tells it."""
+    if " " not in why:
+        why = f"the header has no line {why}"
+    return f"{why}: tell the rates that were flown by --header NAME=VALUE ({SETTINGS})"
+
+
+def _throttle(log: Log, firmware: Firmware, parts: float) -> Array | None:
+    """Of the stick: rcCommand[3], which runs from minthrottle to maxthrottle in some firmwares."""
+    counts = log.columns.get("rcCommand[3]")
+    if counts is None or firmware.maker is Maker.ROTORFLIGHT:  # there it is the collective
+        return None
+    low, high = _throttle_range(log, firmware)
+    us = counts / parts
+    raw = (us - CHANNEL_MIN_US) / (CHANNEL_MAX_US - CHANNEL_MIN_US)
+    return np.where(is_stick(raw), np.clip((us - low) / (high - low), 0.0, 1.0), raw)
+
+
+def is_stick(throttle: Array) -> Rows:
+    """Whether each throttle is one that a stick can have, at its end or a little beyond."""
+    return np.asarray((throttle >= -SLACK) & (throttle <= 1.0 + SLACK))
+
+
+def beyond(rates: Array, most_deg_s: float = RATE_MOST_DEG_S) -> Rows:
+    """Whether each row of rates (N, 3) [deg/s] asks for more than that."""
+    return np.asarray((np.abs(rates) > most_deg_s + ROUNDED_DEG_S).any(axis=1))
+
+
+def _ends(throttle: Array) -> Array:
+    """A stick beyond its end is at its end; what is no stick is left as it is."""
+    return np.where(is_stick(throttle), np.clip(throttle, 0.0, 1.0), throttle)
+
+
+def _throttle_range(log: Log, firmware: Firmware) -> tuple[float, float]:
+    """rcCommand[3] [us] at no and at full stick."""
+    maker = firmware.maker
+    mapped = (
+        maker in (Maker.INAV, Maker.BASEFLIGHT)
+        or (maker is Maker.CLEANFLIGHT and firmware.version < (2,))
+        or (maker is Maker.BETAFLIGHT and () < firmware.version < (3, 1, 4))
+    )
+    low, high = header_number(log.header, "minthrottle"), header_number(log.header, "maxthrottle")
+    if mapped and low is not None and high is not None and CHANNEL_MIN_US <= low < high:
+        return low, high
+    return float(CHANNEL_MIN_US), float(CHANNEL_MAX_US)
+
+
+def _level(log: Log, firmware: Firmware) -> Rows:
+    """(N,) whether the stick commands an angle, in ANGLE or HORIZON mode."""
+    flags = log.held("flightModeFlags")
+    if flags is None:
+        flags = log.held("rcModeFlags")  # INAV's since 8
+    if flags is None:
+        return np.zeros(len(log), bool)
+    return np.asarray((flags & (ANGLE_BITS if has_box_mask(firmware) else ANGLE_FLAGS)) != 0)
+
+
+def check(
+    where: str,
+    rates: Array,
+    throttle: Array | None,
+    seconds: Array,
+    first_row: int = 0,
+    most_deg_s: float = RATE_MOST_DEG_S,
+) -> None:
+    """Refuse commands that no stick gives, naming the first; raises TraceError.
+
+    where: names the log; rates (N, 3) [deg/s], throttle and seconds (N,): of rows from first_row on;
+    most_deg_s: rate that is still a command.
+    """
+    angle: Rows = np.asarray(np.isnan(rates).any(axis=1))
+    if angle.any():
+        raise TraceError(
+            f"{where}: {_spans(angle, seconds)} the stick commands an angle (ANGLE or HORIZON mode), "
+            f"expected a rate{_mend(angle)}"
+        )
+    bad = beyond(rates, most_deg_s)
+    if bad.any():
+        row = int(bad.argmax())
+        axis = int(np.abs(rates[row]).argmax())
+        raise TraceError(
+            f"{where}: {_named(bad, first_row, seconds)} {AXES[axis]} is asked to turn at "
+            f"{rates[row, axis]:g} deg/s, expected at most {most_deg_s:g}{_mend(bad)}"
+        )
+    if throttle is not None and (bad := ~is_stick(throttle)).any():
+        raise TraceError(
+            f"{where}: {_named(bad, first_row, seconds)} the throttle is {throttle[int(bad.argmax())]:g}, "
+            f"expected 0 to 1{_mend(bad)}"
+        )
+
+
+def _named(bad: Rows, first_row: int, seconds: Array) -> str:
+    """Where the first such row stands, and how many there are."""
+    row = int(bad.argmax())
+    more = f" and {int(bad.sum()) - 1} more" if bad.sum() > 1 else ""
+    return f"in row {first_row + row} ({seconds[row]:.3f} s){more}"
+
+
+def _spans(bad: Rows, seconds: Array) -> str:
+    """The first times of a condition, in words."""
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], bad, [False])).astype(np.int8))).reshape(-1, 2)
+    words = [f"{seconds[start]:.2f} to {seconds[stop - 1]:.2f} s" for start, stop in edges[:3]]
+    return f"from {', '.join(words)}{' and later' if len(edges) > 3 else ''}"
+
+
+def _mend(bad: Rows) -> str:
+    """How to go around them, where there is a part without."""
+    return "" if bad.all() else "; leave them out by --from and --to"
