@@ -66,6 +66,16 @@ class Tables:
     speeds_rpm: tuple[float, ...]  # of the tables of J that tell theirs, rising
     notes: tuple[str, ...]
 
+    @property
+    def measurements(self) -> Measurements:
+        """All together: those at rest have J = 0."""
+        ratio = np.concatenate([self.wind.ratio, np.zeros(len(self.rest.rpm))])
+        thrust, torque = (
+            np.concatenate([getattr(self.wind, name), getattr(self.rest, name)])
+            for name in ("thrust", "torque")
+        )
+        return Measurements(ratio, thrust, torque)
+
 
 @dataclass(frozen=True, eq=False)
 class _Rows:
@@ -105,6 +115,8 @@ def read_tables(paths: Sequence[Path], rpm: float | None = None) -> Tables:
     if rpm is not None and len(rest):
         rest = rest[[int(np.abs(rest[:, 0] - rpm).argmin())]]
         notes.append(f"of the measurements at rest, {rest[0, 0]:g} rpm is taken")
+    if wind and len(rest):
+        notes.append(f"{len(rest)} measurements at rest are taken as those of J = 0")
     ratio, thrust, torque = np.concatenate([np.zeros((0, 3)), *(rows.values for rows in wind)]).T
     return Tables(Measurements(ratio, thrust, torque), Static(*rest.T), tuple(speeds), tuple(notes))
 
@@ -178,7 +190,7 @@ def _apc(lines: Sequence[str], begin: int, end: int, path: Path) -> _Rows:
     found = _BLOCK.fullmatch(lines[begin])
     rpm = float(found[1].rstrip(".")) if found else math.nan
     places: dict[str, int] = {}
-    rows = []
+    rows: list[list[float]] = []
     for number, line in enumerate(lines[begin + 1 : end], begin + 2):
         cells = line.split()
         if not places:
