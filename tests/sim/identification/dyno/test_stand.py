@@ -142,7 +142,8 @@ def test_sensors_read_in_turns_are_fitted_each_by_its_rows(
         rows.append(f"{k * 0.01},,{cells[0]},{cells[1]},{w!r}")
     path = write(tmp_path, rows, "Time (s),ESC signal (us),Torque (N m),Thrust (N),Speed (rad/s)")
     found = fitted(path, capsys)
-    assert (found.thrust, found.torque) == (pytest.approx(K_T, rel=1e-12), pytest.approx(K_Q, rel=1e-12))
+    assert found.thrust == pytest.approx(K_T, rel=1e-12)
+    assert found.torque == pytest.approx(K_Q, rel=1e-12)
 
 
 def test_a_dense_log_with_a_throttle_is_a_recording_and_shows_the_response(
