@@ -30,7 +30,7 @@ MARKS = (
     " ",
 )  # between cells; two blanks: of headings that have single ones in them
 LINES_BEFORE_MAX = 200  # above the heading
-COMMENTS = ("#", "%", "//")
+COMMENTS = ("#", "//")  # at the begin of a line below the heading
 FOREIGN_MAX = 0.05  # part of the characters beyond ASCII, above which a file that is no UTF-8 is no text
 MISSING = frozenset(("", "nan", "-nan", "n/a", "na", "#n/a", "-", "--", "null", "none"))
 _THOUSANDS = {mark: re.compile(rf"[+-]?[1-9]\d{{0,2}}({re.escape(mark)}\d{{3}})+") for mark in ".,"}
@@ -146,8 +146,8 @@ def numbers(table: Table, columns: Sequence[int], where: str, failure: Failure) 
             if text.lower() in MISSING:
                 continue
             try:
-                plain = text.replace(" ", "").replace("\N{NO-BREAK SPACE}", "").replace(other, "")
-                value = float(plain.replace(decimal, "."))
+                plain = text.removesuffix("%").replace(" ", "").replace("\N{NO-BREAK SPACE}", "")
+                value = float(plain.replace(other, "").replace(decimal, "."))
             except ValueError:
                 value = np.inf
             if not abs(value) < 1e12:
@@ -161,6 +161,7 @@ def numbers(table: Table, columns: Sequence[int], where: str, failure: Failure) 
 
 def _decimal_mark(cells: Sequence[str], where: str, failure: Failure) -> str:
     """Tell the mark before decimals, by the numbers in which both marks stand or one cannot be thousands."""
+    cells = [cell.removesuffix("%") for cell in cells]
     with_comma = [cell for cell in cells if "," in cell]
     if not with_comma:
         return "."
