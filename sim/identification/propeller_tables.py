@@ -32,6 +32,7 @@ Array = NDArray[np.float64]
 FILE_BYTES_MAX = 1 << 20
 ROWS_MAX = 10_000
 COLUMNS = {"j": "J", "rpm": "RPM", "ct": "CT", "cq": "CQ", "cp": "CP"}
+COLUMNS |= dict.fromkeys(("advance ratio", "advanceratio", "advratio", "v/nd", "v/(nd)"), "J")
 LOW, HIGH = -2.0, 2.0  # of coefficients; those of propellers are below 0.3
 RPM_LAST = 500_000.0
 RANGES = {"J": (-RATIO_LAST, RATIO_LAST), "RPM": (0.0, RPM_LAST)}
@@ -135,7 +136,7 @@ def _read(path: Path) -> list[_Rows]:
     def score(cells: Sequence[str]) -> int:
         return len({_name(cell) for cell in cells} - {None})
 
-    table = find_table(text, score, 2, ROWS_MAX, str(path), DynoError)
+    table = find_table(text, score, 2, bool, ROWS_MAX, str(path), DynoError)
     if table is None:
         if any({cell.lower() for cell in line.split()} >= GEOMETRY for line in lines[:5]):
             raise DynoError(f"{path}: a blade's shape (r/R, c/R, beta); take the file with its CT and CP")

@@ -126,7 +126,10 @@ def read_stand(text: str, path: Path, chosen: Choices) -> Stand:
         }
         return len(have) if {Quantity.THRUST, Quantity.SPEED} <= have else 0
 
-    table = find_table(text, score, 2, ROWS_MAX, str(path), DynoError)
+    def keep(name: str) -> bool:
+        return name in named or read_heading(name) is not None
+
+    table = find_table(text, score, 2, keep, ROWS_MAX, str(path), DynoError)
     if table is None:
         lines = (line.strip() for line in text.splitlines())
         first = next((line for line in lines if line and not line.startswith("#")), "")
@@ -155,7 +158,7 @@ def _units_in_heading(table: Table) -> Table:
             return table
         if not heading.shown:
             names[at] = f"{names[at]} ({cell})"
-    return Table(tuple(names), table.rows[1:], table.lines[1:])
+    return Table(table.heading, tuple(names), table.rows[1:], table.lines[1:])
 
 
 def read_logs(paths: Sequence[Path], chosen: Choices) -> tuple[Recording | None, list[Stand], str]:
@@ -213,7 +216,7 @@ def _columns(table: Table, path: Path, chosen: Choices) -> dict[Quantity, list[i
         if (text := chosen.columns.get(quantity)) is not None:
             places = [at for at, name in enumerate(table.names) if name == text]
             if len(places) != 1:
-                shown = ", ".join(repr(name) for name in table.names if name)[:300]
+                shown = ", ".join(repr(name) for name in table.heading if name)[:300]
                 raise DynoError(
                     f"{path}: --column {quantity.value}={text[:60]}: {len(places)} columns of that name in "
                     f"{shown}"
