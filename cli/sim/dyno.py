@@ -204,7 +204,7 @@ def _document(args: argparse.Namespace, fit: Fit, inertia: float | None) -> dict
         "speed_max_rpm": fit.speed_max / RPM,
         "speed_curve_rpm": [estimate(term, 1 / RPM) for term in fit.speed_curve],
         "thrust_coefficient": [estimate(term) for term in fit.thrust_coefficient],
-        "torque_ratio_m": [estimate(term) for term in fit.torque_ratio],
+        "torque_ratio_m": [estimate(term) for term in fit.torque_ratio] or None,
         "rotor_inertia_kg_m2": inertia,
         "response": response(fit.response),
         "rejected_response": response(fit.rejected),

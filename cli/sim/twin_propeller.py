@@ -13,6 +13,7 @@ from toolchain.errors import NeuroflightError
 if TYPE_CHECKING:
     from sim.aircraft.model import Aircraft
     from sim.identification.propeller import Curve, PropellerFit
+    from sim.identification.propeller_tables import Tables
 
 CLIMB_MAX = 200.0  # [m/s]
 
@@ -23,12 +24,22 @@ def add_propeller(actions: Any) -> None:  # noqa: ANN401 - argparse's own type h
     parser = actions.add_parser(
         "propeller",
         help=summary,
-        description=f"{summary}: columns J, CT and CQ or CP, as the UIUC Propeller Data Site has them. Fits "
-        "1 + a1 J + a2 J^2 to each over its value at J = 0, for [propulsion.advance_ratio] of an aircraft "
-        "file. See docs/own-aircraft.md.",
+        description=f"{summary}: columns J, CT and CQ or CP, as the UIUC Propeller Data Site has them, or "
+        "APC's PER3_*.dat. Fits 1 + a1 J + a2 J^2 to each over its value at J = 0, for "
+        "[propulsion.advance_ratio] of an aircraft file. A table of measurements at rest (RPM, CT, CP) gives "
+        "C_T and C_Q, and with a diameter K_T and K_Q. See docs/own-aircraft.md.",
     )
     parser.add_argument(
-        "tables", nargs="+", type=Path, metavar="TABLE", help="of one propeller, .csv or .txt"
+        "tables", nargs="+", type=Path, metavar="TABLE", help="of one propeller, .csv, .txt or .dat"
+    )
+    parser.add_argument(
+        "--rpm", type=float, metavar="N", help="take the nearest of the speeds in the tables; default: all"
+    )
+    parser.add_argument(
+        "--diameter",
+        type=float,
+        metavar="M",
+        help="of the propeller, for K_T and K_Q at rest; default: the aircraft's",
     )
     parser.add_argument(
         "--degree",
@@ -54,16 +65,24 @@ def run_propeller(args: argparse.Namespace) -> int:
     from cli.output import check_output
     from sim.aircraft.edit import edit_aircraft
     from sim.aircraft.model import load_aircraft
-    from sim.identification.propeller import fit_propeller, read_measurements
+    from sim.identification.propeller import fit_propeller
     from sim.identification.propeller_plot import draw
+    from sim.identification.propeller_tables import read_tables
     from sim.plotting import png
     from toolchain.files import write_bytes
 
     if not (math.isfinite(args.climb) and 0.0 <= args.climb <= CLIMB_MAX):
         raise NeuroflightError(f"--climb {args.climb}, expected 0 to {CLIMB_MAX:g} m/s")
+    if args.rpm is not None and not (math.isfinite(args.rpm) and args.rpm > 0.0):
+        raise NeuroflightError(f"--rpm {args.rpm}, expected a number above 0")
     check_output(args.plot, ".png")
+    tables = read_tables(args.tables, args.rpm)
+    if not len(tables.wind.ratio):
+        from cli.sim.twin_propeller_rest import run_rest
+
+        return run_rest(args, tables)
     aircraft = load_aircraft(args.aircraft) if args.aircraft else None
-    fit = fit_propeller(read_measurements(args.tables), args.degree)
+    fit = fit_propeller(tables.measurements, args.degree)
     climb = None if aircraft is None else _climb(fit, aircraft, args.climb)
     picture = png(draw(fit, ", ".join(path.stem for path in args.tables))) if args.plot else b""
     if args.write:
@@ -72,9 +91,9 @@ def run_propeller(args: argparse.Namespace) -> int:
     if args.plot:
         write_bytes(args.plot, picture)
     if args.json:
-        print(json.dumps(_document(args, fit, climb), indent=2))
+        print(json.dumps(_document(args, tables, fit, climb), indent=2))
     else:
-        _print(args, fit, climb)
+        _print(args, tables, fit, climb)
     return 0
 
 
@@ -106,11 +125,14 @@ def _climb(fit: PropellerFit, aircraft: Aircraft, speed: float) -> dict[str, flo
     }
 
 
-def _document(args: argparse.Namespace, fit: PropellerFit, climb: dict[str, float] | None) -> dict[str, Any]:
+def _document(
+    args: argparse.Namespace, tables: Tables, fit: PropellerFit, climb: dict[str, float] | None
+) -> dict[str, Any]:
     from sim.identification.propeller import doubts
 
     return {
         "tables": [str(path) for path in args.tables],
+        "speeds_rpm": list(tables.speeds_rpm),
         "rows": len(fit.used.ratio),
         "ratio_measured": float(fit.used.ratio.max()),
         "ratio_end": fit.advance.ratio_max,
@@ -119,6 +141,7 @@ def _document(args: argparse.Namespace, fit: PropellerFit, climb: dict[str, floa
         "advance_ratio": {"thrust": list(fit.advance.thrust), "torque": list(fit.advance.torque)},
         "climb": climb,
         "warnings": doubts(fit),
+        "notes": list(tables.notes),
         "written": str(args.write) if args.write else None,
     }
 
@@ -132,10 +155,14 @@ def _curve(curve: Curve) -> dict[str, Any]:
     }
 
 
-def _print(args: argparse.Namespace, fit: PropellerFit, climb: dict[str, float] | None) -> None:
+def _print(
+    args: argparse.Namespace, tables: Tables, fit: PropellerFit, climb: dict[str, float] | None
+) -> None:
     from sim.identification.propeller import doubts
 
     last, end = float(fit.used.ratio.max()), fit.advance.ratio_max
+    for note in tables.notes:
+        print(note)
     print(f"{len(fit.used.ratio)} measurements up to J = {last:.3g}; the curves are used up to J = {end:.3g}")
     for name, curve in (("C_T", fit.thrust), ("C_Q", fit.torque)):
         terms = ", ".join(

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from sim.aircraft import mesh
-from sim.aircraft.mass import Part, Tensor, Vector, principal
+from sim.aircraft.mass import MeshPose, Part, Tensor, Vector, principal
 from sim.aircraft.mesh import Solid
 from sim.strict_toml import StrictTable
 from toolchain.contract import MOTOR_COUNT_MAX
@@ -156,8 +156,12 @@ def _part(table: StrictTable, name: str, meshes: Meshes) -> Part:
     if form == "inertia_kg_m2":
         centre = table.vector("centre_of_mass_m", -10, 10)
         return Part(name, mass, ZERO, ZERO, centre, _inertia(table))
+    pose = None
     if form == "mesh":
-        solid = _mesh(table, meshes)
+        pose = MeshPose(
+            table.vector("mesh_rotation_deg", -360, 360, ZERO), table.vector("mesh_offset_m", -10, 10, ZERO)
+        )
+        solid = mesh.placed(_mesh(table, meshes), pose)
     else:
         centre = table.vector("centre_of_mass_m", -10, 10, ZERO)
         if form == "box_m":
@@ -167,7 +171,7 @@ def _part(table: StrictTable, name: str, meshes: Meshes) -> Part:
             solid = mesh.cylinder(radius, height, centre)
     a, b, c = (tuple(mass * value for value in row) for row in solid.inertia)
     inertia = ((a[0], a[1], a[2]), (b[0], b[1], b[2]), (c[0], c[1], c[2]))
-    return Part(name, mass, ZERO, ZERO, solid.centre, inertia, solid.surface)
+    return Part(name, mass, ZERO, ZERO, solid.centre, inertia, solid.surface, pose)
 
 
 def _mesh(table: StrictTable, meshes: Meshes) -> Solid:

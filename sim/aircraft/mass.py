@@ -13,6 +13,14 @@ Tensor = tuple[Vector, Vector, Vector]
 
 
 @dataclass(frozen=True)
+class MeshPose:
+    """How a mesh was brought into its part's frame: turned about its own origin, then moved."""
+
+    rotation_deg: Vector  # roll, pitch, yaw: about the fixed x, then y, then z axis
+    offset: Vector  # [m]
+
+
+@dataclass(frozen=True)
 class Part:
     """A rigid part. Its own frame sits at `position` in the body frame, turned by `rotation`."""
 
@@ -25,6 +33,7 @@ class Part:
     surface: NDArray[np.float64] | None = field(  # (K, 3, 3) [m], triangles in the part's own frame
         default=None, repr=False, compare=False
     )
+    mesh: MeshPose | None = None  # None: it is not one
 
 
 @dataclass(frozen=True)
@@ -74,3 +83,12 @@ def rotation_matrix(rotation: Vector) -> NDArray[np.float64]:
     about_z = np.array([[cz, -sz, 0.0], [sz, cz, 0.0], [0.0, 0.0, 1.0]])
     turn: NDArray[np.float64] = about_z @ about_y @ about_x
     return turn
+
+
+def rotation_angles(turn: NDArray[np.float64]) -> Vector:
+    """Roll, pitch, yaw [rad] of a rotation matrix: the inverse of `rotation_matrix`."""
+    pitch = float(np.arcsin(np.clip(-turn[2, 0], -1.0, 1.0)))
+    if abs(turn[2, 0]) < 1.0 - 1e-9:
+        return float(np.arctan2(turn[2, 1], turn[2, 2])), pitch, float(np.arctan2(turn[1, 0], turn[0, 0]))
+    # Straight up or down roll and yaw are one turn: it is given to the roll.
+    return float(np.arctan2(-turn[1, 2], turn[1, 1])), pitch, 0.0

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.aircraft.mass import Tensor, Vector
+from sim.aircraft.mass import MeshPose, Tensor, Vector, rotation_matrix
 
 Array = NDArray[np.float64]
 BYTES_MAX = 32 << 20  # of a mesh file; 670,000 triangles in binary
@@ -70,6 +70,15 @@ def read_solid(data: bytes, unit: float) -> Solid:
     mesh.density = 1.0 / volume
     centre = np.asarray(mesh.center_mass) * size
     return Solid(_vector(centre), _tensor(np.asarray(mesh.moment_inertia) * size**2), surface)
+
+
+def placed(solid: Solid, pose: MeshPose) -> Solid:
+    """`solid` turned about the origin of its frame, then moved."""
+    x, y, z = np.deg2rad(pose.rotation_deg).tolist()
+    turn, offset = rotation_matrix((x, y, z)), np.array(pose.offset)
+    centre = turn @ np.array(solid.centre) + offset
+    inertia = turn @ np.array(solid.inertia) @ turn.T
+    return Solid(_vector(centre), _tensor(inertia), solid.surface @ turn.T + offset)
 
 
 def box(size: Vector, centre: Vector) -> Solid:

@@ -15,7 +15,7 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.aircraft.mass import rotation_matrix
+from sim.aircraft.mass import MeshPose, rotation_angles, rotation_matrix
 from sim.aircraft.model import RPM, Aircraft, Propulsion
 from sim.design.figures import Figures, aircraft_figures, balanced_thrust, thrust_map
 from sim.physics.air import AIR_DENSITY
@@ -37,6 +37,12 @@ MERIT_USUAL = (0.25, 0.85)
 TIP_SPEED_HIGH = 270.0  # [m/s], 0.8 of the speed of sound; small propellers stay below
 SUPPLY_USUAL, SUPPLY_POSSIBLE = (0.95, 1.25), (0.7, 1.5)  # full pack over the supply of the speed curve
 CELL_LOADED_LOW = 3.0  # [V], where ESCs cut off and cells take harm
+UPRIGHT = math.radians(20.0)  # between a propeller's thin axis and z
+UPRIGHT_MOMENT = 1.05  # greatest moment over that about z; equal for one with two blades
+THIN = 0.5  # second moment across a propeller over the next one, above which it is not thin
+STRAIGHT = 0.01  # of a thin axis: what is less along another axis is of the mesh, not of its pose
+OUTER_MIN = 0.05  # of its surface, that the outer halves of its blades take
+UNBALANCED = 0.05  # of a propeller's radius, by which its centre of mass may be off its hub's axis
 CENTRE_OFF = 0.1  # of the hubs' distance: how far the stated centre of thrust may lie from theirs
 
 
@@ -60,7 +66,10 @@ class Verdict:
 def examine(aircraft: Aircraft) -> tuple[Figures, list[Verdict]]:
     """Figures of an aircraft and the verdicts of all checks."""
     figures = aircraft_figures(aircraft)
-    checks = (_thrust, _hover, _control, _size, _inertia, _centre, _propeller, _rotor, _battery, _body)
+    checks = (
+        *(_thrust, _hover, _control, _size, _inertia, _centre),
+        *(_propeller, _propeller_part, _rotor, _battery, _body),
+    )
     return figures, [verdict for check in checks for verdict in check(aircraft, figures)]
 
 
@@ -205,6 +214,76 @@ def _propeller(aircraft: Aircraft, figures: Figures) -> Iterator[Verdict]:
                 f"those of motors {i} and {j} overlap: hubs {1000 * across:.0f} mm apart, diameter "
                 f"{1000 * diameter:.0f} mm; the twin knows no loss by that",
             )
+
+
+def _propeller_part(aircraft: Aircraft, figures: Figures) -> Iterator[Verdict]:
+    """A propeller lies flat: thin along z, where the rotors thrust, and balanced about its hub's axis."""
+    part = next((part for part in aircraft.parts if part.name == "propeller 1"), None)
+    if part is None:
+        return
+    if part.surface is None:
+        moments = np.diag(np.array(part.inertia))
+        if moments.argmax() != 2 and moments.max() > UPRIGHT_MOMENT * moments[2]:
+            about = "xyz"[int(moments.argmax())]
+            message = (
+                f"propeller_part has its greatest moment about {about}, a propeller that lies flat about z"
+            )
+            yield Verdict(Level.WARNING, "propeller", f"{message}; check the order of inertia_kg_m2")
+        return
+    axis = _thin_axis(part.surface, np.array(part.centre))
+    if axis is not None and axis[2] < math.cos(UPRIGHT):
+        off = math.degrees(math.acos(axis[2]))
+        message = f"propeller_part stands upright: its thin axis is {off:.0f} deg off z, where rotors thrust"
+        hint = "check the order of box_m" if part.mesh is None else f"turn it by {_turned(part.mesh, axis)}"
+        yield Verdict(Level.WARNING, "propeller", f"{message}; {hint}")
+        return
+    away = math.hypot(*part.centre[:2])
+    reach = float(np.ptp(part.surface.reshape(-1, 3)[:, :2], axis=0).max()) / 2
+    if part.mesh is not None and away > UNBALANCED * reach:
+        x, y, z = np.round(np.array(part.mesh.offset) - [*part.centre[:2], 0.0], 5)
+        message = f"propeller_part's centre of mass lies {1000 * away:.0f} mm off its hub's axis"
+        yield Verdict(
+            Level.WARNING,
+            "propeller",
+            f"{message}; move it by mesh_offset_m = [{x + 0:g}, {y + 0:g}, {z + 0:g}]",
+        )
+
+
+def _thin_axis(surface: Array, centre: Array) -> Array | None:
+    """The axis (3,), z not below 0, across which a propeller is thinnest; None where its blades do not tell.
+
+    By the second moments of area of the outer halves of its blades: a hub may be tall, and the blades of a
+    propeller with two are nearly as thin along their chord near it.
+    """
+    corners = surface - centre
+    middles = corners.mean(axis=1)
+    areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
+    far = np.linalg.norm(middles, axis=1) > np.linalg.norm(corners, axis=2).max() / 2
+    if areas[far].sum() < OUTER_MIN * areas.sum():  # a few large triangles
+        far[:] = True
+    corners, middles, areas = corners[far], middles[far], areas[far]
+    # Of a triangle of area A: A / 12 (v1 v1' + v2 v2' + v3 v3' + 9 m m').
+    second = np.einsum("t,tki,tkj->ij", areas, corners, corners) + 9 * np.einsum(
+        "t,ti,tj->ij", areas, middles, middles
+    )
+    moments, axes = np.linalg.eigh(second)
+    if moments[0] > THIN * moments[1]:
+        return None
+    axis: Array = np.where(np.abs(axes[:, 0]) < STRAIGHT, 0.0, axes[:, 0])
+    last = axis[np.flatnonzero(axis)[-1]]  # z where it has any, else y, else x
+    return np.asarray(axis / np.linalg.norm(axis) * math.copysign(1.0, last))
+
+
+def _turned(pose: MeshPose, axis: Array) -> str:
+    """The line that turns a mesh, posed by `pose`, such that `axis` (3,) points along z."""
+    roll = math.atan2(axis[1], axis[2])
+    pitch = math.atan2(-axis[0], math.hypot(axis[1], axis[2]))
+    before = np.deg2rad(pose.rotation_deg).tolist()
+    angles = rotation_angles(
+        rotation_matrix((roll, pitch, 0.0)) @ rotation_matrix((before[0], before[1], before[2]))
+    )
+    shown = ", ".join(f"{round(math.degrees(angle), 1) + 0:g}" for angle in angles)
+    return f"mesh_rotation_deg = [{shown}]"
 
 
 def _merit(propulsion: Propulsion, diameter: float) -> Array:

@@ -32,6 +32,7 @@ Array = NDArray[np.float64]
 FILE_BYTES_MAX = 1 << 20
 ROWS_MAX = 10_000
 COLUMNS = {"j": "J", "rpm": "RPM", "ct": "CT", "cq": "CQ", "cp": "CP"}
+COLUMNS |= dict.fromkeys(("advance ratio", "advanceratio", "advratio", "v/nd", "v/(nd)"), "J")
 LOW, HIGH = -2.0, 2.0  # of coefficients; those of propellers are below 0.3
 RPM_LAST = 500_000.0
 RANGES = {"J": (-RATIO_LAST, RATIO_LAST), "RPM": (0.0, RPM_LAST)}
@@ -65,6 +66,16 @@ class Tables:
     rest: Static
     speeds_rpm: tuple[float, ...]  # of the tables of J that tell theirs, rising
     notes: tuple[str, ...]
+
+    @property
+    def measurements(self) -> Measurements:
+        """All together: those at rest have J = 0."""
+        ratio = np.concatenate([self.wind.ratio, np.zeros(len(self.rest.rpm))])
+        thrust, torque = (
+            np.concatenate([getattr(self.wind, name), getattr(self.rest, name)])
+            for name in ("thrust", "torque")
+        )
+        return Measurements(ratio, thrust, torque)
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,6 +116,8 @@ def read_tables(paths: Sequence[Path], rpm: float | None = None) -> Tables:
     if rpm is not None and len(rest):
         rest = rest[[int(np.abs(rest[:, 0] - rpm).argmin())]]
         notes.append(f"of the measurements at rest, {rest[0, 0]:g} rpm is taken")
+    if wind and len(rest):
+        notes.append(f"{len(rest)} measurements at rest are taken as those of J = 0")
     ratio, thrust, torque = np.concatenate([np.zeros((0, 3)), *(rows.values for rows in wind)]).T
     return Tables(Measurements(ratio, thrust, torque), Static(*rest.T), tuple(speeds), tuple(notes))
 
@@ -123,7 +136,7 @@ def _read(path: Path) -> list[_Rows]:
     def score(cells: Sequence[str]) -> int:
         return len({_name(cell) for cell in cells} - {None})
 
-    table = find_table(text, score, 2, ROWS_MAX, str(path), DynoError)
+    table = find_table(text, score, 2, bool, ROWS_MAX, str(path), DynoError)
     if table is None:
         if any({cell.lower() for cell in line.split()} >= GEOMETRY for line in lines[:5]):
             raise DynoError(f"{path}: a blade's shape (r/R, c/R, beta); take the file with its CT and CP")
@@ -178,7 +191,7 @@ def _apc(lines: Sequence[str], begin: int, end: int, path: Path) -> _Rows:
     found = _BLOCK.fullmatch(lines[begin])
     rpm = float(found[1].rstrip(".")) if found else math.nan
     places: dict[str, int] = {}
-    rows = []
+    rows: list[list[float]] = []
     for number, line in enumerate(lines[begin + 1 : end], begin + 2):
         cells = line.split()
         if not places:

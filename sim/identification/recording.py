@@ -98,7 +98,7 @@ def read_recording(path: Path, choice: Choice = Choice()) -> Recording:
     number = choice.number if number is None else number
     if not path.is_file():
         raise TraceError(f"log {path}: no such file")
-    if _is_log(path):
+    if is_log(path):
         samples = _of_file(path, number, choice.unit_deg_s)
     elif number is not None:
         raise TraceError(f"log {path}: log {number} was asked for, but it is no blackbox log; leave it out")
@@ -142,8 +142,10 @@ def _spacing(time: Array, path: Path) -> tuple[float, int]:
     return rate_hz, int((~whole).sum())
 
 
-def _is_log(path: Path) -> bool:
-    """Whether a file is a blackbox log, whatever it is called."""
+def is_log(path: Path) -> bool:
+    """Whether there is a blackbox log at `path`, whatever it is called."""
+    if not path.is_file():
+        return False
     if path.suffix.lower() in LOGS[:2]:
         return True
     with path.open("rb") as file:

@@ -30,7 +30,7 @@ MARKS = (
     " ",
 )  # between cells; two blanks: of headings that have single ones in them
 LINES_BEFORE_MAX = 200  # above the heading
-COMMENTS = ("#", "%", "//")
+COMMENTS = ("#", "//")  # at the begin of a line below the heading
 FOREIGN_MAX = 0.05  # part of the characters beyond ASCII, above which a file that is no UTF-8 is no text
 MISSING = frozenset(("", "nan", "-nan", "n/a", "na", "#n/a", "-", "--", "null", "none"))
 _THOUSANDS = {mark: re.compile(rf"[+-]?[1-9]\d{{0,2}}({re.escape(mark)}\d{{3}})+") for mark in ".,"}
@@ -40,7 +40,8 @@ _THOUSANDS = {mark: re.compile(rf"[+-]?[1-9]\d{{0,2}}({re.escape(mark)}\d{{3}})+
 class Table:
     """Cells below a heading."""
 
-    names: tuple[str, ...]  # of the columns, as they are written
+    heading: tuple[str, ...]  # of all columns, as they are written
+    names: tuple[str, ...]  # of those that are kept
     rows: list[list[str]]  # each as long as `names`
     lines: list[int]  # of the file, on which each row stands, from 1
 
@@ -72,13 +73,20 @@ def read_text(path: Path, bytes_max: int, failure: Failure) -> str:
 
 
 def find_table(
-    text: str, score: Callable[[Sequence[str]], int], enough: int, rows_max: int, where: str, failure: Failure
+    text: str,
+    score: Callable[[Sequence[str]], int],
+    enough: int,
+    keep: Callable[[str], bool],
+    rows_max: int,
+    where: str,
+    failure: Failure,
 ) -> Table | None:
     """Find the heading, by how many of its cells `score` knows, and split the rows below it.
 
     The mark between cells is the one that shows most known cells, at least `enough`, in the first lines; None
-    where no line has so many. Cells that a row lacks are empty. Raises `failure`, naming `where`, on a row
-    that is too long, on too many rows, and on cells that are no CSV.
+    where no line has so many. Columns whose names `keep` refuses are left out. Cells that a row lacks are
+    empty. Raises `failure`, naming `where`, on a row that is too long, on too many rows, and on cells that
+    are no CSV.
     """
     lines = text.splitlines()
     best, heading, mark = enough - 1, -1, ""
@@ -97,6 +105,7 @@ def find_table(
     names = split(lines[heading], mark)
     while names and not names[-1]:
         names.pop()  # a mark at the end of the line
+    kept = [at for at, name in enumerate(names) if keep(name)]
     rows: list[list[str]] = []
     places: list[int] = []
     for number, line in enumerate(lines[heading + 1 :], heading + 2):
@@ -116,9 +125,9 @@ def find_table(
             raise failure(
                 f"{where}: line {number}: {len(cells)} columns, expected {len(names)} as in the heading"
             )
-        rows.append(cells + [""] * (len(names) - len(cells)))
+        rows.append([cells[at] if at < len(cells) else "" for at in kept])
         places.append(number)
-    return Table(tuple(names), rows, places)
+    return Table(tuple(names), tuple(names[at] for at in kept), rows, places)
 
 
 def split(line: str, mark: str) -> list[str]:
@@ -146,8 +155,8 @@ def numbers(table: Table, columns: Sequence[int], where: str, failure: Failure) 
             if text.lower() in MISSING:
                 continue
             try:
-                plain = text.replace(" ", "").replace("\N{NO-BREAK SPACE}", "").replace(other, "")
-                value = float(plain.replace(decimal, "."))
+                plain = text.removesuffix("%").replace(" ", "").replace("\N{NO-BREAK SPACE}", "")
+                value = float(plain.replace(other, "").replace(decimal, "."))
             except ValueError:
                 value = np.inf
             if not abs(value) < 1e12:
@@ -161,6 +170,7 @@ def numbers(table: Table, columns: Sequence[int], where: str, failure: Failure) 
 
 def _decimal_mark(cells: Sequence[str], where: str, failure: Failure) -> str:
     """Tell the mark before decimals, by the numbers in which both marks stand or one cannot be thousands."""
+    cells = [cell.removesuffix("%") for cell in cells]
     with_comma = [cell for cell in cells if "," in cell]
     if not with_comma:
         return "."

@@ -43,6 +43,7 @@ _TORQUES = {
 _TORQUES |= {"mnm": 1e-3, "knm": 1e3, "unm": 1e-6, "newtonmeter": 1.0, "newtonmeters": 1.0}
 
 FRACTION, MICROSECONDS = "", "us"
+LENGTH_MAX = 200  # characters of a heading
 
 
 class Quantity(Enum):
@@ -114,6 +115,8 @@ class Heading:
 
 def read_heading(text: str) -> Heading | None:
     """Quantity and unit of a heading; None: a column of something else."""
+    if len(text) > LENGTH_MAX:
+        return None
     plain = _ascii(text)
     bracket = re.fullmatch(r"([^(\[]*)[(\[]([^)\]]*)[)\]]?(.*)", plain)
     name, shown = (f"{bracket[1]} {bracket[3]}", bracket[2].strip()) if bracket else (plain, "")

@@ -7,6 +7,7 @@ dense enough and a throttle become a recording like ours; the others are steady 
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -33,6 +34,7 @@ from sim.identification.dyno.recording import (
     join_runs,
     read_recordings,
 )
+from sim.identification.recording import is_log
 from sim.identification.table import Table, find_table, numbers, read_text
 from toolchain.errors import DynoError
 
@@ -124,7 +126,10 @@ def read_stand(text: str, path: Path, chosen: Choices) -> Stand:
         }
         return len(have) if {Quantity.THRUST, Quantity.SPEED} <= have else 0
 
-    table = find_table(text, score, 2, ROWS_MAX, str(path), DynoError)
+    def keep(name: str) -> bool:
+        return name in named or read_heading(name) is not None
+
+    table = find_table(text, score, 2, keep, ROWS_MAX, str(path), DynoError)
     if table is None:
         lines = (line.strip() for line in text.splitlines())
         first = next((line for line in lines if line and not line.startswith("#")), "")
@@ -134,7 +139,26 @@ def read_stand(text: str, path: Path, chosen: Choices) -> Stand:
             "headings like Time (s), ESC signal (us), Thrust (gf), Torque (N m), Motor Speed (RPM); --column "
             "thrust=HEADING names one"
         )
+    table = _units_in_heading(table)
+    if not table.rows:
+        raise DynoError(f"{path}: no rows below the heading; is the log empty?")
     return _stand(table, _columns(table, path, chosen), path, chosen)
+
+
+def _units_in_heading(table: Table) -> Table:
+    """`table` with the units of a line below the heading, where there is one, behind the names."""
+    known = [at for at, name in enumerate(table.names) if read_heading(name) is not None]
+    if not table.rows or any(_is_number(table.rows[0][at]) or not table.rows[0][at] for at in known):
+        return table
+    names = list(table.names)
+    for at in known:
+        cell = table.rows[0][at].strip("()[] ")
+        heading = read_heading(names[at])
+        if heading is None or known_unit(heading.quantity, cell) is None:
+            return table
+        if not heading.shown:
+            names[at] = f"{names[at]} ({cell})"
+    return Table(table.heading, tuple(names), table.rows[1:], table.lines[1:])
 
 
 def read_logs(paths: Sequence[Path], chosen: Choices) -> tuple[Recording | None, list[Stand], str]:
@@ -143,6 +167,11 @@ def read_logs(paths: Sequence[Path], chosen: Choices) -> tuple[Recording | None,
     Returns the recording of all runs, or None and why there is none; and, unless all logs are ours, the rows
     of each. Raises DynoError naming file, line and how to mend it.
     """
+    for path in paths:
+        if is_log(path):
+            raise DynoError(
+                f"{path}: a blackbox log, which has no thrust and no torque; give a thrust stand's log (.csv)"
+            )
     texts = [read_text(path, FILE_BYTES_MAX, DynoError) for path in paths]
     if all(is_ours(text) for text in texts):
         return read_recordings(paths), [], ""
@@ -161,8 +190,6 @@ def _run(stand: Stand) -> tuple[Array | None, str]:
     """Rows of a log as a run of a recording, (n, 5) in the order of its columns; None, and what it lacks."""
     if stand.time is None:
         return None, "has no clock"
-    if stand.throttle is None:
-        return None, "has no throttle that is known"
     torque = stand.torque
     whole = np.isfinite(stand.thrust) if torque is None else np.isfinite(stand.thrust) & np.isfinite(torque)
     # Programs write their first rows while the clock is set; a row that comes from before another is none.
@@ -171,6 +198,8 @@ def _run(stand: Stand) -> tuple[Array | None, str]:
     apart = float(np.median(np.diff(time))) if len(time) > 1 else 0.0
     if apart > APART_MAX_S:
         return None, f"has a row each {apart:.2g} s"
+    if stand.throttle is None:
+        return None, "has no throttle that is known"
     if len(time) < ROWS_MIN:
         return None, f"has {len(time)} rows with all values and a rising time, fewer than {ROWS_MIN}"
     if whole.mean() < 1.0 - LEFT_OUT_MAX:
@@ -187,7 +216,7 @@ def _columns(table: Table, path: Path, chosen: Choices) -> dict[Quantity, list[i
         if (text := chosen.columns.get(quantity)) is not None:
             places = [at for at, name in enumerate(table.names) if name == text]
             if len(places) != 1:
-                shown = ", ".join(repr(name) for name in table.names if name)[:300]
+                shown = ", ".join(repr(name) for name in table.heading if name)[:300]
                 raise DynoError(
                     f"{path}: --column {quantity.value}={text[:60]}: {len(places)} columns of that name in "
                     f"{shown}"
@@ -221,36 +250,55 @@ def _unit(heading: Heading | None, quantity: Quantity, chosen: Choices) -> str |
     return chosen.units.get(quantity) or told
 
 
-def _asked(table: Table, at: int, quantity: Quantity, path: Path, chosen: Choices) -> str:
-    """Return the unit of a column. Raises DynoError that asks for it where nothing tells it."""
-    heading = read_heading(table.names[at])
-    if heading is None and quantity in chosen.columns:  # a name of the user's choice may have a known unit
-        inside = table.names[at].rpartition("(")[2].rpartition("[")[2].rstrip(")] ")
-        told = known_unit(quantity, inside)
-        unit = chosen.units.get(quantity) or told
-        shown = inside if inside != table.names[at] else ""
-    else:
-        unit = _unit(heading, quantity, chosen)
-        shown = heading.shown if heading is not None and heading.quantity is quantity else ""
-    if unit is None:
-        lacks = f"has a unit that is not known, {shown!r}" if shown else "names no unit"
-        raise DynoError(
-            f"{path}: column {table.names[at]!r} {lacks}; give it by --unit {quantity.value}=UNIT, one of: "
-            f"{SHOWN[quantity]}, ..."
-        )
-    return unit
+def _units(table: Table, columns: dict[Quantity, list[int]], path: Path, chosen: Choices) -> dict[int, str]:
+    """Units of the columns, keys of UNITS. Raises DynoError that asks for all that nothing tells."""
+    units: dict[int, str] = {}
+    asked: list[str] = []
+    for quantity, places in columns.items():
+        for at in places:
+            heading = read_heading(table.names[at])
+            unit = _unit(heading, quantity, chosen)
+            shown = heading.shown if heading is not None and heading.quantity is quantity else ""
+            if heading is None and unit is None:  # a name of the user's choice may have a unit in brackets
+                shown = table.names[at].rpartition("(")[2].rpartition("[")[2].rstrip(")] ")
+                shown = "" if shown == table.names[at] else shown
+                unit = known_unit(quantity, shown)
+            if unit is None and quantity is Quantity.THROTTLE and _in_percent(table, at):
+                unit = "%"
+            if unit is not None:
+                units[at] = unit
+            else:
+                lacks = f"has a unit that is not known, {shown!r}" if shown else "names no unit"
+                asked.append(
+                    f"{table.names[at]!r} {lacks}: --unit {quantity.value}=UNIT ({SHOWN[quantity]}, ..)"
+                )
+    if asked:
+        raise DynoError(f"{path}: column {', and '.join(asked)}")
+    return units
+
+
+def _in_percent(table: Table, at: int) -> bool:
+    """Whether the cells of a column say so themselves."""
+    cells = [row[at] for row in table.rows if row[at]]
+    return bool(cells) and all(cell.endswith("%") for cell in cells)
+
+
+def _is_number(cell: str) -> bool:
+    return bool(re.fullmatch(r"[+-]?[\d.,]+(e[+-]?\d+)?", cell.strip().lower()))
 
 
 def _stand(table: Table, columns: dict[Quantity, list[int]], path: Path, chosen: Choices) -> Stand:
     where = str(path)
     notes: list[str] = []
-    wanted = [
-        at for quantity in Quantity if quantity is not Quantity.TIME for at in columns.get(quantity, ())
-    ]
+    if (clock := columns.get(Quantity.TIME)) and not _is_number(table.rows[0][clock[0]]):
+        notes.append(f"{table.names[clock[0]]!r} holds no numbers: rows are taken one by one")
+        columns = {quantity: places for quantity, places in columns.items() if quantity is not Quantity.TIME}
+    units = _units(table, columns, path, chosen)
+    wanted = [at for places in columns.values() for at in places]
     values = dict(zip(wanted, numbers(table, wanted, where, DynoError).T, strict=True))
 
     def scaled(quantity: Quantity, at: int) -> Array:
-        return np.asarray(values[at] * UNITS[quantity][_asked(table, at, quantity, path, chosen)])
+        return np.asarray(values[at] * UNITS[quantity][units[at]])
 
     speeds = [
         (at, _forward(_turns(table, at, scaled(Quantity.SPEED, at), path, chosen)))
@@ -261,12 +309,13 @@ def _stand(table: Table, columns: dict[Quantity, list[int]], path: Path, chosen:
     torque = scaled(Quantity.TORQUE, columns[Quantity.TORQUE][0]) if Quantity.TORQUE in columns else None
     if torque is not None and np.isnan(torque).all():
         torque = None
-    throttle = _throttle(table, columns, values, path, chosen, notes)
-    time = _clock(table, columns, path, chosen, notes)
-    if throttle is not None:
-        throttle = np.where(
-            np.isnan(throttle), 0.0, throttle
-        )  # stands leave it empty while they send nothing
+    throttle = _throttle(table, columns, values, units, path, chosen, notes)
+    time = scaled(Quantity.TIME, columns[Quantity.TIME][0]) if Quantity.TIME in columns else None
+    if time is not None and np.isnan(time).any():
+        notes.append(f"{table.names[columns[Quantity.TIME][0]]!r} has empty cells: rows are taken one by one")
+        time = None
+    if throttle is not None:  # stands leave it empty while they send nothing
+        throttle = np.where(np.isnan(throttle), 0.0, throttle)
     pushing = np.isfinite(speed) & np.isfinite(thrust)
     if not pushing.any():
         raise DynoError(f"{path}: no row has a thrust and a speed; is the log empty?")
@@ -346,6 +395,7 @@ def _throttle(
     table: Table,
     columns: dict[Quantity, list[int]],
     values: Mapping[int, Array],
+    units: Mapping[int, str],
     path: Path,
     chosen: Choices,
     notes: list[str],
@@ -353,7 +403,7 @@ def _throttle(
     if Quantity.THROTTLE not in columns:
         return None
     (at,) = columns[Quantity.THROTTLE]
-    unit = _asked(table, at, Quantity.THROTTLE, path, chosen)
+    unit = units[at]
     factor, throttle = UNITS[Quantity.THROTTLE][unit], values[at]
     if math.isnan(factor):
         if chosen.pulse_us is None:
@@ -372,22 +422,3 @@ def _throttle(
             f"{1 / factor:g}{mend}"
         )
     return np.asarray(np.clip(throttle, 0.0, 1.0))
-
-
-def _clock(
-    table: Table, columns: dict[Quantity, list[int]], path: Path, chosen: Choices, notes: list[str]
-) -> Array | None:
-    """Times [s]; None where there are none, or none that are numbers."""
-    if Quantity.TIME not in columns:
-        return None
-    (at,) = columns[Quantity.TIME]
-    try:
-        (time,) = numbers(table, [at], str(path), DynoError).T
-    except DynoError:
-        notes.append(f"{table.names[at]!r} holds no numbers: rows are taken one by one")
-        return None
-    if np.isnan(time).any():
-        notes.append(f"{table.names[at]!r} has empty cells: rows are taken one by one")
-        return None
-    scaled: Array = time * UNITS[Quantity.TIME][_asked(table, at, Quantity.TIME, path, chosen)]
-    return scaled

@@ -6,8 +6,10 @@ import struct
 import numpy as np
 import pytest
 import trimesh
+from scipy.spatial.transform import Rotation
 
-from sim.aircraft.mesh import BYTES_MAX, Solid, box, cylinder, equal_box, read_solid
+from sim.aircraft.mass import MeshPose
+from sim.aircraft.mesh import BYTES_MAX, Solid, box, cylinder, equal_box, placed, read_solid
 
 MM = 0.001
 
@@ -53,6 +55,32 @@ def test_mesh_is_hollow_when_it_is_a_tube() -> None:
     along = (0.03**2 + 0.04**2) / 2
     assert solid.inertia[2][2] == pytest.approx(along, rel=1e-3)
     assert solid.inertia[0][0] == pytest.approx(along / 2 + 0.1**2 / 12, rel=1e-3)
+
+
+def test_mesh_is_turned_about_its_own_origin_and_then_moved() -> None:
+    """A brick of 100 x 40 x 20 mm about (10, 20, 30) mm, rolled by 90 degrees: y goes to z, z to -y."""
+    solid = placed(read_solid(stl(brick()), MM), MeshPose((90.0, 0.0, 0.0), (0.1, 0.0, 0.0)))
+    x, y, z = 0.1**2, 0.02**2, 0.04**2
+    assert solid.centre == pytest.approx((0.11, -0.03, 0.02))
+    assert np.array(solid.inertia) == pytest.approx(np.diag([y + z, z + x, x + y]) / 12, rel=1e-6, abs=1e-12)
+    low, high = solid.surface.reshape(-1, 3).min(axis=0), solid.surface.reshape(-1, 3).max(axis=0)
+    assert low == pytest.approx([0.06, -0.04, 0.0]) and high == pytest.approx([0.16, -0.02, 0.04])
+
+
+def test_turned_mesh_weighs_as_one_that_was_drawn_turned() -> None:
+    """Against scipy's rotation of the corners, before they are weighed."""
+    rng = np.random.default_rng(1)
+    for _ in range(30):
+        angles, offset = rng.uniform(-360.0, 360.0, 3), rng.uniform(-0.2, 0.2, 3)
+        drawn = brick()
+        drawn.vertices = Rotation.from_euler("xyz", angles, degrees=True).apply(drawn.vertices)
+        drawn.apply_translation(1000 * offset)
+        other = read_solid(stl(drawn), MM)
+        x, y, z = angles.tolist()
+        pose = MeshPose((x, y, z), (float(offset[0]), float(offset[1]), float(offset[2])))
+        mine = placed(read_solid(stl(brick()), MM), pose)
+        assert mine.centre == pytest.approx(other.centre, abs=1e-7)
+        assert np.array(mine.inertia) == pytest.approx(np.array(other.inertia), abs=1e-8)
 
 
 def test_box_and_its_mesh_agree_when_they_have_one_size() -> None:

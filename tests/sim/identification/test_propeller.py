@@ -6,8 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sim.identification.propeller import Measurements, doubts, fit_propeller, read_measurements
+from sim.identification.propeller import doubts, fit_propeller, read_measurements
 from sim.identification.propeller_plot import draw
+from sim.identification.propeller_tables import Measurements
 from toolchain.errors import DynoError
 
 

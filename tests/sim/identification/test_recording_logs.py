@@ -192,10 +192,11 @@ def test_every_scale_in_every_form_is_that_of_the_log(tmp_path: Path, data: st.D
     text = draw(st.sampled_from([f"0x{struct.unpack('<I', struct.pack('<f', scale))[0]:x}", repr(scale)]))
     rows = at_rest(draw(st.integers(0, 9)), spread=draw(st.floats(2.0, 200.0)))
     right = np.deg2rad(rows[:, :3] * scale / (10.0 if fine else 1.0))
-    told = {
+    one_g = draw(st.sampled_from([512, 2048, 4096]))
+    told: dict[str, object] = {
         "gyro_scale": text,
         "blackbox_high_resolution": fine,
-        "acc_1G": draw(st.sampled_from([512, 2048, 4096])),
+        "acc_1G": one_g,
     }
     form = draw(st.sampled_from(["log", "explorer", "deg/s", "rad/s", "unit"]))
     choice = Choice()
@@ -216,4 +217,4 @@ def test_every_scale_in_every_form_is_that_of_the_log(tmp_path: Path, data: st.D
     assert seen.rate_hz == pytest.approx(1000.0)
     assert np.abs(seen.gyro - right).max() <= 1e-6 * np.abs(right).max()
     if form in ("log", "explorer"):
-        assert seen.acceleration == pytest.approx(rows[:, 3:] * GRAVITY / told["acc_1G"])
+        assert seen.acceleration == pytest.approx(rows[:, 3:] * GRAVITY / one_g)

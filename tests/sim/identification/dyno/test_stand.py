@@ -142,7 +142,8 @@ def test_sensors_read_in_turns_are_fitted_each_by_its_rows(
         rows.append(f"{k * 0.01},,{cells[0]},{cells[1]},{w!r}")
     path = write(tmp_path, rows, "Time (s),ESC signal (us),Torque (N m),Thrust (N),Speed (rad/s)")
     found = fitted(path, capsys)
-    assert (found.thrust, found.torque) == (pytest.approx(K_T, rel=1e-12), pytest.approx(K_Q, rel=1e-12))
+    assert found.thrust == pytest.approx(K_T, rel=1e-12)
+    assert found.torque == pytest.approx(K_Q, rel=1e-12)
 
 
 def test_a_dense_log_with_a_throttle_is_a_recording_and_shows_the_response(
@@ -169,7 +170,7 @@ def test_a_dense_log_with_a_throttle_is_a_recording_and_shows_the_response(
     path = write(tmp_path, without, heading.replace("Torque (N·cm);", ""), "cp1252")
     plot = tmp_path / "fit.png"
     found = fitted(path, capsys, *words, "--plot", str(plot)).document
-    assert found["torque_ratio_m"] == [] and found["torque_mae_n_m"] is None
+    assert found["torque_ratio_m"] is None and found["torque_mae_n_m"] is None
     assert found["response"]["kind"] == truth["response"]["kind"]  # type: ignore[index]
     assert plot.read_bytes().startswith(b"\x89PNG")
 
@@ -211,9 +212,9 @@ def test_two_sensors_of_speed_that_disagree_are_told(
 @pytest.mark.parametrize(
     ("heading", "words", "message"),
     [
-        ("Thrust,RPM", [], "column 'Thrust' names no unit; give it by --unit thrust=UNIT, one of: N, gf"),
-        ("Thrust (stone),RPM", [], "a unit that is not known, 'stone'; give it by --unit thrust=UNIT"),
-        ("Thrust (N),Speed", [], "column 'Speed' names no unit; give it by --unit speed=UNIT"),
+        ("Thrust,RPM", [], "column 'Thrust' names no unit: --unit thrust=UNIT (N, gf, kgf, ozf, lbf, ..)"),
+        ("Thrust (stone),RPM", [], "has a unit that is not known, 'stone': --unit thrust=UNIT (N, gf"),
+        ("Thrust (N),Speed", [], "column 'Speed' names no unit: --unit speed=UNIT (rpm, rad/s, Hz, ..)"),
         ("Thrust (N),eRPM", [], "counts electrical turns; give the motor's magnets by --poles"),
         ("Thrust A (N),Thrust B (N),RPM", [], "2 columns may be the thrust: 'Thrust A (N)', 'Thrust B (N)'"),
         ("Push (N),RPM", [], "no line names a thrust and a speed"),
@@ -226,7 +227,11 @@ def test_two_sensors_of_speed_that_disagree_are_told(
         ("Thrust (N),RPM", ["--unit", "push=N"], "expected QUANTITY=... with one of: time, throttle, speed"),
         ("Thrust (N),RPM", ["--poles", "7"], "--poles 7, expected an even number"),
         ("Thrust (N),RPM", ["--esc-us", "2000", "1000"], "--esc-us 2000 1000, expected the pulse of 0"),
-        ("Thrust (N),RPM,Throttle", [], "names no unit; give it by --unit throttle=UNIT"),
+        (
+            "Thrust (N),RPM,Throttle",
+            [],
+            "column 'Throttle' names no unit: --unit throttle=UNIT (fraction, %, us, ..)",
+        ),
         ("Thrust (N),RPM,throttle", [], "'throttle' reaches 900, expected 0 to 1; is it in percent"),
         ("Time (\N{REPLACEMENT CHARACTER}s),Thrust (N),RPM", [], "unit that is not known, '?s'"),
     ],
@@ -237,6 +242,56 @@ def test_what_headings_do_not_tell_is_asked_for_in_one_line(
     count = heading.count(",") + 1
     rows = [",".join([str(100 * k)] * count) for k in range(1, 10)]
     assert message in refused(write(tmp_path, rows, heading, "utf-8"), capsys, *words)
+
+
+def test_all_units_that_are_lacking_are_asked_for_at_once(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As a hobby bench logs them: nothing but names."""
+    rows = [
+        f"{10 * k};{1000 + 40 * k};{K_T * w * w / 9.80665e-3!r};{w * 60 / (2 * math.pi)!r}"
+        for k, w in enumerate(speeds(60))
+    ]
+    path = write(tmp_path, rows, "time;throttle;thrust;rpm")
+    error = refused(path, capsys)
+    assert "--unit time=UNIT (s, ms, us, ..), and 'thrust' names no unit: --unit thrust=UNIT" in error
+    words = ("--unit", "time=ms", "--unit", "thrust=gf", "--unit", "throttle=us", "--esc-us", "1000", "3400")
+    found = fitted(path, capsys, *words)
+    assert found.thrust == pytest.approx(K_T, rel=1e-3)
+
+
+def test_units_below_the_heading_and_in_the_cells_are_read(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rows = [
+        f"{5 * k} %;{K_T * w * w / 9.80665!r};{w * 60 / (2 * math.pi)!r}" for k, w in enumerate(speeds(20), 1)
+    ]
+    path = write(tmp_path, ["%;(kgf);[rpm]", *rows], "Throttle;Thrust;Speed")
+    found = fitted(path, capsys)
+    assert found.thrust == pytest.approx(K_T, rel=1e-12)
+    path = write(tmp_path, rows, "Throttle;Thrust (kgf);RPM")
+    curve = fitted(path, capsys).document["speed_curve_rpm"]
+    assert sum(term["value"] for term in curve) == pytest.approx(2600 * 60 / (2 * math.pi), rel=1e-3)  # type: ignore[attr-defined]
+
+
+def test_decimal_commas_of_three_digits_in_one_column_are_told_by_the_others(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rows = [
+        f"{k},100;{number(K_T * w * w, ',', '')};{number(w, ',', '')}" for k, w in enumerate(speeds(30), 1)
+    ]
+    path = write(tmp_path, rows, "Time (s);Thrust (N);Speed (rad/s)")
+    found = fitted(path, capsys)
+    assert found.thrust == pytest.approx(K_T, rel=1e-6)
+    assert "has a row each 1 s" in str(found.document["reason"]) or "no throttle" in str(
+        found.document["reason"]
+    )
+
+
+def test_a_blackbox_log_is_called_what_it_is(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "LOG00001.TXT"
+    path.write_bytes(b"H Product:Blackbox flight data recorder by Nicholas Sherlock\nH Data version:2\n\0")
+    assert "a blackbox log, which has no thrust and no torque" in refused(path, capsys)
 
 
 def test_a_unit_or_a_column_that_is_given_serves(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

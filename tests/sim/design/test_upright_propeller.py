@@ -1,0 +1,165 @@
+"""A propeller's mesh that does not lie flat is seen, and the line that mends it does."""
+
+from __future__ import annotations
+
+import math
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from numpy.typing import NDArray
+
+from sim.aircraft.mass import rotation_angles, rotation_matrix
+from sim.aircraft.model import FOLDER, load_aircraft
+from sim.design.airworthiness import Level, examine
+
+Array = NDArray[np.float64]
+RADIUS = 0.063  # [m], of a propeller of 5 inches
+SECTIONS = 24  # along a blade
+
+
+def propeller(blades: int, *, hub: float = 0.006, pitch: float = 0.109) -> trimesh.Trimesh:
+    """One closed surface in metres: blades of a true pitch around a star of plates, z along the shaft.
+
+    Each blade is a plate 10 mm deep and 1.2 mm thick whose angle falls as pitch / (2 pi r) does; around the
+    middle it is as tall as a hub is.
+    """
+    turns = [2 * math.pi * blade / blades for blade in range(blades)]
+    corners: list[Array] = []
+    faces: list[tuple[int, int, int]] = []
+    rings: list[list[int]] = []
+    for turn in turns:
+        out = np.array([math.cos(turn), math.sin(turn), 0.0])
+        across = np.array([-math.sin(turn), math.cos(turn), 0.0])
+        before: list[int] = []
+        for k in range(SECTIONS + 1):
+            r = 0.008 + (RADIUS - 0.008) * k / SECTIONS
+            angle = math.atan2(pitch, 2 * math.pi * r) if k else 0.0
+            chord = across * math.cos(angle) + np.array([0.0, 0.0, math.sin(angle)])
+            thick = np.cross(out, chord)
+            half, depth = (0.0006, 0.005) if k else (hub / 2, 0.004)
+            ring = [len(corners) + i for i in range(4)]
+            corners += [r * out + a * chord + b * thick for a, b in
+                        ((-depth, -half), (depth, -half), (depth, half), (-depth, half))]  # fmt: skip
+            if before:
+                for i in range(4):
+                    a, b = before[i], before[(i + 1) % 4]
+                    c, d = ring[(i + 1) % 4], ring[i]
+                    faces += [(a, b, c), (a, c, d)]
+            else:
+                rings.append(ring)
+            before = ring
+        faces += [(before[0], before[1], before[2]), (before[0], before[2], before[3])]
+    low, high = len(corners), len(corners) + 1
+    corners += [np.array([0.0, 0.0, -hub / 2]), np.array([0.0, 0.0, hub / 2])]
+    for number, ring in enumerate(rings):  # the hub: a prism between the roots
+        after = rings[(number + 1) % blades]
+        faces += [(low, ring[1], ring[0]), (high, ring[3], ring[2])]
+        faces += [(low, after[0], ring[1]), (high, ring[2], after[3])]
+        faces += [(ring[1], after[0], after[3]), (ring[1], after[3], ring[2])]
+    mesh = trimesh.Trimesh(np.array(corners), np.array(faces))
+    mesh.fix_normals()
+    assert mesh.is_watertight
+    return mesh
+
+
+def aircraft_of(folder: Path, mesh: trimesh.Trimesh, lines: str = "") -> Path:
+    """The NF1 with this mesh as its propellers."""
+    data = mesh.export(file_type="stl")
+    assert isinstance(data, bytes)
+    (folder / "prop.stl").write_bytes(data)
+    text = (FOLDER / "nf1.toml").read_text()
+    part = re.search(r"\[propeller_part\]\n(?:.+\n)*", text)
+    assert part is not None
+    own = f'[propeller_part]\nmass_kg = 0.004\nmesh = "prop.stl"\nmesh_unit_m = 1\n{lines}'
+    path = folder / "own.toml"
+    path.write_text(text.replace(part[0], own))
+    return path
+
+
+def warnings(path: Path) -> list[str]:
+    """What `aircraft check` says of the propeller's part."""
+    _, verdicts = examine(load_aircraft(str(path)))
+    return [one.message for one in verdicts if one.level is Level.WARNING and "propeller_part" in one.message]
+
+
+@pytest.mark.parametrize("blades", [2, 3, 4, 5])
+@pytest.mark.parametrize("hub", [0.003, 0.012])
+@pytest.mark.parametrize("pitch", [0.06, 0.109, 0.127])
+def test_a_propeller_that_lies_flat_is_no_matter(
+    tmp_path: Path, blades: int, hub: float, pitch: float
+) -> None:
+    assert warnings(aircraft_of(tmp_path, propeller(blades, hub=hub, pitch=pitch))) == []
+
+
+@pytest.mark.parametrize("blades", [2, 3, 4])
+@pytest.mark.parametrize(
+    ("drawn", "mend"),
+    [((90.0, 0.0, 0.0), "[90, 0, 0]"), ((0.0, 90.0, 0.0), "[0, -90, 0]"), ((-90.0, 0.0, 30.0), None)],
+)
+def test_an_upright_propeller_is_seen_and_its_mend_lays_it_flat(
+    tmp_path: Path, blades: int, drawn: tuple[float, float, float], mend: str | None
+) -> None:
+    mesh = propeller(blades)
+    flat = load_aircraft(str(aircraft_of(tmp_path, mesh))).parts[-1].inertia
+    turn = np.eye(4)
+    turn[:3, :3] = rotation_matrix(tuple(np.deg2rad(drawn).tolist()))
+    mesh.apply_transform(turn)
+    (message,) = warnings(aircraft_of(tmp_path, mesh))
+    assert "stands upright: its thin axis is 90 deg off z" in message
+    line = message.rpartition("turn it by ")[2]
+    if mend is not None:
+        assert line == f"mesh_rotation_deg = {mend}"
+    path = aircraft_of(tmp_path, mesh, line + "\n")
+    assert warnings(path) == []
+    mended = np.array(load_aircraft(str(path)).parts[-1].inertia)
+    assert mended[2, 2] == pytest.approx(flat[2][2], rel=1e-3)
+
+
+def test_a_mend_takes_up_the_rotation_that_a_file_has(tmp_path: Path) -> None:
+    """Random poses: whatever the file turns the mesh by, the line that is told lays it flat."""
+    rng = np.random.default_rng(2)
+    mesh = propeller(3)
+    for _ in range(20):
+        angles = ", ".join(f"{angle:.1f}" for angle in rng.uniform(-180.0, 180.0, 3))
+        told = warnings(aircraft_of(tmp_path, mesh, f"mesh_rotation_deg = [{angles}]\n"))
+        if told:
+            line = told[0].rpartition("turn it by ")[2]
+            assert warnings(aircraft_of(tmp_path, mesh, line + "\n")) == []
+
+
+def test_a_propeller_beside_its_hub_is_moved(tmp_path: Path) -> None:
+    mesh = propeller(3)
+    mesh.apply_translation((0.07, -0.02, 0.004))
+    (message,) = warnings(aircraft_of(tmp_path, mesh))
+    assert "73 mm off its hub's axis; move it by mesh_offset_m = [-0.07, 0.02, 0]" in message
+    line = message.rpartition("move it by ")[2]
+    assert warnings(aircraft_of(tmp_path, mesh, line + "\n")) == []
+
+
+def test_moments_and_boxes_in_the_wrong_order_are_seen(tmp_path: Path) -> None:
+    text = (FOLDER / "nf1.toml").read_text()
+    part = re.search(r"\[propeller_part\]\n(?:.+\n)*", text)
+    assert part is not None
+    path = tmp_path / "own.toml"
+    for lines, message in (
+        ("centre_of_mass_m = [0, 0, 0]\ninertia_kg_m2 = [3.4e-6, 1.7e-6, 1.7e-6]", "greatest moment about x"),
+        (
+            "box_m = [0.12, 0.002, 0.012]",
+            "thin axis is 90 deg off z, where rotors thrust; check the order of box_m",
+        ),
+    ):
+        path.write_text(text.replace(part[0], f"[propeller_part]\nmass_kg = 0.004\n{lines}\n"))
+        (told,) = warnings(path)
+        assert message in told
+
+
+def test_angles_give_back_the_matrix_they_are_of() -> None:
+    rng = np.random.default_rng(3)
+    right = [-math.pi, -math.pi / 2, 0.0, math.pi / 2, math.pi]
+    for number in range(600):
+        angles = rng.choice(right, 3) if number % 2 else rng.uniform(-7.0, 7.0, 3)
+        turn = rotation_matrix((float(angles[0]), float(angles[1]), float(angles[2])))
+        assert rotation_matrix(rotation_angles(turn)) == pytest.approx(turn, abs=1e-7)
