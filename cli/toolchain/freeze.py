@@ -141,6 +141,7 @@ def _import(args: argparse.Namespace) -> tuple[PolicyModel, Sequence[str]]:
     from toolchain.contract import IDLE_DEFAULT, IDLE_MAX
     from toolchain.errors import PolicyError
     from toolchain.policy.import_onnx import PolicyClaims, import_onnx
+    from toolchain.verification.original import compare
 
     needed = ("--observation", "--rate", "--aircraft")
     if missing := [name for name in needed if _claims(args)[name] is None]:
@@ -163,7 +164,15 @@ def _import(args: argparse.Namespace) -> tuple[PolicyModel, Sequence[str]]:
         model=_model(args, aircraft),
     )
     order = None if args.input_order is None else args.input_order.split(",")
-    return import_onnx(args.source, args.out, claims, clip=args.clip, output=args.output, input_order=order)
+    return import_onnx(
+        args.source,
+        args.out,
+        claims,
+        clip=args.clip,
+        output=args.output,
+        input_order=order,
+        prove=compare,
+    )
 
 
 def _model(args: argparse.Namespace, aircraft: Aircraft) -> ModelConstants | None:

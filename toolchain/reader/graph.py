@@ -53,7 +53,7 @@ def read_network(model: onnx.ModelProto) -> Network:
     return bounded(_network(build, action))
 
 
-def read_nodes(model: onnx.ModelProto, build: Builder, inputs: Mapping[str, Row]) -> dict[str, Value]:
+def read_nodes(model: onnx.ModelProto, build: Builder, inputs: Mapping[str, Value]) -> dict[str, Value]:
     """Read the nodes of a checked model into `build`; returns every value by its name.
 
     A node that cannot be read gives values of type Unread, which hold the refusal: only who reads them, other

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 import onnx
+import onnxruntime
 import pytest
 
 from cli.main import main
@@ -68,6 +71,10 @@ def test_model_becomes_a_policy_when_frozen_with_what_it_does_not_say(
     out = tmp_path / "policy.onnx"
     assert main(["freeze", str(source), *OPTIONS, "--clip", "--out", str(out)]) == 0
     printed = capsys.readouterr().out.splitlines()
+    assert re.fullmatch(
+        r"compared with onnxruntime on the model itself, 300 steps: at most \d\.\de-0\d apart",
+        printed.pop(-2),
+    )
     assert printed == [
         "fixed axis 0 of 'obs' to 1 (was batch)",
         "renamed the input 'obs' to 'observation'",
@@ -106,7 +113,7 @@ def test_freeze_tells_all_it_did_when_asked_for_json(source: Path, tmp_path: Pat
     assert main(["freeze", str(source), *OPTIONS, "--clip", "--json", "--out", str(out)]) == 0
     document = json.loads(capsys.readouterr().out)
     assert document["policy_sha256"] == read_policy(out).source_sha256
-    assert len(document["changes"]) == 4
+    assert len(document["changes"]) == 5
     assert document["idle"] == read_policy(out).idle == 0.0
 
 
@@ -218,9 +225,9 @@ def dynamic_width(graph: onnx.GraphProto) -> None:
 
 
 def two_actions(graph: onnx.GraphProto) -> None:
-    graph.node.append(onnx.helper.make_node("Tanh", [graph.node[-1].output[0]], ["squashed"]))
+    graph.node.append(onnx.helper.make_node("Tanh", [graph.node[-1].output[0]], ["actions"]))
     graph.output.add().CopyFrom(graph.output[0])
-    graph.output[1].name = "squashed"
+    graph.output[1].name = "actions"
 
 
 def two_widths(graph: onnx.GraphProto) -> None:
@@ -309,7 +316,7 @@ def test_critic_is_dropped_when_the_output_is_chosen(kit: Kit) -> None:
     [
         (
             two_actions,
-            "outputs are 'act' (4 values), 'squashed' (4 values), expected one of 4 values, one a motor",
+            "outputs are 'act' (4 values), 'actions' (4 values), expected one of 4 values, one a motor",
         ),
         (two_widths, "the input 'obs' has the dynamic shape [batch, n], and its size cannot be told"),
     ],
@@ -330,6 +337,57 @@ def test_model_is_adopted_when_a_value_has_the_actions_name_or_the_width_is_open
     observation = kit.observations(20, 6)
     expected = evaluate(parse_policy(kit.mlp((6, 8, 4)).data()).network, observation)
     np.testing.assert_array_equal(evaluate(parse_policy(data).network, observation), expected)
+
+
+def with_functions(calls: int, depth: int) -> bytes:
+    """x W with tanh as a function of the model's own, `depth` functions deep, each calling `calls` times."""
+    helper = onnx.helper
+    opsets = [helper.make_opsetid("", 17), helper.make_opsetid("own", 1)]
+    functions = [
+        helper.make_function(
+            "own", "Layer0", ["x", "w"], ["y"],
+            [helper.make_node("MatMul", ["x", "w"], ["m"]), helper.make_node("Tanh", ["m"], ["y"])], opsets,
+        )
+    ]  # fmt: skip
+    for level in range(1, depth + 1):
+        names = ["x", *(f"v{call}" for call in range(1, calls)), "y"]
+        nodes = [
+            helper.make_node(f"Layer{level - 1}", [before, "w"], [after], domain="own")
+            for before, after in pairwise(names)
+        ]
+        functions.append(helper.make_function("own", f"Layer{level}", ["x", "w"], ["y"], nodes, opsets))
+    ends = [helper.make_tensor_value_info(name, 1, ["n", width]) for name, width in (("obs", 6), ("act", 4))]
+    rng = np.random.default_rng(0)
+    tensors = [
+        onnx.numpy_helper.from_array(rng.normal(size=shape).astype(np.float32), name)
+        for name, shape in (("w", (6, 6)), ("last", (6, 4)))
+    ]
+    nodes = [
+        helper.make_node(f"Layer{depth}", ["obs", "w"], ["hidden"], domain="own"),
+        helper.make_node("MatMul", ["hidden", "last"], ["act"]),
+    ]
+    graph = helper.make_graph(nodes, "g", ends[:1], ends[1:], tensors)
+    model = helper.make_model(graph, functions=functions, opset_imports=opsets, ir_version=8)
+    return bytes(model.SerializeToString())
+
+
+def test_functions_of_the_model_are_inlined_when_it_is_frozen(kit: Kit) -> None:
+    source = with_functions(2, 2)
+    data, changes = imported_model(source, CLAIMS, clip=True)
+    assert changes[0] == "inlined the model's own functions 'Layer0', 'Layer1', 'Layer2'"
+    observation = np.random.default_rng(1).normal(size=(20, 6)).astype(np.float32)
+    (expected,) = onnxruntime.InferenceSession(source).run(["act"], {"obs": observation})
+    network = parse_policy(data).network
+    np.testing.assert_allclose(evaluate(network, observation), expected.clip(0, 1), rtol=0, atol=1e-6)
+
+
+def test_functions_are_refused_when_they_inflate_or_call_themselves() -> None:
+    with pytest.raises(PolicyError, match=r"make [0-9]{7,} nodes of it, expected at most 4096"):
+        imported_model(with_functions(10, 6), CLAIMS, clip=True)
+    model = onnx.load_from_string(with_functions(1, 1))
+    model.functions[0].node[1].op_type, model.functions[0].node[1].domain = "Layer1", "own"
+    with pytest.raises(PolicyError, match="own function 'Layer1' calls itself"):
+        imported_model(model.SerializeToString(), CLAIMS, clip=True)
 
 
 def test_freeze_never_crashes_when_bytes_are_damaged(kit: Kit) -> None:
