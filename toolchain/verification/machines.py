@@ -101,12 +101,12 @@ def open_onnxruntime(data: bytes) -> Machine:
 
 
 def _expose_state(model: onnx.ModelProto) -> list[tuple[str, str, int]]:
-    """Make the state of each GRU and LSTM an input and an output of `model`: their names and width."""
+    """Make the state of each RNN, GRU and LSTM an input and an output of `model`: their names and width."""
     from onnx import TensorProto, helper
 
     cells = []
     for index, node in enumerate(model.graph.node):
-        slots = {"GRU": ((5, 1),), "LSTM": ((5, 1), (6, 2))}.get(node.op_type, ())
+        slots = {"RNN": ((5, 1),), "GRU": ((5, 1),), "LSTM": ((5, 1), (6, 2))}.get(node.op_type, ())
         for given, result in slots:
             units = next(attribute.i for attribute in node.attribute if attribute.name == "hidden_size")
             node.input.extend([""] * (given + 1 - len(node.input)))
