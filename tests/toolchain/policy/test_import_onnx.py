@@ -339,6 +339,97 @@ def test_model_is_adopted_when_a_value_has_the_actions_name_or_the_width_is_open
     np.testing.assert_array_equal(evaluate(parse_policy(data).network, observation), expected)
 
 
+def two_parts(kit: Kit, first: int = 3) -> bytes:
+    """A model that takes its observation as `gyro` and `command`, and joins them itself."""
+
+    def edit(graph: onnx.GraphProto) -> None:
+        graph.input.add().CopyFrom(graph.input[0])
+        for value, name, width in zip(graph.input, ("gyro", "command"), (first, 6 - first), strict=True):
+            value.name = name
+            value.type.tensor_type.shape.dim[1].dim_value = width
+        graph.node.insert(0, onnx.helper.make_node("Concat", ["gyro", "command"], ["obs"], axis=1))
+
+    return foreign(kit.mlp((6, 8, 4)), edit)
+
+
+def test_inputs_are_joined_in_the_order_told_when_there_are_two(
+    kit: Kit, tmp_path: Path, capsys: Capture
+) -> None:
+    source, out = tmp_path / "model.onnx", tmp_path / "policy.onnx"
+    source.write_bytes(two_parts(kit))
+    observation = np.random.default_rng(0).normal(size=(20, 6)).astype(np.float32)
+    expected = evaluate(parse_policy(kit.mlp((6, 8, 4)).data()).network, observation)
+    for order, words in (
+        ([], "'gyro' and 'command' (the model's, --input-order names another): 'gyro' takes {}; 'command'"),
+        (["--input-order", "command,gyro"], "'command' and 'gyro' (as told): 'command' takes {}; 'gyro'"),
+    ):
+        assert main(["freeze", str(source), *OPTIONS, *order, "--out", str(out)]) == 0
+        line = f"joined the inputs {words.format('rate_error')} takes rate_error_delta"
+        assert line in capsys.readouterr().out.splitlines()
+        given = np.roll(observation, 3, axis=1) if order else observation
+        np.testing.assert_array_equal(evaluate(read_policy(out).network, given), expected)
+
+
+def test_inputs_are_refused_when_their_order_is_not_theirs_or_cuts_a_term(kit: Kit) -> None:
+    with pytest.raises(PolicyError) as caught:
+        imported_model(two_parts(kit), CLAIMS, clip=False, input_order=["gyro", "setpoint"])
+    assert str(caught.value) == (
+        "--input-order names 'gyro', 'setpoint', but the observation of the model is 'gyro', 'command'; name "
+        "each of these once"
+    )
+    with pytest.raises(PolicyError) as caught:
+        imported_model(two_parts(kit, first=4), CLAIMS, clip=False)
+    assert str(caught.value).startswith(
+        "the input 'gyro' takes 4 values and so ends inside rate_error_delta of --observation, whose terms "
+        "follow the inputs 'gyro', 'command'; name the terms in that order"
+    )
+
+
+def unread_state(graph: onnx.GraphProto) -> None:
+    """A state that nothing reads and that goes out as it came, as Godot RL writes it."""
+    graph.input.add().CopyFrom(graph.input[0])
+    graph.input[1].name = "state_ins"
+    del graph.input[1].type.tensor_type.shape.dim[1]
+    graph.output.add().CopyFrom(graph.input[1])
+    graph.output[1].name = "state_outs"
+    graph.node.append(onnx.helper.make_node("Identity", ["state_ins"], ["state_outs"]))
+
+
+def foreign_branch(graph: onnx.GraphProto) -> None:
+    """A node of an operator that nobody knows, without a taker."""
+    graph.node.append(onnx.helper.make_node("Unheard", [graph.node[0].output[0]], ["lost"], domain="else"))
+
+
+@pytest.mark.parametrize(
+    ("edit", "words"),
+    [
+        (unread_state, "dropped the input 'state_ins': the action does not depend on it"),
+        (foreign_branch, "dropped 1 node(s) that no output needs"),
+    ],
+)
+def test_what_the_action_does_not_need_is_dropped_and_told(
+    kit: Kit, edit: Callable[[onnx.GraphProto], object], words: str
+) -> None:
+    data, changes = imported_model(foreign(kit.mlp((6, 8, 4)), edit), CLAIMS, clip=False)
+    assert words in changes
+    observation = kit.observations(20, 6)
+    expected = evaluate(parse_policy(kit.mlp((6, 8, 4)).data()).network, observation)
+    np.testing.assert_array_equal(evaluate(parse_policy(data).network, observation), expected)
+
+
+def test_old_opset_is_refused_with_the_converters_words_when_it_cannot_be_converted(kit: Kit) -> None:
+    model = onnx.load_from_string(foreign(kit.mlp((6, 8, 4))))
+    model.graph.node.insert(0, onnx.helper.make_node("Upsample", ["obs", "scales"], ["wide"], mode="nearest"))
+    model.graph.node[1].input[0] = "wide"
+    model.graph.initializer.append(onnx.numpy_helper.from_array(np.ones(2, np.float32), "scales"))
+    model.opset_import[0].version = 9
+    with pytest.raises(PolicyError) as caught:
+        imported_model(model.SerializeToString(), CLAIMS, clip=False)
+    assert "the model is of opset 9, which onnx.version_converter cannot convert to 13: " in str(caught.value)
+    assert str(caught.value).endswith("; export it again with opset_version=13 or newer, 17 for one")
+    assert "\n" not in str(caught.value)
+
+
 def with_functions(calls: int, depth: int) -> bytes:
     """x W with tanh as a function of the model's own, `depth` functions deep, each calling `calls` times."""
     helper = onnx.helper

@@ -1,4 +1,4 @@
-"""RNN, GRU and LSTM nodes: their state goes from step to step as onnxruntime's does when it is handed over."""
+"""RNN, GRU and LSTM nodes: state goes from step to step as onnxruntime's does when it is handed over."""
 
 from __future__ import annotations
 
