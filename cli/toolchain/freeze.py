@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -51,6 +52,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--input-order",
         metavar="NAME,NAME",
         help="order in which several inputs make the observation; default: the model's",
+    )
+    parser.add_argument(
+        "--constant",
+        action="append",
+        metavar="NAME=VALUE",
+        help="value of an input that the firmware does not have, such as episode_starts=0; may be repeated",
     )
     parser.add_argument("--clip", action="store_true", help="append a Clip to [0, 1] if the model has none")
     parser.add_argument(
@@ -122,6 +129,7 @@ def _claims(args: argparse.Namespace) -> dict[str, object]:
         "--mix": args.mix,
         "--output": args.output,
         "--input-order": args.input_order,
+        "--constant": args.constant,
         "--clip": args.clip or None,
     }
 
@@ -171,8 +179,23 @@ def _import(args: argparse.Namespace) -> tuple[PolicyModel, Sequence[str]]:
         clip=args.clip,
         output=args.output,
         input_order=order,
+        constants=dict(map(_constant, args.constant or ())),
         prove=compare,
     )
+
+
+def _constant(text: str) -> tuple[str, float]:
+    """Name and value of a --constant."""
+    from toolchain.errors import PolicyError
+
+    name, _, value = text.rpartition("=")
+    try:
+        number = float(value)
+    except ValueError:
+        number = math.nan
+    if not name or not math.isfinite(number):
+        raise PolicyError(f"--constant {text}, expected NAME=VALUE, the name of an input and a finite number")
+    return name, number
 
 
 def _model(args: argparse.Namespace, aircraft: Aircraft) -> ModelConstants | None:

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+import math
+from collections.abc import Collection, Mapping, Sequence
 
+import numpy as np
 import onnx
 
 from toolchain.errors import PolicyError
 from toolchain.reader.checks import FILE_NODES_MAX, OPSET_MIN, opset
-from toolchain.reader.values import STANDARD_DOMAINS, shown
+from toolchain.reader.constants import TYPES
+from toolchain.reader.values import STANDARD_DOMAINS, WIDTH_MAX, shown
 
 WORDS_MAX = 160  # characters of what onnx says
 FUNCTIONS_DEPTH_MAX = 32  # of functions that call functions
@@ -77,6 +80,26 @@ def _inlined_nodes(model: onnx.ModelProto) -> int:
         return total
 
     return count(model.graph.node, frozenset())
+
+
+def fix_inputs(graph: onnx.GraphProto, constants: Mapping[str, float]) -> list[str]:
+    """Make constants of the inputs named in `constants`; returns what was done. Raises PolicyError."""
+    from onnx import numpy_helper
+
+    names = [value.name for value in graph.input]
+    for name, number in constants.items():
+        if name not in names:
+            raise PolicyError(f"--constant: the model has no input {name!r}, its inputs are {listed(names)}")
+        value = graph.input[names.index(name)]
+        tensor = value.type.tensor_type
+        sizes = [dim.dim_value or 1 for dim in tensor.shape.dim]
+        if tensor.elem_type not in TYPES or not 0 < math.prod(sizes) <= WIDTH_MAX:
+            raise PolicyError(f"--constant: the input {name!r} is no tensor of up to {WIDTH_MAX} numbers")
+        array = np.full(sizes, number, TYPES[tensor.elem_type])
+        graph.initializer.append(numpy_helper.from_array(array, name))
+        graph.input.remove(value)
+        names.remove(name)
+    return [f"took {number:g} for the input {name!r} throughout" for name, number in constants.items()]
 
 
 def give_shapes(graph: onnx.GraphProto) -> None:

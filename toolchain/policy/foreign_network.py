@@ -103,7 +103,8 @@ def _read(model: onnx.ModelProto, shapes: dict[str, tuple[int, ...]], multiply_a
     for value in model.graph.input:
         if value.name not in inputs and value.name not in given:
             error = PolicyError(
-                f"the input {shown(value.name)} is read and holds no floats, expected float32 [1, n]"
+                f"the input {shown(value.name)} is read and holds no floats, expected float32 [1, n]; set it "
+                "with --constant NAME=VALUE, or export without it"
             )
             values[value.name] = Unread("an input", error)
     return _Reading(build, read_nodes(model, build, values), inputs)
@@ -193,16 +194,24 @@ def _ordered(reading: _Reading, names: list[str], ends: Ends) -> tuple[list[str]
     if len(order) == 1:
         renamed = f"renamed the input {shown(order[0])} to {POLICY_INPUT!r}"
         return order, [renamed] if order != [POLICY_INPUT] else []
+    widths = {name: reading.inputs[name].width for name in order}
+    if ends.observation_count not in (None, sum(widths.values())):
+        listing = ", ".join(f"{shown(name)} ({width} values)" for name, width in widths.items())
+        raise PolicyError(
+            f"the model takes {listing}, together {sum(widths.values())}, but the blocks of --observation "
+            f"make {ends.observation_count} with {ends.motors} motors; name the blocks of all, or set an input "
+            "that the firmware does not have with --constant NAME=VALUE"
+        )
     parts, terms, joined = list[str](), list(ends.terms or ()), list[str]()
     for name in order:
-        width, taken = reading.inputs[name].width, list[str]()
+        width, taken = widths[name], list[str]()
         while terms and width >= terms[0][1]:
             text, count = terms.pop(0)
             taken.append(text)
             width -= count
         if width and terms:
             raise PolicyError(
-                f"the input {shown(name)} takes {reading.inputs[name].width} values and so ends inside "
+                f"the input {shown(name)} takes {widths[name]} values and so ends inside "
                 f"{terms[0][0]} of --observation, whose terms follow the inputs {listed(order)}; name the "
                 "terms in that order or the inputs with --input-order"
             )

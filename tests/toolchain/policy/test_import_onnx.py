@@ -385,6 +385,57 @@ def test_inputs_are_refused_when_their_order_is_not_theirs_or_cuts_a_term(kit: K
     )
 
 
+def episode_starts(graph: onnx.GraphProto) -> None:
+    """An input of the trainer's that the observation is multiplied by."""
+    graph.input.add().CopyFrom(graph.input[0])
+    graph.input[1].name = "episode_starts"
+    graph.input[1].type.tensor_type.shape.dim[1].dim_value = 1
+    one = onnx.numpy_helper.from_array(np.float32(1), "one_")
+    graph.initializer.append(one)
+    nodes = [("Sub", ["one_", "episode_starts"], "going_on"), ("Mul", ["obs", "going_on"], "kept")]
+    for place, (operator, inputs, output) in enumerate(nodes):
+        graph.node.insert(place, onnx.helper.make_node(operator, inputs, [output]))
+    graph.node[2].input[0] = "kept"
+
+
+def test_input_is_a_constant_when_it_is_told_so(kit: Kit, tmp_path: Path, capsys: Capture) -> None:
+    source, out = tmp_path / "model.onnx", tmp_path / "policy.onnx"
+    source.write_bytes(foreign(kit.mlp((6, 8, 4)), episode_starts))
+    assert (
+        "the model takes 'obs' (6 values), 'episode_starts' (1 values), together 7, but the blocks of "
+        "--observation make 6 with 4 motors"
+    ) in refused([str(source), *OPTIONS, "--out", str(out)], capsys)
+    for text, words in (
+        ("episode_starts", "--constant episode_starts, expected NAME=VALUE"),
+        ("episode_starts=nan", "--constant episode_starts=nan, expected NAME=VALUE"),
+        ("dones=0", "--constant: the model has no input 'dones', its inputs are 'obs', 'episode_starts'"),
+    ):
+        assert words in refused([str(source), *OPTIONS, "--constant", text, "--out", str(out)], capsys)
+    assert main(["freeze", str(source), *OPTIONS, "--constant", "episode_starts=0", "--out", str(out)]) == 0
+    printed = capsys.readouterr().out.splitlines()
+    assert printed[0] == "took 0 for the input 'episode_starts' throughout"
+    assert printed[-2].startswith("compared with onnxruntime on the model itself")
+    observation = kit.observations(20, 6)
+    expected = evaluate(parse_policy(kit.mlp((6, 8, 4)).data()).network, observation)
+    np.testing.assert_array_equal(evaluate(read_policy(out).network, observation), expected)
+
+
+def test_model_is_refused_when_it_draws_random_numbers(kit: Kit) -> None:
+    def noisy(graph: onnx.GraphProto) -> None:
+        helper, name = onnx.helper, graph.node[-2].output[0]
+        graph.node.insert(-1, helper.make_node("Exp", [name], ["spread"]))
+        graph.node.insert(-1, helper.make_node("RandomNormalLike", ["spread"], ["draw"], name="draw"))
+        graph.node.insert(-1, helper.make_node("Mul", ["spread", "draw"], ["noise"]))
+        graph.node.insert(-1, helper.make_node("Add", [name, "noise"], ["noisy"]))
+        graph.node[-1].input[0] = "noisy"
+
+    with pytest.raises(PolicyError) as caught:
+        imported_model(foreign(kit.mlp((6, 8, 4)), noisy), CLAIMS, clip=False)
+    assert str(caught.value).startswith(
+        "node 'draw' (RandomNormalLike) draws random numbers, expected the same"
+    )
+
+
 def unread_state(graph: onnx.GraphProto) -> None:
     """A state that nothing reads and that goes out as it came, as Godot RL writes it."""
     graph.input.add().CopyFrom(graph.input[0])
