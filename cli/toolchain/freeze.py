@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -51,6 +52,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--input-order",
         metavar="NAME,NAME",
         help="order in which several inputs make the observation; default: the model's",
+    )
+    parser.add_argument(
+        "--constant",
+        action="append",
+        metavar="NAME=VALUE",
+        help="value of an input that the firmware does not have, such as episode_starts=0; may be repeated",
     )
     parser.add_argument("--clip", action="store_true", help="append a Clip to [0, 1] if the model has none")
     parser.add_argument(
@@ -122,6 +129,7 @@ def _claims(args: argparse.Namespace) -> dict[str, object]:
         "--mix": args.mix,
         "--output": args.output,
         "--input-order": args.input_order,
+        "--constant": args.constant,
         "--clip": args.clip or None,
     }
 
@@ -141,6 +149,7 @@ def _import(args: argparse.Namespace) -> tuple[PolicyModel, Sequence[str]]:
     from toolchain.contract import IDLE_DEFAULT, IDLE_MAX
     from toolchain.errors import PolicyError
     from toolchain.policy.import_onnx import PolicyClaims, import_onnx
+    from toolchain.verification.original import compare
 
     needed = ("--observation", "--rate", "--aircraft")
     if missing := [name for name in needed if _claims(args)[name] is None]:
@@ -163,7 +172,30 @@ def _import(args: argparse.Namespace) -> tuple[PolicyModel, Sequence[str]]:
         model=_model(args, aircraft),
     )
     order = None if args.input_order is None else args.input_order.split(",")
-    return import_onnx(args.source, args.out, claims, clip=args.clip, output=args.output, input_order=order)
+    return import_onnx(
+        args.source,
+        args.out,
+        claims,
+        clip=args.clip,
+        output=args.output,
+        input_order=order,
+        constants=dict(map(_constant, args.constant or ())),
+        prove=compare,
+    )
+
+
+def _constant(text: str) -> tuple[str, float]:
+    """Name and value of a --constant."""
+    from toolchain.errors import PolicyError
+
+    name, _, value = text.rpartition("=")
+    try:
+        number = float(value)
+    except ValueError:
+        number = math.nan
+    if not name or not math.isfinite(number):
+        raise PolicyError(f"--constant {text}, expected NAME=VALUE, the name of an input and a finite number")
+    return name, number
 
 
 def _model(args: argparse.Namespace, aircraft: Aircraft) -> ModelConstants | None:

@@ -17,6 +17,7 @@ from toolchain.policy.foreign_model import listed
 from toolchain.reader.values import WIDTH_MAX, Row, Unread, Value, shown
 
 ACTIONS = (  # names that exporters give the action beside a critic or a standard deviation
+    "act",
     "action",
     "actions",
     "mu",
@@ -77,9 +78,9 @@ def input_shapes(model: onnx.ModelProto, ends: Ends) -> tuple[dict[str, tuple[in
     for name in open_:
         width = (ends.observation_count or 0) - sum(math.prod(map(int, sizes)) for sizes in others)
         if len(open_) > 1 or width < 1:
-            sizes = ", ".join(map(str, inputs[name]))
+            text = ", ".join(map(str, inputs[name]))
             raise PolicyError(
-                f"the input {shown(name)} has the dynamic shape [{sizes}], and its size cannot be told from "
+                f"the input {shown(name)} has the dynamic shape [{text}], and its size cannot be told from "
                 "--observation; export it with a fixed width, [1, n]"
             )
         changes.append(
@@ -122,27 +123,32 @@ def _floats(value: onnx.ValueInfoProto) -> bool:
 
 def find_action(model: onnx.ModelProto, values: Mapping[str, Value], ends: Ends) -> str:
     """The name of the action: that of --output, the only output, or the one that can be it."""
-    names = [value.name for value in model.graph.output]
+    names: list[str] = [value.name for value in model.graph.output]
     if ends.output is not None:
         if ends.output not in names:
             raise PolicyError(f"the model has no output {ends.output!r}, its outputs are {listed(names)}")
         return ends.output
     if len(names) == 1:
         return names[0]
-    fitting = [name for name in names if _width(values, name) == ends.motors]
+    declared = {value.name: _sizes(value) for value in model.graph.output}
+    fitting = [name for name in names if _fits(values.get(name), declared[name], ends.motors)]
     named = [name for name in fitting if name.lower() in ACTIONS]
     for choice in (fitting, named):
         if len(choice) == 1:
             return choice[0]
-    for name in names if not fitting else ():
-        value = values.get(name)
-        if isinstance(value, Unread) and value.error is not None and name.lower() in ACTIONS:
-            raise value.error
     shown_ = [f"{shown(name)} ({_width(values, name) or 'no'} values)" for name in names[:LISTED_MAX]]
     raise PolicyError(
         f"the model's outputs are {', '.join(shown_)}, expected one of {ends.motors} values, one a motor; "
         "choose one with --output"
     )
+
+
+def _fits(value: Value | None, declared: Sizes, motors: int) -> bool:
+    """Whether an output may be the action; one that could not be read may, unless its shape is another."""
+    if isinstance(value, Unread):
+        shape = declared if value.shape is None else list(value.shape)
+        return not shape or isinstance(shape[-1], str) or shape[-1] == motors
+    return isinstance(value, Row) and value.width == motors
 
 
 def _width(values: Mapping[str, Value], name: str) -> int | None:

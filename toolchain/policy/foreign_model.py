@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+import math
+from collections.abc import Collection, Mapping, Sequence
 
+import numpy as np
 import onnx
 
 from toolchain.errors import PolicyError
-from toolchain.reader.checks import OPSET_MIN, opset
-from toolchain.reader.values import STANDARD_DOMAINS, shown
+from toolchain.reader.checks import FILE_NODES_MAX, OPSET_MIN, opset
+from toolchain.reader.constants import TYPES
+from toolchain.reader.values import STANDARD_DOMAINS, WIDTH_MAX, shown
 
-WORDS_MAX = 160  # characters of what the converter says
+WORDS_MAX = 160  # characters of what onnx says
+FUNCTIONS_DEPTH_MAX = 32  # of functions that call functions
 
 
 def keep_outputs(graph: onnx.GraphProto, outputs: Collection[str]) -> tuple[int, int]:
@@ -31,6 +35,71 @@ def keep_outputs(graph: onnx.GraphProto, outputs: Collection[str]) -> tuple[int,
     _replace(graph.initializer, tensors)
     _replace(graph.input, inputs)
     return dropped
+
+
+def inline_functions(model: onnx.ModelProto) -> list[str]:
+    """Put the nodes of the model's own functions in the place of their calls; returns what was done."""
+    from onnx import inliner
+
+    if not model.functions:
+        return []
+    names = sorted({function.name for function in model.functions})
+    if (count := _inlined_nodes(model)) > FILE_NODES_MAX:
+        raise PolicyError(
+            f"the model's own functions {listed(names)} make {count} nodes of it, expected at most "
+            f"{FILE_NODES_MAX}; is it a policy?"
+        )
+    try:
+        onnx.checker.check_model(model)  # the inliner, which is C++, is given sound models only
+        inlined = inliner.inline_local_functions(model, True)
+    except Exception as error:  # it documents no set of errors
+        raise PolicyError(
+            f"the model's own functions {listed(names)} cannot be inlined: {_words(error)}; export it "
+            "without functions (torch.onnx.export with export_modules_as_functions=False)"
+        ) from error
+    model.CopyFrom(inlined)
+    return [f"inlined the model's own functions {listed(names)}"]
+
+
+def _inlined_nodes(model: onnx.ModelProto) -> int:
+    """Number of nodes once every call is replaced by what it calls. Raises PolicyError for endless calls."""
+    bodies = {(f.domain, f.name): list(f.node) for f in model.functions}
+    counts: dict[tuple[str, str], int] = {}
+
+    def count(nodes: Sequence[onnx.NodeProto], callers: frozenset[tuple[str, str]]) -> int:
+        total = 0
+        for node in nodes:
+            called = node.domain, node.op_type
+            if called in callers or len(callers) > FUNCTIONS_DEPTH_MAX:
+                raise PolicyError(
+                    f"the model's own function {shown(node.op_type)} calls itself, or too many others"
+                )
+            if called in bodies and called not in counts:
+                counts[called] = count(bodies[called], callers | {called})
+            total += counts.get(called, 1)
+        return total
+
+    return count(model.graph.node, frozenset())
+
+
+def fix_inputs(graph: onnx.GraphProto, constants: Mapping[str, float]) -> list[str]:
+    """Make constants of the inputs named in `constants`; returns what was done. Raises PolicyError."""
+    from onnx import numpy_helper
+
+    names = [value.name for value in graph.input]
+    for name, number in constants.items():
+        if name not in names:
+            raise PolicyError(f"--constant: the model has no input {name!r}, its inputs are {listed(names)}")
+        value = graph.input[names.index(name)]
+        tensor = value.type.tensor_type
+        sizes = [dim.dim_value or 1 for dim in tensor.shape.dim]
+        if tensor.elem_type not in TYPES or not 0 < math.prod(sizes) <= WIDTH_MAX:
+            raise PolicyError(f"--constant: the input {name!r} is no tensor of up to {WIDTH_MAX} numbers")
+        array = np.full(sizes, number, TYPES[tensor.elem_type])
+        graph.initializer.append(numpy_helper.from_array(array, name))
+        graph.input.remove(value)
+        names.remove(name)
+    return [f"took {number:g} for the input {name!r} throughout" for name, number in constants.items()]
 
 
 def give_shapes(graph: onnx.GraphProto) -> None:
@@ -65,17 +134,21 @@ def convert_opset(model: onnx.ModelProto) -> list[str]:
         onnx.checker.check_model(model)  # the converter, which is C++, is given sound models only
         converted = version_converter.convert_version(model, OPSET_MIN)
     except Exception as error:  # it documents no set of errors
-        words = " ".join(str(error).split())
-        words = words if len(words) <= WORDS_MAX else words[: WORDS_MAX - 3] + "..."
         raise PolicyError(
             f"the model is of opset {version}, which onnx.version_converter cannot convert to {OPSET_MIN}: "
-            f"{words or type(error).__name__}; {hint}"
+            f"{_words(error)}; {hint}"
         ) from error
     changed = sorted({node.op_type for node in model.graph.node if _differs(node.op_type, version)})
     model.CopyFrom(converted)
     del model.graph.value_info[:]
     listed = f", which changes {', '.join(changed)}" if changed else ", which changes no operator of it"
     return [f"converted opset {version} to {OPSET_MIN} with onnx.version_converter{listed}"]
+
+
+def _words(error: Exception) -> str:
+    """What an error says, in one line that is not too long."""
+    words = " ".join(str(error).split()) or type(error).__name__
+    return words if len(words) <= WORDS_MAX else words[: WORDS_MAX - 3] + "..."
 
 
 def _captured(node: onnx.NodeProto) -> set[str]:

@@ -23,6 +23,18 @@ from toolchain.reader.values import MULTIPLY_ADDS_MAX, Builder, Row, Unread, Val
 CRITICS = 8  # times as large as a policy may be what is read before it is known which output is the action
 
 
+@dataclass(frozen=True, eq=False)
+class Adopted:
+    """A foreign model as the network that it became, and which of its ends are which."""
+
+    network: Network  # of the observation, without bounds
+    changes: tuple[str, ...]  # in words
+    action: str  # the output
+    inputs: Mapping[str, tuple[int, ...]]  # of the observation, in its order, and their shapes
+    states: Mapping[str, str]  # inputs that the policy carries, and the outputs that give them anew
+    forgetful: bool  # whether a cell inside starts from zero at every run of the model
+
+
 @dataclass(frozen=True)
 class _Reading:
     """A model's nodes, read. Value 0 is all inputs side by side, each input a slice of it."""
@@ -37,11 +49,8 @@ class _Reading:
         return {row.number: name for name, row in self.inputs.items()}
 
 
-def read_foreign(model: onnx.ModelProto, ends: Ends) -> tuple[Network, list[str]]:
-    """The network of a checked model, without bounds, and what had to be changed, in words.
-
-    Drops from `model` what the action does not need.
-    """
+def read_foreign(model: onnx.ModelProto, ends: Ends) -> Adopted:
+    """Read a checked model; drops from it what the action does not need. Raises PolicyError."""
     shapes, fixed = input_shapes(model, ends)
     reading = _read(model, shapes, CRITICS * MULTIPLY_ADDS_MAX)
     name = find_action(model, reading.values, ends)
@@ -68,7 +77,15 @@ def read_foreign(model: onnx.ModelProto, ends: Ends) -> tuple[Network, list[str]
     changes += more
     if name != POLICY_OUTPUT:
         changes.append(f"renamed the output {shown(name)} to {POLICY_OUTPUT!r}")
-    return _assembled(reading, names, action, needed, cells), changes
+    carried = {reading.names[number] for cell in cells for number in cell.states}
+    return Adopted(
+        network=_assembled(reading, names, action, needed, cells),
+        changes=tuple(changes),
+        action=name,
+        inputs={name: shapes[name] for name in names},
+        states={name: states[name] for name in reading.inputs if name in carried},
+        forgetful=any(isinstance(reading.build.nodes[n - 1].operation, Recurrent) for n in needed),
+    )
 
 
 def _read(model: onnx.ModelProto, shapes: dict[str, tuple[int, ...]], multiply_adds_max: int) -> _Reading:
@@ -86,7 +103,8 @@ def _read(model: onnx.ModelProto, shapes: dict[str, tuple[int, ...]], multiply_a
     for value in model.graph.input:
         if value.name not in inputs and value.name not in given:
             error = PolicyError(
-                f"the input {shown(value.name)} is read and holds no floats, expected float32 [1, n]"
+                f"the input {shown(value.name)} is read and holds no floats, expected float32 [1, n]; set it "
+                "with --constant NAME=VALUE, or export without it"
             )
             values[value.name] = Unread("an input", error)
     return _Reading(build, read_nodes(model, build, values), inputs)
@@ -176,16 +194,24 @@ def _ordered(reading: _Reading, names: list[str], ends: Ends) -> tuple[list[str]
     if len(order) == 1:
         renamed = f"renamed the input {shown(order[0])} to {POLICY_INPUT!r}"
         return order, [renamed] if order != [POLICY_INPUT] else []
+    widths = {name: reading.inputs[name].width for name in order}
+    if ends.observation_count not in (None, sum(widths.values())):
+        listing = ", ".join(f"{shown(name)} ({width} values)" for name, width in widths.items())
+        raise PolicyError(
+            f"the model takes {listing}, together {sum(widths.values())}, but the blocks of --observation "
+            f"make {ends.observation_count} with {ends.motors} motors; name the blocks of all, or set an input "
+            "that the firmware does not have with --constant NAME=VALUE"
+        )
     parts, terms, joined = list[str](), list(ends.terms or ()), list[str]()
     for name in order:
-        width, taken = reading.inputs[name].width, list[str]()
+        width, taken = widths[name], list[str]()
         while terms and width >= terms[0][1]:
             text, count = terms.pop(0)
             taken.append(text)
             width -= count
         if width and terms:
             raise PolicyError(
-                f"the input {shown(name)} takes {reading.inputs[name].width} values and so ends inside "
+                f"the input {shown(name)} takes {widths[name]} values and so ends inside "
                 f"{terms[0][0]} of --observation, whose terms follow the inputs {listed(order)}; name the "
                 "terms in that order or the inputs with --input-order"
             )

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -25,6 +25,10 @@ from toolchain.reader.external import embed_weights
 
 if TYPE_CHECKING:
     import onnx
+
+    from toolchain.policy.foreign_network import Adopted
+
+    Proof = Callable[[bytes, Adopted], str]  # of the model's bytes; raises PolicyError where they differ
 
 CHECKPOINT_STARTS = (b"PK", b"\x80")  # torch's zip archive and the pickle it wrote before
 
@@ -71,18 +75,30 @@ def import_onnx(
     clip: bool,
     output: str | None = None,
     input_order: Sequence[str] | None = None,
+    constants: Mapping[str, float] | None = None,
+    prove: Proof | None = None,
 ) -> tuple[PolicyModel, Sequence[str]]:
     """Write the policy of the ONNX file `source` to `out`; returns it and what was changed, in words.
 
     clip: append a Clip to [0, 1] where nothing else keeps the motor fractions there.
     output: which output of the model is the action, where it has several.
     input_order: the inputs that make the observation, in its order, where there are several.
+    constants: values of inputs that the firmware does not have.
+    prove: compares the model with what was made of it; what it says is the last of the words.
     Raises PolicyError, one line; then nothing is written.
     """
     data = read_file(source)
     try:
         data, embedded = _in_one_file(data, source.parent)
-        imported, changes = imported_model(data, claims, clip=clip, output=output, input_order=input_order)
+        imported, changes = imported_model(
+            data,
+            claims,
+            clip=clip,
+            output=output,
+            input_order=input_order,
+            constants=constants,
+            prove=prove,
+        )
         policy = parse_policy(imported)
         if policy.action_count != claims.motors:
             raise PolicyError(
@@ -102,26 +118,38 @@ def imported_model(
     clip: bool,
     output: str | None = None,
     input_order: Sequence[str] | None = None,
+    constants: Mapping[str, float] | None = None,
+    prove: Proof | None = None,
 ) -> tuple[bytes, Sequence[str]]:
     """The bytes of the policy, and what was changed. Raises PolicyError where it cannot be read back."""
     from toolchain.ir.onnx_export import to_model
     from toolchain.policy.foreign_ends import Ends
-    from toolchain.policy.foreign_model import convert_opset, give_shapes, keep_outputs
+    from toolchain.policy.foreign_model import (
+        convert_opset,
+        fix_inputs,
+        give_shapes,
+        inline_functions,
+        keep_outputs,
+    )
     from toolchain.policy.foreign_network import read_foreign
     from toolchain.reader.checks import check_model
     from toolchain.reader.output_range import UnboundedError, bounded
 
     model, changes = parse_model(data), list[str]()
+    check_parts(model, functions=True)
+    changes += inline_functions(model)
     check_parts(model)
     give_shapes(model.graph)
+    changes += fix_inputs(model.graph, constants or {})
+    original = _bytes(model)
     _, dead = keep_outputs(model.graph, {value.name for value in model.graph.output})
     if dead:
         changes.append(f"dropped {dead} node(s) that no output needs")
     changes += convert_opset(model)
     check_model(model, float64=True)
     order = None if input_order is None else tuple(input_order)
-    network, more = read_foreign(model, Ends(output, order, _terms(claims), claims.motors))
-    changes += more
+    adopted = read_foreign(model, Ends(output, order, _terms(claims), claims.motors))
+    network, changes = adopted.network, [*changes, *adopted.changes]
     if wide := _float64(model):
         changes.append(f"computes in float32 what the model has in float64: {wide}")
     try:
@@ -139,7 +167,7 @@ def imported_model(
     _describe(policy, claims, producer, hashlib.sha256(data).hexdigest())
     imported = _bytes(policy)
     parse_policy(imported)
-    return imported, changes
+    return imported, changes if prove is None else [*changes, prove(original, adopted)]
 
 
 def _terms(claims: PolicyClaims) -> tuple[tuple[str, int], ...] | None:
@@ -165,7 +193,7 @@ def _float64(model: onnx.ModelProto) -> str:
 def _in_one_file(data: bytes, folder: Path) -> tuple[bytes, list[str]]:
     """The model with the weights that lie in files beside it, and what that changed."""
     model = parse_model(data)
-    check_parts(model)
+    check_parts(model, functions=True)
     if not (files := embed_weights(model, folder)):
         return data, []
     return _bytes(model), [f"took the weights out of {', '.join(map(repr, files))}"]

@@ -149,3 +149,17 @@ def _reject_constant_state(build: Builder, call: Call, row: Row, constant: Array
 def read_negative(build: Builder, call: Call) -> Row:
     """-x."""
     return mapped(build, call, call.row(), -1.0, 0.0, call.row().shape)
+
+
+def read_sum(build: Builder, call: Call) -> Row:
+    """Sum and Mean of any number of values and constants."""
+    rows = [value for value in call.inputs if isinstance(value, Row)]
+    constants = [call.numbers(place) for place, value in enumerate(call.inputs) if not isinstance(value, Row)]
+    arrays = [array for array in constants if array is not None]
+    shape = joint_shape(call, *(value.shape for value in (*rows, *arrays)))
+    total, *others = (build.broadcast(call, row, shape) for row in rows)
+    for row in others:
+        total = build.append(call, Add(), total, row, shape=shape)
+    offset = np.broadcast_to(sum(arrays, np.zeros(())), shape).ravel()
+    share = 1 / len(call.inputs) if call.operator == "Mean" else 1.0
+    return mapped(build, call, total, share, share * offset, shape)

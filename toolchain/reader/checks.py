@@ -65,11 +65,14 @@ def action_width(model: onnx.ModelProto) -> int:
     return _only_vector(list(model.graph.output), POLICY_OUTPUT, "output")
 
 
-def check_parts(model: onnx.ModelProto) -> None:
-    """Raise PolicyError unless the model is plain nodes with readable names."""
+def check_parts(model: onnx.ModelProto, *, functions: bool = False) -> None:
+    """Raise PolicyError unless the model is plain nodes with readable names.
+
+    functions: let functions of the model's own pass.
+    """
     if not model.HasField("graph"):
         raise PolicyError("not an ONNX model, or a truncated one: it has no graph")
-    if model.functions or model.graph.sparse_initializer:
+    if (model.functions and not functions) or model.graph.sparse_initializer:
         raise PolicyError(
             "local functions or sparse weights in the policy, expected plain nodes and dense weights"
         )

@@ -18,8 +18,8 @@ def read_conv(build: Builder, call: Call) -> Row:
     """A convolution of any number of axes over a value of shape [1, channels, ...]."""
     row, weight = call.row(0), call.floats(1)
     if weight is None or weight.ndim != len(row.shape) or weight.ndim < 3 or row.shape[0] != 1:
-        shape = "none" if weight is None else list(weight.shape)
-        raise call.error(f"convolves a value of shape {list(row.shape)} with weights of shape {shape}")
+        got = "none" if weight is None else list(weight.shape)
+        raise call.error(f"convolves a value of shape {list(row.shape)} with weights of shape {got}")
     groups, kernel, count = call.attributes.get("group", 1), weight.shape[2:], len(row.shape) - 2
     strides, dilations = (_sizes(call, name, count) for name in ("strides", "dilations"))
     if groups < 1 or row.shape[1] != groups * weight.shape[1] or weight.shape[0] % groups:
@@ -46,8 +46,8 @@ def read_conv(build: Builder, call: Call) -> Row:
             slice(offset * dilation, offset * dilation + (size - 1) * stride + 1, stride)
             for offset, dilation, size, stride in zip(offsets, dilations, sizes, strides, strict=True)
         )
-        taken = padded[(group * weight.shape[1] + channel, *windows)]
-        factors = np.split(weight, groups)[group][(slice(None), channel, *offsets)]
+        taken = padded[group * weight.shape[1] + channel][windows]
+        factors = np.moveaxis(np.split(weight, groups)[group][:, channel], 0, -1)[tuple(offsets)]
         for output, factor in zip(outputs[group], factors, strict=True):
             matrix[output[taken >= 0], taken[taken >= 0]] += factor
     bias = call.numbers(2)

@@ -30,7 +30,19 @@ from toolchain.reader.values import (
     shown,
 )
 
+RANDOM = (
+    "Bernoulli",
+    "Multinomial",
+    "RandomNormal",
+    "RandomNormalLike",
+    "RandomUniform",
+    "RandomUniformLike",
+)
 FOLDED_BYTES_MAX = 256 << 20  # of all constants that nodes compute: memory, not a board's limit
+
+
+class RandomError(PolicyError):
+    """A node that draws random numbers: what to say of a model that has one, whatever else it has."""
 
 
 def read_network(model: onnx.ModelProto) -> Network:
@@ -53,7 +65,7 @@ def read_network(model: onnx.ModelProto) -> Network:
     return bounded(_network(build, action))
 
 
-def read_nodes(model: onnx.ModelProto, build: Builder, inputs: Mapping[str, Row]) -> dict[str, Value]:
+def read_nodes(model: onnx.ModelProto, build: Builder, inputs: Mapping[str, Value]) -> dict[str, Value]:
     """Read the nodes of a checked model into `build`; returns every value by its name.
 
     A node that cannot be read gives values of type Unread, which hold the refusal: only who reads them, other
@@ -92,9 +104,18 @@ def _read(build: Builder, call: Call) -> tuple[Value, ...]:
     if call.operator == "Shape" and isinstance(call.input(0), Unread):
         result: Value | tuple[Value, ...] = fold(call)
         return result if isinstance(result, tuple) else (result,)
-    for name, value in zip(call.names, call.inputs, strict=True):
-        if isinstance(value, Unread):
-            raise value.error or call.error(f"takes {shown(name)}, {value.label}, which is not supported")
+    if call.operator in RANDOM:
+        raise RandomError(
+            f"{call.label} draws random numbers, expected the same action for the same observation; export "
+            "the mean of the distribution (deterministic=True)"
+        )
+    errors = [
+        value.error or call.error(f"takes {shown(name)}, {value.label}, which is not supported")
+        for name, value in zip(call.names, call.inputs, strict=True)
+        if isinstance(value, Unread)
+    ]
+    for error in sorted(errors, key=lambda error: not isinstance(error, RandomError)):
+        raise error
     kinds = {type(value) for value in call.inputs}
     if call.operator == "Constant":
         return (_constant(call),)

@@ -21,7 +21,14 @@ from toolchain.ir.operations import (
     Softsign,
     Tanh,
 )
-from toolchain.reader.arithmetic import mapped, read_arithmetic, read_gemm, read_matmul, read_negative
+from toolchain.reader.arithmetic import (
+    mapped,
+    read_arithmetic,
+    read_gemm,
+    read_matmul,
+    read_negative,
+    read_sum,
+)
 from toolchain.reader.constants import FOLDED, MOVES, apply
 from toolchain.reader.convolution import read_conv
 from toolchain.reader.patterns import ONLY_INSIDE, STARTS
@@ -161,6 +168,7 @@ OPERATORS: dict[str, Reader] = {
     **dict.fromkeys(MOVES, _move),
     **dict.fromkeys(("Add", "Sub", "Mul", "Div"), read_arithmetic),
     **dict.fromkeys(("Min", "Max"), _min_or_max),
+    **dict.fromkeys(("Sum", "Mean"), read_sum),
     "BatchNormalization": _batch_norm,
     "Cast": _cast,
     "Clip": _clip,

@@ -107,7 +107,7 @@ def plain_cell(weight: Float32, state_weight: Float32, bias: Float32, state_bias
     A bias of +-GATE_OPEN makes a sigmoid of float32 exactly 1 and at most 4e-44.
     """
     units = len(weight)
-    gates = np.repeat(np.float32([-GATE_OPEN, GATE_OPEN]), units)
+    gates = np.repeat(np.array([-GATE_OPEN, GATE_OPEN], np.float32), units)
     return Gru(
         np.concatenate([np.zeros((2 * units, weight.shape[1]), np.float32), weight]),
         np.concatenate([np.zeros((2 * units, units), np.float32), state_weight]),

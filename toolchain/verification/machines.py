@@ -84,7 +84,7 @@ def open_onnxruntime(data: bytes) -> Machine:
             model.SerializeToString(), options, providers=["CPUExecutionProvider"]
         )
     except Exception as error:  # onnxruntime's exceptions have no common class of its own
-        raise MachineError("runs", f"does not load the policy: {_first_line(str(error))}") from error
+        raise MachineError("runs", f"does not load the policy: {first_line(str(error))}") from error
     names = [POLICY_OUTPUT, *(out for _, out, _ in cells)]
 
     def actions(observation: Float32) -> Float32:
@@ -101,12 +101,12 @@ def open_onnxruntime(data: bytes) -> Machine:
 
 
 def _expose_state(model: onnx.ModelProto) -> list[tuple[str, str, int]]:
-    """Make the state of each GRU and LSTM an input and an output of `model`: their names and width."""
+    """Make the state of each RNN, GRU and LSTM an input and an output of `model`: their names and width."""
     from onnx import TensorProto, helper
 
     cells = []
     for index, node in enumerate(model.graph.node):
-        slots = {"GRU": ((5, 1),), "LSTM": ((5, 1), (6, 2))}.get(node.op_type, ())
+        slots = {"RNN": ((5, 1),), "GRU": ((5, 1),), "LSTM": ((5, 1), (6, 2))}.get(node.op_type, ())
         for given, result in slots:
             units = next(attribute.i for attribute in node.attribute if attribute.name == "hidden_size")
             node.input.extend([""] * (given + 1 - len(node.input)))
@@ -170,8 +170,8 @@ def open_host(policy: CompiledPolicy, directory: Path, compiler: str, *, sanitiz
     if done.returncode:
         error = next((line for line in done.stderr.splitlines() if "error" in line), done.stderr)
         if sanitize and "cannot find" in done.stderr:
-            raise NotRunError(f"{compiler} comes without its sanitizers: {_first_line(done.stderr)}")
-        raise MachineError("runs", f"does not compile policy.c: {_first_line(error)}")
+            raise NotRunError(f"{compiler} comes without its sanitizers: {first_line(done.stderr)}")
+        raise MachineError("runs", f"does not compile policy.c: {first_line(error)}")
     inputs, outputs = policy.policy.observation_count, policy.policy.action_count
 
     def actions(observation: Float32) -> Float32:
@@ -202,7 +202,7 @@ def _run(program: Path, data: bytes) -> Float32:
         raise MachineError("runs", f"did not come back within {RUN_SECONDS_MAX} s") from error
     if done.returncode:
         if report := _sanitizer_report(done.stderr.decode(errors="replace").splitlines()):
-            raise MachineError("sanitizer", _first_line(report))
+            raise MachineError("sanitizer", first_line(report))
         end = signal.Signals(-done.returncode).name if done.returncode < 0 else f"status {done.returncode}"
         raise MachineError("runs", f"ended with {end}")
     return np.frombuffer(done.stdout, np.float32)
@@ -233,7 +233,7 @@ def open_arm(policy: CompiledPolicy, directory: Path) -> Machine:
         program = load_program(build_policy_elf(policy.emission, directory))
         arm = ArmPolicy(program, inputs, outputs)
     except (BuildError, FaultError) as error:
-        raise MachineError("runs", _first_line(str(error))) from error
+        raise MachineError("runs", first_line(str(error))) from error
 
     def sequence(observation: Float32) -> Float32:
         try:
@@ -256,6 +256,7 @@ def open_arm(policy: CompiledPolicy, directory: Path) -> Machine:
     return Machine(True, actions, selftest)
 
 
-def _first_line(text: str) -> str:
+def first_line(text: str) -> str:
+    """The first line of another program's words, not too long."""
     line = next((line.strip() for line in text.splitlines() if line.strip()), "")
     return line if len(line) <= MESSAGE_MAX else line[: MESSAGE_MAX - 3] + "..."

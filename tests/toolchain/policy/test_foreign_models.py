@@ -22,7 +22,11 @@ MOTORS = 4
 OPSETS = range(7, 26)  # onnxruntime takes none older; 25 is the newest that it calls stable
 IR_VERSION = 8  # which onnxruntime takes beside each of these opsets
 TOLERANCE = 1e-6
-FLOATS = {np.float32: TensorProto.FLOAT, np.float64: TensorProto.DOUBLE, np.int64: TensorProto.INT64}
+TYPES: dict[type, int] = {
+    np.float32: TensorProto.FLOAT,
+    np.float64: TensorProto.DOUBLE,
+    np.int64: TensorProto.INT64,
+}
 
 
 def claims(terms: Sequence[str]) -> PolicyClaims:
@@ -53,11 +57,11 @@ class Foreign:
         self.nodes.append(node)
         return f"v{self.count}"
 
-    def along(self, operator: str, value: str, axes: list[int], **more: int) -> str:
+    def along(self, operator: str, value: str, axes: list[int]) -> str:
         """An operator whose axes are an attribute before opset 13 and an input since."""
         if self.opset < 13:
-            return self.add(operator, value, axes=axes, **more)
-        return self.add(operator, value, self.constant(np.array(axes, np.int64)), **more)
+            return self.add(operator, value, axes=axes)
+        return self.add(operator, value, self.constant(np.array(axes, np.int64)))
 
     def clip(self, value: str, low: float, high: float) -> str:
         if self.opset < 11:
@@ -68,12 +72,12 @@ class Foreign:
         return self.add("Cast", value, to=kind)
 
     def weights(self, *shape: int) -> NDArray[np.float32]:
-        return (self.rng.normal(size=shape) / np.sqrt(shape[-1])).astype(np.float32)
+        return np.asarray(self.rng.normal(size=shape) / np.sqrt(shape[-1]), np.float32)
 
     def observed(self, name: str, start: int, width: int) -> str:
         """An input of some rank, batch and type; returns its value as [1, width] in float32."""
-        kind = self.rng.choice([np.float32, np.float32, np.float64])
-        shape = [
+        kind = (np.float32, np.float32, np.float64)[self.rng.integers(3)]
+        shapes: list[list[int | str]] = [
             [width],
             [1, width],
             [int(self.rng.integers(2, 9)), width],
@@ -81,13 +85,14 @@ class Foreign:
             ["batch", "n"],
             [1, 1, width],
             ["batch", "time", width],
-        ][self.rng.integers(5 if start < 0 else 7)]
+        ]
+        shape = shapes[self.rng.integers(5 if start < 0 else 7)]
         if shape == ["batch", "n"] and start >= 0:
             shape = ["batch", width]
         start = max(start, 0)
-        sizes = [1 if isinstance(size, str) and size != "n" else size for size in shape]
-        sizes = [width if size == "n" else size for size in sizes]
-        self.inputs.append(helper.make_tensor_value_info(name, FLOATS[kind], shape))
+        open_axes = {"batch": 1, "time": 1, "n": width}
+        sizes = [open_axes[size] if isinstance(size, str) else size for size in shape]
+        self.inputs.append(helper.make_tensor_value_info(name, TYPES[kind], shape))
         self.feed[name] = lambda row: np.ascontiguousarray(
             np.broadcast_to(row[start : start + width], sizes).astype(kind)
         )
@@ -100,11 +105,7 @@ class Foreign:
             value = self.cast(value, TensorProto.FLOAT)
         if len(shape) == 1:
             return self.along("Unsqueeze", value, [0])
-        return (
-            self.add("Squeeze", value, axes=[1])
-            if len(shape) == 3 and self.opset < 13
-            else (self.along("Squeeze", value, [1]) if len(shape) == 3 else value)
-        )
+        return self.along("Squeeze", value, [1]) if len(shape) == 3 else value
 
     def hidden(self, value: str, width: int) -> tuple[str, int]:
         """One more layer of some kind."""
@@ -168,6 +169,10 @@ class Foreign:
         return bytes(model.SerializeToString())
 
 
+def zeros(kind: type) -> Callable[[NDArray[np.float32]], NDArray[Any]]:
+    return lambda _: np.zeros(1, kind)
+
+
 def random_model(seed: int) -> tuple[Foreign, int]:
     """A model and the width of its observation."""
     rng = np.random.default_rng(seed)
@@ -178,9 +183,9 @@ def random_model(seed: int) -> tuple[Foreign, int]:
     rows = []
     for number in range(count):
         if rng.random() < 0.3:  # an input that nothing reads, before, between or after
-            kind = rng.choice([np.float32, np.int64])
-            model.inputs.append(helper.make_tensor_value_info(f"unread{number}", FLOATS[kind], ["batch"]))
-            model.feed[f"unread{number}"] = lambda row, kind=kind: np.zeros(1, kind)
+            kind = (np.float32, np.int64)[rng.integers(2)]
+            model.inputs.append(helper.make_tensor_value_info(f"unread{number}", TYPES[kind], ["batch"]))
+            model.feed[f"unread{number}"] = zeros(kind)
             if kind is np.float32 and rng.random() < 0.5:  # and that goes out as it came
                 model.output(f"unread{number}", f"passed{number}", ["batch"])
         row = model.observed(f"part{number}", starts[number], widths[number])

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 import onnx
+import onnxruntime
 import pytest
 
 from cli.main import main
@@ -68,6 +71,10 @@ def test_model_becomes_a_policy_when_frozen_with_what_it_does_not_say(
     out = tmp_path / "policy.onnx"
     assert main(["freeze", str(source), *OPTIONS, "--clip", "--out", str(out)]) == 0
     printed = capsys.readouterr().out.splitlines()
+    assert re.fullmatch(
+        r"compared with onnxruntime on the model itself, 300 steps: at most \d\.\de-0\d apart",
+        printed.pop(-2),
+    )
     assert printed == [
         "fixed axis 0 of 'obs' to 1 (was batch)",
         "renamed the input 'obs' to 'observation'",
@@ -106,7 +113,7 @@ def test_freeze_tells_all_it_did_when_asked_for_json(source: Path, tmp_path: Pat
     assert main(["freeze", str(source), *OPTIONS, "--clip", "--json", "--out", str(out)]) == 0
     document = json.loads(capsys.readouterr().out)
     assert document["policy_sha256"] == read_policy(out).source_sha256
-    assert len(document["changes"]) == 4
+    assert len(document["changes"]) == 5
     assert document["idle"] == read_policy(out).idle == 0.0
 
 
@@ -218,9 +225,9 @@ def dynamic_width(graph: onnx.GraphProto) -> None:
 
 
 def two_actions(graph: onnx.GraphProto) -> None:
-    graph.node.append(onnx.helper.make_node("Tanh", [graph.node[-1].output[0]], ["squashed"]))
+    graph.node.append(onnx.helper.make_node("Tanh", [graph.node[-1].output[0]], ["actions"]))
     graph.output.add().CopyFrom(graph.output[0])
-    graph.output[1].name = "squashed"
+    graph.output[1].name = "actions"
 
 
 def two_widths(graph: onnx.GraphProto) -> None:
@@ -309,7 +316,7 @@ def test_critic_is_dropped_when_the_output_is_chosen(kit: Kit) -> None:
     [
         (
             two_actions,
-            "outputs are 'act' (4 values), 'squashed' (4 values), expected one of 4 values, one a motor",
+            "outputs are 'act' (4 values), 'actions' (4 values), expected one of 4 values, one a motor",
         ),
         (two_widths, "the input 'obs' has the dynamic shape [batch, n], and its size cannot be told"),
     ],
@@ -330,6 +337,199 @@ def test_model_is_adopted_when_a_value_has_the_actions_name_or_the_width_is_open
     observation = kit.observations(20, 6)
     expected = evaluate(parse_policy(kit.mlp((6, 8, 4)).data()).network, observation)
     np.testing.assert_array_equal(evaluate(parse_policy(data).network, observation), expected)
+
+
+def two_parts(kit: Kit, first: int = 3) -> bytes:
+    """A model that takes its observation as `gyro` and `command`, and joins them itself."""
+
+    def edit(graph: onnx.GraphProto) -> None:
+        graph.input.add().CopyFrom(graph.input[0])
+        for value, name, width in zip(graph.input, ("gyro", "command"), (first, 6 - first), strict=True):
+            value.name = name
+            value.type.tensor_type.shape.dim[1].dim_value = width
+        graph.node.insert(0, onnx.helper.make_node("Concat", ["gyro", "command"], ["obs"], axis=1))
+
+    return foreign(kit.mlp((6, 8, 4)), edit)
+
+
+def test_inputs_are_joined_in_the_order_told_when_there_are_two(
+    kit: Kit, tmp_path: Path, capsys: Capture
+) -> None:
+    source, out = tmp_path / "model.onnx", tmp_path / "policy.onnx"
+    source.write_bytes(two_parts(kit))
+    observation = np.random.default_rng(0).normal(size=(20, 6)).astype(np.float32)
+    expected = evaluate(parse_policy(kit.mlp((6, 8, 4)).data()).network, observation)
+    for order, words in (
+        ([], "'gyro' and 'command' (the model's, --input-order names another): 'gyro' takes {}; 'command'"),
+        (["--input-order", "command,gyro"], "'command' and 'gyro' (as told): 'command' takes {}; 'gyro'"),
+    ):
+        assert main(["freeze", str(source), *OPTIONS, *order, "--out", str(out)]) == 0
+        line = f"joined the inputs {words.format('rate_error')} takes rate_error_delta"
+        assert line in capsys.readouterr().out.splitlines()
+        given = np.roll(observation, 3, axis=1) if order else observation
+        np.testing.assert_array_equal(evaluate(read_policy(out).network, given), expected)
+
+
+def test_inputs_are_refused_when_their_order_is_not_theirs_or_cuts_a_term(kit: Kit) -> None:
+    with pytest.raises(PolicyError) as caught:
+        imported_model(two_parts(kit), CLAIMS, clip=False, input_order=["gyro", "setpoint"])
+    assert str(caught.value) == (
+        "--input-order names 'gyro', 'setpoint', but the observation of the model is 'gyro', 'command'; name "
+        "each of these once"
+    )
+    with pytest.raises(PolicyError) as caught:
+        imported_model(two_parts(kit, first=4), CLAIMS, clip=False)
+    assert str(caught.value).startswith(
+        "the input 'gyro' takes 4 values and so ends inside rate_error_delta of --observation, whose terms "
+        "follow the inputs 'gyro', 'command'; name the terms in that order"
+    )
+
+
+def episode_starts(graph: onnx.GraphProto) -> None:
+    """An input of the trainer's that the observation is multiplied by."""
+    graph.input.add().CopyFrom(graph.input[0])
+    graph.input[1].name = "episode_starts"
+    graph.input[1].type.tensor_type.shape.dim[1].dim_value = 1
+    one = onnx.numpy_helper.from_array(np.float32(1), "one_")
+    graph.initializer.append(one)
+    nodes = [("Sub", ["one_", "episode_starts"], "going_on"), ("Mul", ["obs", "going_on"], "kept")]
+    for place, (operator, inputs, output) in enumerate(nodes):
+        graph.node.insert(place, onnx.helper.make_node(operator, inputs, [output]))
+    graph.node[2].input[0] = "kept"
+
+
+def test_input_is_a_constant_when_it_is_told_so(kit: Kit, tmp_path: Path, capsys: Capture) -> None:
+    source, out = tmp_path / "model.onnx", tmp_path / "policy.onnx"
+    source.write_bytes(foreign(kit.mlp((6, 8, 4)), episode_starts))
+    assert (
+        "the model takes 'obs' (6 values), 'episode_starts' (1 values), together 7, but the blocks of "
+        "--observation make 6 with 4 motors"
+    ) in refused([str(source), *OPTIONS, "--out", str(out)], capsys)
+    for text, words in (
+        ("episode_starts", "--constant episode_starts, expected NAME=VALUE"),
+        ("episode_starts=nan", "--constant episode_starts=nan, expected NAME=VALUE"),
+        ("dones=0", "--constant: the model has no input 'dones', its inputs are 'obs', 'episode_starts'"),
+    ):
+        assert words in refused([str(source), *OPTIONS, "--constant", text, "--out", str(out)], capsys)
+    assert main(["freeze", str(source), *OPTIONS, "--constant", "episode_starts=0", "--out", str(out)]) == 0
+    printed = capsys.readouterr().out.splitlines()
+    assert printed[0] == "took 0 for the input 'episode_starts' throughout"
+    assert printed[-2].startswith("compared with onnxruntime on the model itself")
+    observation = kit.observations(20, 6)
+    expected = evaluate(parse_policy(kit.mlp((6, 8, 4)).data()).network, observation)
+    np.testing.assert_array_equal(evaluate(read_policy(out).network, observation), expected)
+
+
+def test_model_is_refused_when_it_draws_random_numbers(kit: Kit) -> None:
+    def noisy(graph: onnx.GraphProto) -> None:
+        helper, name = onnx.helper, graph.node[-2].output[0]
+        graph.node.insert(-1, helper.make_node("Exp", [name], ["spread"]))
+        graph.node.insert(-1, helper.make_node("RandomNormalLike", ["spread"], ["draw"], name="draw"))
+        graph.node.insert(-1, helper.make_node("Mul", ["spread", "draw"], ["noise"]))
+        graph.node.insert(-1, helper.make_node("Add", [name, "noise"], ["noisy"]))
+        graph.node[-1].input[0] = "noisy"
+
+    with pytest.raises(PolicyError) as caught:
+        imported_model(foreign(kit.mlp((6, 8, 4)), noisy), CLAIMS, clip=False)
+    assert str(caught.value).startswith(
+        "node 'draw' (RandomNormalLike) draws random numbers, expected the same"
+    )
+
+
+def unread_state(graph: onnx.GraphProto) -> None:
+    """A state that nothing reads and that goes out as it came, as Godot RL writes it."""
+    graph.input.add().CopyFrom(graph.input[0])
+    graph.input[1].name = "state_ins"
+    del graph.input[1].type.tensor_type.shape.dim[1]
+    graph.output.add().CopyFrom(graph.input[1])
+    graph.output[1].name = "state_outs"
+    graph.node.append(onnx.helper.make_node("Identity", ["state_ins"], ["state_outs"]))
+
+
+def foreign_branch(graph: onnx.GraphProto) -> None:
+    """A node of an operator that nobody knows, without a taker."""
+    graph.node.append(onnx.helper.make_node("Unheard", [graph.node[0].output[0]], ["lost"], domain="else"))
+
+
+@pytest.mark.parametrize(
+    ("edit", "words"),
+    [
+        (unread_state, "dropped the input 'state_ins': the action does not depend on it"),
+        (foreign_branch, "dropped 1 node(s) that no output needs"),
+    ],
+)
+def test_what_the_action_does_not_need_is_dropped_and_told(
+    kit: Kit, edit: Callable[[onnx.GraphProto], object], words: str
+) -> None:
+    data, changes = imported_model(foreign(kit.mlp((6, 8, 4)), edit), CLAIMS, clip=False)
+    assert words in changes
+    observation = kit.observations(20, 6)
+    expected = evaluate(parse_policy(kit.mlp((6, 8, 4)).data()).network, observation)
+    np.testing.assert_array_equal(evaluate(parse_policy(data).network, observation), expected)
+
+
+def test_old_opset_is_refused_with_the_converters_words_when_it_cannot_be_converted(kit: Kit) -> None:
+    model = onnx.load_from_string(foreign(kit.mlp((6, 8, 4))))
+    model.graph.node.insert(0, onnx.helper.make_node("Upsample", ["obs", "scales"], ["wide"], mode="nearest"))
+    model.graph.node[1].input[0] = "wide"
+    model.graph.initializer.append(onnx.numpy_helper.from_array(np.ones(2, np.float32), "scales"))
+    model.opset_import[0].version = 9
+    with pytest.raises(PolicyError) as caught:
+        imported_model(model.SerializeToString(), CLAIMS, clip=False)
+    assert "the model is of opset 9, which onnx.version_converter cannot convert to 13: " in str(caught.value)
+    assert str(caught.value).endswith("; export it again with opset_version=13 or newer, 17 for one")
+    assert "\n" not in str(caught.value)
+
+
+def with_functions(calls: int, depth: int) -> bytes:
+    """x W with tanh as a function of the model's own, `depth` functions deep, each calling `calls` times."""
+    helper = onnx.helper
+    opsets = [helper.make_opsetid("", 17), helper.make_opsetid("own", 1)]
+    functions = [
+        helper.make_function(
+            "own", "Layer0", ["x", "w"], ["y"],
+            [helper.make_node("MatMul", ["x", "w"], ["m"]), helper.make_node("Tanh", ["m"], ["y"])], opsets,
+        )
+    ]  # fmt: skip
+    for level in range(1, depth + 1):
+        names = ["x", *(f"v{call}" for call in range(1, calls)), "y"]
+        nodes = [
+            helper.make_node(f"Layer{level - 1}", [before, "w"], [after], domain="own")
+            for before, after in pairwise(names)
+        ]
+        functions.append(helper.make_function("own", f"Layer{level}", ["x", "w"], ["y"], nodes, opsets))
+    ends = [helper.make_tensor_value_info(name, 1, ["n", width]) for name, width in (("obs", 6), ("act", 4))]
+    rng = np.random.default_rng(0)
+    tensors = [
+        onnx.numpy_helper.from_array(rng.normal(size=shape).astype(np.float32), name)
+        for name, shape in (("w", (6, 6)), ("last", (6, 4)))
+    ]
+    nodes = [
+        helper.make_node(f"Layer{depth}", ["obs", "w"], ["hidden"], domain="own"),
+        helper.make_node("MatMul", ["hidden", "last"], ["act"]),
+    ]
+    graph = helper.make_graph(nodes, "g", ends[:1], ends[1:], tensors)
+    model = helper.make_model(graph, functions=functions, opset_imports=opsets, ir_version=8)
+    return bytes(model.SerializeToString())
+
+
+def test_functions_of_the_model_are_inlined_when_it_is_frozen(kit: Kit) -> None:
+    source = with_functions(2, 2)
+    data, changes = imported_model(source, CLAIMS, clip=True)
+    assert changes[0] == "inlined the model's own functions 'Layer0', 'Layer1', 'Layer2'"
+    observation = np.random.default_rng(1).normal(size=(20, 6)).astype(np.float32)
+    (expected,) = onnxruntime.InferenceSession(source).run(["act"], {"obs": observation})
+    network = parse_policy(data).network
+    np.testing.assert_allclose(evaluate(network, observation), expected.clip(0, 1), rtol=0, atol=1e-6)
+
+
+def test_functions_are_refused_when_they_inflate_or_call_themselves() -> None:
+    with pytest.raises(PolicyError, match=r"make [0-9]{7,} nodes of it, expected at most 4096"):
+        imported_model(with_functions(10, 6), CLAIMS, clip=True)
+    model = onnx.load_from_string(with_functions(1, 1))
+    model.functions[0].node[1].op_type, model.functions[0].node[1].domain = "Layer1", "own"
+    with pytest.raises(PolicyError, match="own function 'Layer1' calls itself"):
+        imported_model(model.SerializeToString(), CLAIMS, clip=True)
 
 
 def test_freeze_never_crashes_when_bytes_are_damaged(kit: Kit) -> None:

@@ -42,6 +42,8 @@ CONSTANTS: Mapping[str, NDArray[np.generic]] = {
     "cube": np.array([0, 2, 3], np.int64),
     "sizes": np.array([2, 4], np.int64),
     "order": np.array([3, 1, 0, 2], np.int64),
+    "kernel": RNG.normal(size=(2, 2, 2)).astype(np.float32),
+    "pair": np.array([0.1, -0.2], np.float32),
     "points": np.array([[3], [0], [-1], [2]], np.int64),
 }
 END = "a = Gemm<transB=1>(x, w, four) action = Clip(a, zero, one)"  # of a body that computes x
@@ -62,6 +64,11 @@ ACCEPTED: dict[str, str] = {
     + END,
     "a value with itself": "p = Add(observation, observation) x = Mul(p, p) " + END,
     "one value for many": "g = Slice(observation, axis0, axis1, axis1) x = Mul(observation, g) " + END,
+    "Sum": "p = Tanh(observation) x = Sum(p, six, observation, half) " + END,
+    "Mean": "p = Tanh(observation) x = Mean(one, p, observation) " + END,
+    "Mean of one": "x = Mean(observation) " + END,
+    "Conv": "p = Reshape(observation, cube) q = Conv<pads=[1, 0]>(p, kernel, pair) x = Reshape(q, row) "
+    + END,
     "Tanh": "x = Tanh(observation) " + END,
     "Relu": "x = Relu(observation) " + END,
     "LeakyRelu": "x = LeakyRelu<alpha=0.2>(observation) " + END,

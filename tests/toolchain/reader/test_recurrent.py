@@ -1,4 +1,4 @@
-"""GRU and LSTM nodes: their state goes from step to step as onnxruntime's does when it is handed over."""
+"""RNN, GRU and LSTM nodes: state goes from step to step as onnxruntime's does when it is handed over."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 
 Float32 = NDArray[np.float32]
 UNITS, STEPS = 5, 50
-GATES = {"GRU": 3, "LSTM": 4}
-STATES = {"GRU": ("h",), "LSTM": ("h", "c")}
+GATES = {"RNN": 1, "GRU": 3, "LSTM": 4}
+STATES = {"RNN": ("h",), "GRU": ("h",), "LSTM": ("h", "c")}
 
 
 def recurrent(kit: Kit, operator: str, **options: Any) -> onnx.ModelProto:
@@ -122,7 +122,8 @@ def test_biases_are_zero_when_a_cell_has_none(kit: Kit, operator: str) -> None:
     operation = parse_policy(model.SerializeToString()).network.nodes[0].operation
     match operation:
         case Gru():
-            assert not operation.input_bias.any() and not operation.state_bias.any()
+            gates = 2 * UNITS if operator == "RNN" else 0  # of a GRU that stands for it
+            assert not operation.input_bias[gates:].any() and not operation.state_bias.any()
         case Lstm():
             assert not operation.bias.any()
         case _:
@@ -167,6 +168,7 @@ REFUSED: dict[str, tuple[str, dict[str, Any], Callable[[onnx.ModelProto], None] 
         {"activations": ["Sigmoid", "Relu"]},
         None,
     ),
+    "has activations 'Relu', expected Tanh": ("RNN", {"activations": ["Relu"]}, None),
     "has weights of shapes": ("LSTM", {"hidden_size": 7}, None),
     "has sequence_lens, expected none": ("GRU", {}, constant("n", np.array([1], np.int32), 4)),
     "has an initial state h other than zero": ("GRU", {}, constant("h", ONES, 5)),
