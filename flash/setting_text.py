@@ -102,6 +102,11 @@ def parse_value(name: str, text: str) -> Value:
         return parse_mode(name, text)
     if text.lower() in setting.choices:
         return float(setting.choices.index(text.lower()))
+    if _is_percent(setting, text):
+        raise LinkError(
+            f"setting {name} got '1', expected 1.0 for all of it, or 0.01 for a percent: a 1 of Betaflight's "
+            "means that, and `neuroflight msp import` takes its diff"
+        )
     try:
         number = float(text)
     except ValueError:
@@ -112,6 +117,11 @@ def parse_value(name: str, text: str) -> Value:
             f"setting {name} got {text!r}, expected a number within its limits; see docs/settings.md"
         )
     return number
+
+
+def _is_percent(setting: Setting, text: str) -> bool:
+    """Whether `text` is a bare 1 of a setting from 0 to 1: Betaflight has percents under the same names."""
+    return setting.kind == "float" and (setting.low, setting.high) == (0.0, 1.0) and text == "1"
 
 
 def _unquoted(text: str) -> str:
@@ -173,7 +183,14 @@ def value_text(name: str, value: Value) -> str:
         return _mode_text(int(value))
     if setting is not None and value in range(len(setting.choices)):
         return setting.choices[int(value)]
+    if setting is not None and setting.kind == "float" and value == 1.0 and 1.0 in _tops(setting):
+        return "1.0"  # the whole of a ratio has its point, so that nobody takes it for a percent
     return shortest(value)
+
+
+def _tops(setting: Setting) -> tuple[float, ...]:
+    """Its upper limits, of either style of rates."""
+    return (setting.high,) if setting.betaflight is None else (setting.high, setting.betaflight.high)
 
 
 def shortest(value: float) -> str:

@@ -114,7 +114,7 @@ def test_the_image_is_written_switched_to_and_seen_to_run(
     assert "settings: all as they were done: the new image runs and has proven itself" in out
     assert served.board.running == 1 and served.board.banks[1].data == board_images[1]
     (backup,) = tmp_path.glob("neuroflight-settings-*.txt")
-    assert backup.read_text().splitlines()[1:] == ["set deadband_us = 7", "set roll_expo = 1"]
+    assert backup.read_text().splitlines()[1:] == ["set deadband_us = 7", "set roll_expo = 1.0"]
 
     code, out, _ = flash(nfi, served.port)
     assert code == 0 and out.endswith(

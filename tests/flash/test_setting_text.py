@@ -35,7 +35,16 @@ def packed(mode: Mode, aux: int, low: int, high: int, also: bool) -> int:
 def test_a_float_reads_back_to_the_bit_when_written(value: float) -> None:
     text = shortest(value)
     assert "e" not in text
-    assert struct.pack("<f", parse_value("roll_expo", text)) == struct.pack("<f", value)
+    assert struct.pack("<f", parse_value("roll_rate", text)) == struct.pack("<f", value)
+
+
+@pytest.mark.parametrize("name", ["roll_expo", "pitch_expo", "yaw_expo", "failsafe_throttle"])
+def test_a_bare_1_of_a_ratio_is_refused_as_it_may_be_a_percent(name: str) -> None:
+    assert value_text(name, 1.0) == "1.0"
+    assert parse_value(name, "1.0") == 1.0
+    assert parse_value(name, "0") == 0.0
+    with pytest.raises(LinkError, match=r"got '1', expected 1\.0 for all of it, or 0\.01 for a percent"):
+        parse_value(name, " 1 ")
 
 
 @pytest.mark.parametrize(

@@ -94,6 +94,12 @@ void command_got(const struct task_line *t, const char *name, const char *got)
 	printer_text(t->out, "', expected ");
 }
 
+void command_end_foreign(const struct task_line *t)
+{
+	printer_text(t->out, "; a diff of Betaflight's: neuroflight msp import");
+	printer_end(t->out);
+}
+
 void command_say_armed(const struct task_line *t)
 {
 	printer_text(t->out, "the motors are armed or under test: disarm, or wait until they rest");

@@ -44,6 +44,9 @@ void command_error(const struct task_line *t);
  * expected is to follow. */
 void command_got(const struct task_line *t, const char *name, const char *got);
 
+/* Ends an error line about what may come from a diff of Betaflight's: says who takes that. */
+void command_end_foreign(const struct task_line *t);
+
 /* Ends an error line about armed motors or a motor test. */
 void command_say_armed(const struct task_line *t);
 

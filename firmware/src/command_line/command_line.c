@@ -57,7 +57,7 @@ static bool line_unknown(const struct task_line *t)
 	command_error(t);
 	printer_part(t->out, t->cl->line, 40);
 	printer_text(t->out, ": unknown command, expected one that 'help' lists");
-	printer_end(t->out);
+	command_end_foreign(t);
 	return false;
 }
 

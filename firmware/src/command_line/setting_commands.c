@@ -240,7 +240,17 @@ static void set_refuse_name(const struct task_line *t, const char *name)
 	command_got(t, "set", name);
 	printer_text(t->out, item_find(name) ? "a setting; that can only be read" :
 					       "a setting's name; 'get' lists them, 'get PART' finds them");
-	printer_end(t->out);
+	command_end_foreign(t);
+}
+
+/* Is `text` a bare 1 of a setting from 0 to 1? Betaflight has percents under the same names, where 1 means 0.01. */
+static bool set_is_percent(unsigned index, const char *text)
+{
+	const struct setting *setting = settings_info(index);
+	const struct setting_limits *limits = settings_limits(setting);
+
+	return setting->kind == SETTING_float && limits->low.as_float == 0.0f && limits->high.as_float == 1.0f &&
+	       command_is(text, "1");
 }
 
 static void set_value(const struct task_line *t, unsigned index, const char *text)
@@ -249,6 +259,12 @@ static void set_value(const struct task_line *t, unsigned index, const char *tex
 	union setting_value value;
 	const enum settings_text_error error = settings_text_parse(setting, text, &value);
 
+	if (set_is_percent(index, text)) {
+		command_got(t, setting->name, text);
+		printer_text(t->out, "1.0, or 0.01 for a percent");
+		command_end_foreign(t);
+		return;
+	}
 	if (error == SETTINGS_TEXT_GOOD && settings_set(t->services->settings, index, &value) == NF_REFUSAL_NONE)
 		return;
 	command_got(t, setting->name, text);

@@ -131,7 +131,7 @@ def test_get_tells_value_limits_and_default(desk: Desk) -> None:
     ]
     assert desk.tell("set") == desk.tell("get")
     desk.type("set rates_style = betaflight")
-    assert desk.tell("get roll_max") == ["roll_max = 0.7 (0 to 1; default 0.7)"]
+    assert desk.tell("get roll_max") == ["roll_max = 0.7 (0 to 1.0; default 0.7)"]
 
 
 @pytest.mark.parametrize(
@@ -148,6 +148,9 @@ def test_get_tells_value_limits_and_default(desk: Desk) -> None:
         ("set gyro_rate_hz = -1", "gyro_rate_hz: got '-1', expected 1000 to 8000 Hz"),
         ("set failsafe_throttle = 1.01", "failsafe_throttle: got '1.01', expected 0 to 1"),
         ("set failsafe_throttle = nan", "failsafe_throttle: got 'nan', expected a number from 0 to 1"),
+        ("set failsafe_throttle = 1", "failsafe_throttle: got '1', expected 1.0, or 0.01 for a percent"),
+        ("set yaw_expo = 1", "yaw_expo: got '1', expected 1.0, or 0.01 for a percent; a diff"),
+        ("set yaw_expo = 20", "yaw_expo: got '20', expected 0 to 1.0"),
         ("set motor_protocol = pwm", "motor_protocol: got 'pwm', expected one of dshot300,dshot600"),
         ("set craft_name = 12345678901234567", "craft_name: got '12345678901234567', expected at most 16"),
         ("set mode1 = arm aux1 1701 2100", "expected ends from 900 to 2100 us, multiples of 25"),
@@ -174,6 +177,44 @@ def test_an_error_says_what_was_got_and_expected_in_one_line(desk: Desk, line: s
     assert desk.settings() == before
     assert SAVE_REFUSED in desk.type("save")
     assert desk.stored() == []
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        *("batch start", "board_name MATEKF722", "resource MOTOR 1 C09", "feature -AIRMODE", "map TAER1234"),
+        *("serial 2 32 115200 57600 0 115200", "aux 0 0 0 1300 2100 0 0", "profile 0", "rateprofile 0"),
+        *("beeper -ON_USB", "name EXAMPLE", "rxfail 4 h", "set roll_srate = 70", "set roll_expo = 1"),
+    ],
+)
+def test_a_line_of_betaflights_diff_is_told_who_takes_it(desk: Desk, line: str) -> None:
+    desk.open()
+    before = desk.settings()
+    (said,) = desk.tell(line)
+    assert said.startswith("###ERROR ")
+    assert said.endswith("; a diff of Betaflight's: neuroflight msp import")
+    assert desk.settings() == before
+    assert SAVE_REFUSED in desk.type("save")
+
+
+def test_a_pasted_diff_of_betaflights_stores_nothing(desk: Desk) -> None:
+    """Whatever of it is a setting here by the same name: it ends in `save`, and that is refused."""
+    desk.open()
+    said = desk.type(
+        "# version\r\n# Betaflight / MATEKF722 (MKF7) 4.0.0 Mar  8 2019 / 11:37:03 (52c4e96c8)\r\n"
+        "batch start\r\ndefaults nosave\r\nset failsafe_throttle = 1100\r\nset blackbox_mode = ALWAYS\r\n"
+        "rateprofile 0\r\nset roll_expo = 1\r\nset yaw_expo = 0\r\nbatch end\r\nsave"
+    )
+    assert SAVE_REFUSED in said
+    assert desk.stored() == []
+    assert "set roll_expo" not in "".join(desk.tell("diff"))
+
+
+def test_the_whole_of_a_ratio_is_listed_with_its_point_and_read_back(desk: Desk) -> None:
+    desk.open()
+    assert desk.tell("set roll_expo = 1.0") == []
+    assert desk.tell("diff") == ["set roll_expo = 1.0"]
+    assert desk.tell("get motor_limit") == ["motor_limit = 1.0 (0.45 to 1.0; default 1.0)"]
 
 
 def test_nothing_is_saved_after_an_error_unless_it_is_forced(desk: Desk) -> None:

@@ -134,6 +134,20 @@ COMMAND_LINE_MUTANTS = (
         tests=(OF_SETTINGS,),
     ),
     Mutant(
+        name="a percent of Betaflight's is taken for the whole",
+        file=SETTING,
+        old='\t       command_is(text, "1");',
+        new='\t       command_is(text, "");',
+        tests=(OF_SETTINGS,),
+    ),
+    Mutant(
+        name="the whole of a ratio is listed as a bare 1, which is refused when it is pasted",
+        file=TEXT,
+        old='\t\t\tsettings_text_put(&ink, ".0", 2, false);\n',
+        new='\t\t\tsettings_text_put(&ink, "", 0, false);\n',
+        tests=(OF_SETTINGS,),
+    ),
+    Mutant(
         name="a motor turns although no test was opened",
         file=MOTOR,
         old="\tif (!cl->motor.allowed) {\n\t\tmotor_fail",
