@@ -62,7 +62,9 @@ def _parse_line(line: str) -> tuple[str, Value] | None:
     name, equals, value = words[1].partition("=") if len(words) == 2 else ("", "", "")
     if words[0].lower() != "set" or not equals:
         shown = line if len(line) <= SHOWN else f"{line[:SHOWN]}..."
-        raise LinkError(f"got {shown!r}, expected set NAME = VALUE")
+        raise LinkError(
+            f"got {shown!r}, expected set NAME = VALUE; Betaflight's diff goes by `neuroflight msp import`"
+        )
     name = name.strip()
     return name, parse_value(name, value)
 

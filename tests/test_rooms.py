@@ -33,6 +33,7 @@ ROOMS = (
     "toolchain/verification",
     "toolchain/image",
     "flash",
+    "flash/betaflight",
     "flash/rom",
     "flash/policy",
     "flash/image",

@@ -20,6 +20,7 @@ COMMANDS = {  # in the order of --help: the summary
     "diff": "the settings that differ from their defaults, as lines that `restore` reads",
     "dump": "all settings, as lines that `restore` reads",
     "restore": "set a file's settings, and their defaults beside them, check and save them; all or nothing",
+    "import": "bring settings over from Betaflight's `diff all` or `dump`, and tell what is left and why",
     "save": "store all settings; they are flown from the next boot on",
     "defaults": "set every setting to its default",
     "stream": "what the firmware does, up to 500 times a second: a table, or a file",
@@ -33,11 +34,13 @@ PRINTING = frozenset({"info", "status", "tasks", "get", "diff", "dump", "stream"
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the port and the commands."""
-    parser.add_argument("--port", required=True, metavar="PORT", help=PORT_HELP)
+    parser.add_argument("--port", metavar="PORT", help=PORT_HELP)
+    parser.set_defaults(usage_error=parser.error)
     commands = parser.add_subparsers(dest="action", required=True, metavar="COMMAND")
     declared = {}
     for name, summary in COMMANDS.items():
         declared[name] = commands.add_parser(name, help=summary, description=summary)
+        declared[name].add_argument("--port", metavar="PORT", default=argparse.SUPPRESS, help=PORT_HELP)
         if name in PRINTING:
             declared[name].add_argument("--json", action="store_true", help="print JSON")
     declared["get"].add_argument("names", nargs="*", metavar="NAME", help="of settings; all without")
@@ -48,6 +51,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     restore = declared["restore"]
     restore.add_argument("file", type=Path, metavar="FILE", help="as printed by dump or diff")
     restore.add_argument("--keep", action="store_true", help="leave what the file does not name as it is")
+    imported = declared["import"]
+    imported.add_argument("file", type=Path, metavar="DIFF", help="as Betaflight's diff or dump printed it")
+    imported.add_argument("--dry-run", action="store_true", help="show it and change nothing")
+    imported.add_argument("--yes", action="store_true", help="do not ask")
+    imported.add_argument(
+        "--rate-profile", type=int, metavar="N", help="its rates (default: the one that was active)"
+    )
+    imported.add_argument(
+        "--betaflight", metavar="VERSION", help="that wrote the file, where it does not say so itself"
+    )
     declared["defaults"].add_argument("--yes", action="store_true", help="do not ask")
     declared["defaults"].add_argument("--save", action="store_true", help="store them as well")
     stream = declared["stream"]
@@ -62,7 +75,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Carry out the command. Returns 0; raises NeuroflightError for what cannot be done."""
-    from cli.flash import settings_commands, state, streaming
+    from cli.flash import settings_commands, settings_import, state, streaming
 
+    if args.port is None:
+        args.usage_error("the following arguments are required: --port")
     handlers = {**state.HANDLERS, **settings_commands.HANDLERS, **streaming.HANDLERS}
+    handlers["import"] = settings_import.import_
     return handlers[args.action](args)

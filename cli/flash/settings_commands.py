@@ -157,22 +157,20 @@ def defaults(args: argparse.Namespace) -> int:
 
     with connect(args) as client:
         if not args.yes:
-            _confirm(client)
+            confirm(client, "set every setting to its default")
         Settings(client).set_defaults(save=args.save)
     told = "every setting has its default now"
     print(f"{told}; stored: {STORED}" if args.save else f"{told}; {UNSAVED}")
     return 0
 
 
-def _confirm(client: Client) -> None:
-    """Raises LinkError unless somebody at a terminal types yes."""
+def confirm(client: Client, deed: str) -> None:
+    """Raise LinkError unless somebody at a terminal types yes."""
     if not sys.stdin.isatty():
-        raise LinkError("defaults sets every setting to its default; give --yes if that is meant")
-    print(
-        f"{client.name}: set every setting to its default? yes or no: ", end="", file=sys.stderr, flush=True
-    )
+        raise LinkError(f"nothing is changed; give --yes if that is meant: {deed}")
+    print(f"{client.name}: {deed}? yes or no: ", end="", file=sys.stderr, flush=True)
     if sys.stdin.readline().strip().lower() != "yes":
-        raise LinkError("nothing is changed; answer yes or give --yes to set every setting to its default")
+        raise LinkError(f"nothing is changed; answer yes or give --yes to {deed}")
 
 
 HANDLERS: dict[str, Callable[[argparse.Namespace], int]] = {

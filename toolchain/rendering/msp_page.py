@@ -55,6 +55,7 @@ EXAMPLES = (
     ("diff > mine.txt", "what differs from the defaults"),
     ("dump > all.txt", "all settings"),
     ("restore mine.txt", "that, defaults beside it, checked and stored; --keep leaves the rest"),
+    ("import betaflight.txt", "what of Betaflight's `diff all` has a counterpart: shown, asked for, stored"),
     ("save", "stores what `set` without --save has changed"),
     ("defaults --save", "every setting to its default; asks, unless --yes is given"),
     ("stream --rate 500 --seconds 10 --out flight.npz", "or .csv; a table without --out"),

@@ -1,0 +1,85 @@
+"""`neuroflight msp import`: settings from a file that Betaflight's `diff` or `dump` printed."""
+
+from __future__ import annotations
+
+import argparse
+from typing import TYPE_CHECKING
+
+from cli.flash.settings_commands import STORED, confirm
+from cli.flash.state import connect
+from cli.flash.tables import print_table
+
+if TYPE_CHECKING:
+    from flash.betaflight.diff_file import Diff
+    from flash.betaflight.plan import Plan
+    from flash.setting_text import Value
+
+
+def import_(args: argparse.Namespace) -> int:
+    """Show what of a file has a counterpart, ask, set and store it: all or nothing."""
+    from flash import messages
+    from flash.betaflight.diff_file import read_diff
+    from flash.betaflight.plan import fitted, needed
+    from flash.betaflight.planner import make_plan
+    from flash.settings import Settings
+    from toolchain.contract import Msp
+
+    diff = read_diff(args.file, args.betaflight)
+    with connect(args) as client:
+        settings = Settings(client)
+        present = {stored.name: stored.value for stored in settings.read()}
+        board = messages.board_info(client.request(Msp.BOARD_INFO)).target
+        plan = fitted(make_plan(diff, board, present, args.rate_profile), settings)
+        changes = needed(plan, present)
+        _show(diff, plan, present, changes)
+        if args.dry_run or not changes:
+            print("nothing is changed" + (": a dry run" if args.dry_run else "; all of it is so already"))
+            return 0
+        if not args.yes:
+            confirm(client, f"set and store {_count(len(changes), 'setting')}")
+        settings.change(changes, save=True)
+    print(f"{args.file}: {_count(len(changes), 'setting')} changed, all stored; {STORED}")
+    return 0
+
+
+def _show(diff: Diff, plan: Plan, present: dict[str, Value], changes: dict[str, Value]) -> None:
+    """Print what is left and why, then what changes, and what the pilot has to look at."""
+    from flash.setting_text import value_text
+
+    brought = sum(len(group.lines) for group in plan.groups)
+    board = f" of {diff.board}" if diff.board else ""
+    print(
+        f"{diff.path}: Betaflight {diff.release}{board}, {_count(len(diff.lines), 'line')}: "
+        f"{brought} brought over, {len(plan.left)} left"
+    )
+    reasons: dict[str, list[str]] = {}
+    for one in plan.left:
+        reasons.setdefault(one.reason, []).append(f"  {one.line.number}: {one.line.shown}")
+    for reason, lines in reasons.items():
+        print(f"left, {reason}:", *lines, sep="\n")
+    rows = []
+    for group in plan.groups:
+        heads = [(group.name, _spans([line.number for line in group.lines]) or "left out")]
+        for name, value in group.changes.items():
+            told = value_text(name, value) if name in changes else "the same"
+            what, lines_of_it = heads.pop() if heads else ("", "")
+            rows.append((what, name, value_text(name, present[name]), told, lines_of_it))
+    if rows:
+        print_table(("brought over", "setting", "now", "becomes", "lines"), rows, frozenset())
+    for note in plan.notes:
+        print(f"note: {note}")
+
+
+def _spans(numbers: list[int]) -> str:
+    """Whole numbers as people write many of them: 3, 5-9."""
+    spans: list[list[int]] = []
+    for number in sorted(set(numbers)):
+        if spans and number == spans[-1][1] + 1:
+            spans[-1][1] = number
+        else:
+            spans.append([number, number])
+    return ", ".join(str(low) if low == high else f"{low}-{high}" for low, high in spans)
+
+
+def _count(count: int, what: str) -> str:
+    return f"1 {what}" if count == 1 else f"{count} {what}s"

@@ -1,0 +1,73 @@
+"""What becomes of a file of Betaflight's: settings in groups, lines left and why, notes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from flash.betaflight.diff_file import Line
+from flash.client import NoAnswerError, RefusedError
+from flash.setting_text import RATES, STYLE, Value, same
+from flash.settings import Settings
+from toolchain.errors import LinkError
+
+
+@dataclass(frozen=True)
+class Left:
+    """A line that is not brought over."""
+
+    line: Line
+    reason: str
+
+
+@dataclass
+class Group:
+    """Settings that are brought over together, or none of them."""
+
+    name: str
+    changes: dict[str, Value] = field(default_factory=dict)
+    lines: list[Line] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What is to be done with a file; each of its lines stands in one group, or among those left."""
+
+    groups: tuple[Group, ...]
+    left: tuple[Left, ...]
+    notes: tuple[str, ...]  # what the pilot has to look at
+
+    @property
+    def changes(self) -> dict[str, Value]:
+        """All settings that are asked for."""
+        return {name: value for group in self.groups for name, value in group.changes.items()}
+
+
+def fitted(plan: Plan, settings: Settings) -> Plan:
+    """Leave the groups that the firmware behind `settings` would not take. Raises LinkError: it is gone."""
+    kept: list[Group] = []
+    left, notes, changes = list(plan.left), list(plan.notes), dict[str, Value]()
+    for group in plan.groups:
+        try:
+            settings.check(changes | group.changes)
+            settings.check_together(changes | group.changes)
+        except (NoAnswerError, RefusedError):
+            raise
+        except LinkError as error:
+            left += [Left(line, str(error)) for line in group.lines]
+            notes.append(f"{group.name}: not brought over, as {error}")
+            continue
+        kept.append(group)
+        changes |= group.changes
+    return Plan(tuple(kept), tuple(sorted(left, key=lambda one: one.line.number)), tuple(notes))
+
+
+def needed(plan: Plan, present: Mapping[str, Value]) -> dict[str, Value]:
+    """Return the changes of `plan` that are any: a new style sets all rates, so all of them belong to it."""
+    changes = plan.changes
+    turned = STYLE in changes and not same(STYLE, changes[STYLE], present[STYLE])
+    return {
+        name: value
+        for name, value in changes.items()
+        if not same(name, value, present[name]) or (turned and name in RATES)
+    }
