@@ -12,6 +12,7 @@ from toolchain.files import file_size
 
 FILE_BYTES_MAX = 1 << 20  # a dump of 4.5 has 60 kB
 SHOWN = 70  # characters of a line in an error or a listing
+UNPRINTABLE = "\N{REPLACEMENT CHARACTER}"
 COMMENT = "#"
 WITH_TEXT = frozenset({"name", "display_name"})  # commands whose text may hold a comment's sign
 TEXT_SETTINGS = ("name", "craft_name", "pilot_name", "display_name")
@@ -64,9 +65,8 @@ class Line:
 
     @property
     def shown(self) -> str:
-        """Its text as a listing has it: short, and without what a terminal would obey."""
-        text = "".join(c if c.isprintable() else "?" for c in self.text)
-        return text if len(text) <= SHOWN else f"{text[:SHOWN]}..."
+        """Its text as a listing has it: short."""
+        return self.text if len(self.text) <= SHOWN else f"{self.text[:SHOWN]}..."
 
 
 @dataclass(frozen=True)
@@ -124,7 +124,8 @@ def _read(path: Path) -> str:
     if "\0" in text:
         number = text.count(chr(10), 0, text.index(chr(0))) + 1
         raise LinkError(f"{path}:{number}: a zero byte, expected text")
-    return text
+    # Whatever is printed of the file is nothing that a terminal obeys.
+    return "".join(c if c.isprintable() or c in "\n\r\t" else UNPRINTABLE for c in text)
 
 
 def _written_by(path: Path, texts: list[str]) -> tuple[str, str | None]:

@@ -109,6 +109,7 @@ def test_the_version_can_be_told_where_the_file_does_not(file: Path) -> None:
 
 
 def test_a_line_is_shown_without_what_a_terminal_would_obey(file: Path) -> None:
-    file.write_text(f"{HEADER}name \x1b[2J{'x' * 200}\n")
-    (line,) = read_diff(file).lines
-    assert line.shown == "name ?[2J" + "x" * 61 + "..."
+    file.write_text(f"{HEADER}board_name \x1b[31mX\nname \x1b[2J{'x' * 200}\n")
+    diff = read_diff(file)
+    assert diff.board == "\N{REPLACEMENT CHARACTER}[31MX"
+    assert diff.lines[1].shown == "name \N{REPLACEMENT CHARACTER}[2J" + "x" * 61 + "..."
