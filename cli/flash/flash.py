@@ -166,7 +166,7 @@ def _backup(args: argparse.Namespace, board: Board, settings: dict[str, Value]) 
         return None
     name = f"neuroflight-settings-{board.uid[-8:]}-{time.strftime('%Y%m%d-%H%M%S')}.txt"
     path = Path(name) if args.backup is None else args.backup
-    write_backup(path, board, settings)
+    write_backup(path, board.target, board.version, settings)
     if not args.json:
         print(f"backup: {len(settings)} settings in {path}; neuroflight msp --port PORT restore {path}")
     return str(path)

@@ -56,6 +56,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     imported.add_argument("--dry-run", action="store_true", help="show it and change nothing")
     imported.add_argument("--yes", action="store_true", help="do not ask")
     imported.add_argument(
+        "--backup", type=Path, metavar="FILE", help="write all settings as they are before, for `restore`"
+    )
+    imported.add_argument(
         "--rate-profile", type=int, metavar="N", help="its rates (default: the one that was active)"
     )
     imported.add_argument(

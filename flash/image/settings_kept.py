@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from flash.client import Client
-from flash.image.board import Board
 from flash.setting_text import Value, same, set_line, value_text
 from flash.settings import Settings, in_order
 from toolchain.errors import LinkError
@@ -48,9 +47,9 @@ def read_settings(client: Client) -> dict[str, Value]:
     return {stored.name: stored.value for stored in Settings(client).read()}
 
 
-def write_backup(path: Path, board: Board, values: Mapping[str, Value]) -> None:
+def write_backup(path: Path, target: str, version: str, values: Mapping[str, Value]) -> None:
     """Write them as `neuroflight msp dump` does. Raises OSError."""
-    head = f"# dump of {board.target} {board.version}: neuroflight msp --port PORT restore FILE"
+    head = f"# dump of {target} {version}: neuroflight msp --port PORT restore FILE"
     lines = [head, *(set_line(name, value) for name, value in in_order(values).items())]
     write_text(path, "\n".join(lines) + "\n")
 

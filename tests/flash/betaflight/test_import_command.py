@@ -128,6 +128,15 @@ def test_a_dry_run_says_the_same_and_changes_nothing(msp: Run, diff: Path, tmp_p
     assert (tmp_path / "flash.bin").read_bytes() != before
 
 
+def test_the_settings_of_before_are_there_again_from_the_backup(msp: Run, diff: Path, tmp_path: Path) -> None:
+    assert msp("set", "deadband_us=9", "yaw_expo=0.25", "--save")[0] == 0
+    before, backup = msp("dump")[1], tmp_path / "before.txt"
+    assert msp("import", str(diff), "--yes", "--backup", str(backup))[0] == 0
+    assert backup.read_text() == before != msp("dump")[1]
+    assert msp("restore", str(backup))[0] == 0
+    assert msp("dump")[1] == before
+
+
 @pytest.mark.parametrize(("typed", "code"), [("yes\n", 0), ("no\n", 1), ("", 1)])
 def test_it_asks_on_a_terminal_and_needs_yes_elsewhere(
     msp: Run, diff: Path, monkeypatch: pytest.MonkeyPatch, typed: str, code: int
