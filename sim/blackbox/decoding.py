@@ -138,7 +138,7 @@ class _Decoder:
     def run(self, progress: Progress) -> Decoded:
         data, result = self._data, self._result
         size, at, failures, reported = len(data), 0, 0, 0
-        synchronous = True
+        synchronous, good = True, 0  # where the last frame that was read ends
         while at < size and not result.ended:
             if result.frames - reported >= CHUNK:
                 reported = result.frames
@@ -146,7 +146,7 @@ class _Decoder:
             try:
                 if not synchronous and not self._chain(at):
                     raise _DamageError
-                at = self._take(at)
+                at = good = self._take(at)
                 synchronous = True
                 if reason := self._full():
                     result.notes.append(f"{reason}; what follows byte {at} of {size} is not read")
@@ -167,6 +167,9 @@ class _Decoder:
             further = found.start() if found else size
             result.skipped_bytes += further - at
             at = further
+        if not synchronous and good and at - good <= _FRAME_BYTES_MAX:  # the last frame is cut off: no damage
+            result.corrupt -= 1
+            result.skipped_bytes -= at - good
         self._finish()
         progress(1.0)
         return result

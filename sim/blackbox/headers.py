@@ -269,7 +269,9 @@ def _lost(headers: Headers) -> dict[str, str]:
             follows = "the gyro cannot be read, tell it by --header gyro_scale=DEG_S"
         need("gyro_scale", {"gyroADC[0]", "gyroData[0]"} & names, follows)
     need("acc_1G", "accSmooth[0]" in names, "what a count of accSmooth is is not known")
-    if whose.maker is Maker.BETAFLIGHT:
+    ours = any(name.startswith("nf_") for name in told)
+    need("nf_version", ours, "our log is taken for Betaflight's")
+    if whose.maker is Maker.BETAFLIGHT and not ours:
         need(
             "motorOutput",
             whose.version >= OUTPUT_FROM and "motor[0]" in names,

@@ -58,7 +58,7 @@ class Trace:
 
     @property
     def step_s(self) -> float:
-        """The usual time from row to row [s], the median where a log's clock is uneven; 0 for a single row."""
+        """The usual time from row to row [s]: the median where a clock is uneven; 0 for a single row."""
         if len(self.t) < 2:
             return 0.0
         first, usual = float(self.t[1] - self.t[0]), float(np.median(np.diff(self.t)))

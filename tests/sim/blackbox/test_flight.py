@@ -242,6 +242,16 @@ def test_events_are_told_in_words(tmp_path: Path) -> None:
     assert words(log, log.events[1]) == "armed"
 
 
+def test_our_log_is_told_from_betaflights_when_its_version_is_lost(tmp_path: Path) -> None:
+    """It names Betaflight as well, for the tools of others, but has not all of its lines."""
+    version = b"H nf_version:0.1.0\n"
+    data = log_of(trace(100))
+    data = data.replace(version, version + b"H Firmware revision:Betaflight 2025.12.0 (Neuroflight) SITL\n")
+    assert not read_log(save(tmp_path, data)).notes
+    log = read_log(save(tmp_path, data.replace(version, b"")))
+    assert log.notes == ("header lines are lost: nf_version: our log is taken for Betaflight's",)
+
+
 def test_idle_is_that_of_the_controller_that_flew(tmp_path: Path) -> None:
     data = log_of(trace(100)).replace(b"flightModeFlags", b"nfFlags")
     assert channels(read_log(save(tmp_path, data))).idle == 0.06
