@@ -66,8 +66,8 @@ def fit_points(stands: Sequence[Stand], reason: str, *, speed_dependent: bool = 
     turning = (speed > 0.0) & np.isfinite(thrust)
     if turning.sum() < POINTS_MIN:
         raise DynoError(
-            f"{where}: {int(turning.sum())} rows with a turning rotor, expected at least {POINTS_MIN}; record "
-            "more levels"
+            f"{where}: {int(turning.sum())} rows with a turning rotor, expected at least {POINTS_MIN}; "
+            "record more levels"
         )
     notes = [note for one in stands for note in one.notes]
     if torque is None:
