@@ -46,7 +46,7 @@ OURS = ("t_s", "gyro_x_deg_s", "gyro_y_deg_s", "gyro_z_deg_s")
 OURS_ACCELERATION = ("acc_x_m_s2", "acc_y_m_s2", "acc_z_m_s2")
 GYRO, ACCELERATION = (tuple(f"{name}[{axis}]" for axis in range(3)) for name in ("gyroADC", "accSmooth"))
 BLACKBOX = ("time (us)", *GYRO)
-SCALES = ("gyro_scale", "gyro.scale")  # headers, of which a log has one
+SCALE = "gyro_scale"  # the header
 EXPLORER_SCALE = "gyroScale"  # in the Explorer's export: rad/us of a count
 EXPLORER_LOST = 1e-4  # what it is where the log had none
 FINE = "blackbox_high_resolution"
@@ -168,19 +168,16 @@ def _of_log(log: Log, unit_deg_s: float | None, notes: Iterable[str] = ()) -> Sa
     where = f"log {log.path}"
     if log.matrix("gyroADC", len(GYRO)) is None:
         raise TraceError(f"{where}: log {log.number} has no gyroADC; log the gyro (blackbox_disabled_mask)")
-    known = any(log.header.get(name) for name in SCALES)
+    told = channels(log)
     if unit_deg_s is not None:
-        if known:
+        if told.gyro is not None:
             raise TraceError(f"{where}: its header tells the gyro's scale; leave --gyro-unit out")
-        log = _with_headers(log, {**log.header, SCALES[0]: repr(unit_deg_s), FINE: "0"})
-    elif not known:
+        told = channels(_made_log(log.path, log.columns, {**log.header, SCALE: repr(unit_deg_s), FINE: "0"}))
+    if told.gyro is None:
         raise TraceError(
             f"{where}: nothing tells what a count of gyroADC is; give the log itself (.BBL), or --gyro-unit, "
-            f"deg/s: gyro_scale of the log's header, a tenth of it where {FINE} is 1 there"
+            f"deg/s: {SCALE} of the log's header, a tenth of it where {FINE} is 1 there"
         )
-    told = channels(log)
-    if told.gyro is None:
-        raise TraceError(f"{where}: {SCALES[0]} in its header is no number; give the log itself (.BBL)")
     forces = told.acceleration
     if forces is None and (counts := log.matrix("accSmooth", len(ACCELERATION))) is not None:
         forces = _resting(counts.astype(np.float64))
@@ -194,10 +191,6 @@ def _resting(counts: Array) -> Array:
     """Specific force of counts whose scale is not told: their mean is 1 g, at rest."""
     rest = float(np.linalg.norm(counts.mean(axis=0))) if len(counts) else 0.0
     return counts * (GRAVITY / rest) if rest else counts
-
-
-def _with_headers(log: Log, values: Mapping[str, str]) -> Log:
-    return _made_log(log.path, log.columns, values)
 
 
 def _made_log(path: Path, columns: Mapping[str, NDArray[np.int64]], values: Mapping[str, str]) -> Log:
@@ -368,11 +361,11 @@ def _sidecar(path: Path) -> dict[str, str]:
 def _log_headers(values: Mapping[str, str]) -> dict[str, str]:
     """Header lines as a log has them, of those of an export."""
     found = dict(values)
-    if SCALES[0] not in found and (told := found.get(EXPLORER_SCALE)):
+    if SCALE not in found and (told := found.get(EXPLORER_SCALE)):
         try:
             lost = float(told) == EXPLORER_LOST
         except ValueError:
             lost = True
         if not lost:
-            found[SCALES[0]] = told
+            found[SCALE] = told
     return found

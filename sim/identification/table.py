@@ -85,8 +85,8 @@ def find_table(
 
     The mark between cells is the one that shows most known cells, at least `enough`, in the first lines; None
     where no line has so many. Columns whose names `keep` refuses are left out. Cells that a row lacks are
-    empty. Raises `failure`, naming `where`, on a row that is too long, on too many rows, and on cells that
-    are no CSV.
+    empty, and those beyond the heading are passed over where none of them is read. Raises `failure`, naming
+    `where`, on another row that is too long, on too many rows, and on cells that are no CSV.
     """
     lines = text.splitlines()
     best, heading, mark = enough - 1, -1, ""
@@ -121,13 +121,22 @@ def find_table(
             continue
         while len(cells) > len(names) and not cells[-1]:
             cells.pop()
-        if len(cells) > len(names):
+        if len(cells) > len(names) and not _runs_on(cells, kept, len(names)):
             raise failure(
                 f"{where}: line {number}: {len(cells)} columns, expected {len(names)} as in the heading"
             )
         rows.append([cells[at] if at < len(cells) else "" for at in kept])
         places.append(number)
     return Table(tuple(names), tuple(names[at] for at in kept), rows, places)
+
+
+def _runs_on(cells: Sequence[str], kept: Sequence[int], count: int) -> bool:
+    """Whether a row that is longer than the heading has its further cells behind what is read.
+
+    Programs end a row by a message, which may hold commas, or by columns that a script added later. Numbers
+    with a decimal comma, which would be cut in two, have no point.
+    """
+    return kept[-1] < count - 1 and any("." in cells[at] for at in kept)
 
 
 def split(line: str, mark: str) -> list[str]:

@@ -62,10 +62,12 @@ def fit_points(stands: Sequence[Stand], reason: str, *, speed_dependent: bool = 
     speed, thrust = (np.concatenate([getattr(one, name) for one in stands]) for name in ("speed", "thrust"))
     torque = _all(stands, "torque")
     throttle = _all(stands, "throttle")
+    where = ", ".join(str(one.path) for one in stands)
     turning = (speed > 0.0) & np.isfinite(thrust)
     if turning.sum() < POINTS_MIN:
         raise DynoError(
-            f"{int(turning.sum())} rows with a turning rotor, expected at least {POINTS_MIN}; record more"
+            f"{where}: {int(turning.sum())} rows with a turning rotor, expected at least {POINTS_MIN}; "
+            "record more levels"
         )
     notes = [note for one in stands for note in one.notes]
     if torque is None:
@@ -74,7 +76,8 @@ def fit_points(stands: Sequence[Stand], reason: str, *, speed_dependent: bool = 
     rough = turning & (thrust > STRONG * top)
     if top <= 0.0 or not rough.any():
         raise DynoError(
-            "thrust is not above 0 in any row, expected it to rise with speed; is the sensor connected?"
+            f"{where}: thrust is not above 0 in any row, expected it to rise with speed; is the sensor "
+            "connected?"
         )
     off = np.abs(thrust - float(np.median(thrust[rough] / speed[rough] ** 2)) * speed**2)
     slips = turning & (off > max(SLIP * top, SLIPS_OFF * deviation(off[turning])))
@@ -99,7 +102,7 @@ def fit_points(stands: Sequence[Stand], reason: str, *, speed_dependent: bool = 
         w, loads = speed[braked], _at(thrust_terms, speed[braked]) * speed[braked] ** 2
         if len(w) < POINTS_MIN:
             raise DynoError(
-                f"{len(w)} rows with a torque, expected at least {POINTS_MIN}; record more levels"
+                f"{where}: {len(w)} rows with a torque, expected at least {POINTS_MIN}; record more levels"
             )
         if speed_dependent:
             torque_terms = fit_polynomial(w, loads, torque[braked], float(w.max()), True, "torque")

@@ -67,6 +67,7 @@ class Stand:
     Sensors of a stand may be read in turns: thrust and torque are NaN in rows that lack them.
     """
 
+    path: Path
     time: Array | None  # (N,) [s], not always rising; None: the log has no clock
     throttle: Array | None  # (N,) 0..1; None: not logged, or in a unit that is not known
     speed: Array  # (N,) [rad/s]
@@ -333,6 +334,7 @@ def _stand(table: Table, columns: dict[Quantity, list[int]], path: Path, chosen:
             "thrust: it was not tared, or it drifts"
         )
     return Stand(
+        path=path,
         time=None if time is None else time[kept],
         throttle=None if throttle is None else throttle[kept],
         speed=speed[kept],

@@ -29,6 +29,7 @@ COLUMNS = [Column(f"gyroADC[{axis}]") for axis in range(3)] + [
     Column(f"accSmooth[{axis}]") for axis in range(3)
 ]
 BETAFLIGHT = {"Firmware type": "Cleanflight", "Firmware revision": "Betaflight 4.5.1 (77d01ba3b) STM32F7X2"}
+CLEANFLIGHT = {"Firmware type": "Cleanflight", "Firmware revision": "0a1b2c3"}  # whose counts are the chip's
 SCALE = {"gyro_scale": "0x3f800000", "blackbox_high_resolution": "1", "acc_1G": "2048"}
 
 
@@ -40,9 +41,14 @@ def at_rest(seed: int = 1, count: int = COUNT, spread: float = 12.0) -> Integers
     return np.column_stack([gyro, force]).astype(np.int64)
 
 
-def log_of(rows: Integers, told: Mapping[str, object], start: int = 5_000_000) -> bytes:
+def log_of(
+    rows: Integers,
+    told: Mapping[str, object],
+    start: int = 5_000_000,
+    firmware: Mapping[str, object] = BETAFLIGHT,
+) -> bytes:
     """A log of these rows, a millisecond apart."""
-    lines = header({"I interval": 32, "P interval": "1/1"}) + header(dict(BETAFLIGHT)) + header(dict(told))
+    lines = header({"I interval": 32, "P interval": "1/1"}) + header(dict(firmware)) + header(dict(told))
     return PRODUCT + fields(COLUMNS) + lines + flight(COLUMNS, rows.tolist(), start=start) + END
 
 
@@ -121,7 +127,7 @@ def test_a_scale_is_told_once_and_never_guessed(
     words: list[str],
     message: str,
 ) -> None:
-    log = save(tmp_path / "LOG.BFL", log_of(at_rest(), told))
+    log = save(tmp_path / "LOG.BFL", log_of(at_rest(), told, firmware=CLEANFLIGHT))
     assert main(["twin", "noise", str(log), *words]) == 1
     error = capsys.readouterr().err
     assert message in error and error.count("\n") == 1
@@ -132,7 +138,7 @@ def test_a_scale_is_told_once_and_never_guessed(
 
 
 def test_a_scale_that_the_explorer_did_not_find_is_asked_for(tmp_path: Path) -> None:
-    path = save(tmp_path / "a.csv", explorer(at_rest(), BETAFLIGHT, EXPLORER_LOST).encode())
+    path = save(tmp_path / "a.csv", explorer(at_rest(), CLEANFLIGHT, EXPLORER_LOST).encode())
     with pytest.raises(TraceError, match="nothing tells what a count"):
         read_recording(path)
     seen = read_recording(path, Choice(unit_deg_s=0.5))
@@ -194,7 +200,7 @@ def test_every_scale_in_every_form_is_that_of_the_log(tmp_path: Path, data: st.D
     right = np.deg2rad(rows[:, :3] * scale / (10.0 if fine else 1.0))
     one_g = draw(st.sampled_from([512, 2048, 4096]))
     told: dict[str, object] = {
-        "gyro_scale": text,
+        draw(st.sampled_from(["gyro_scale", "gyro.scale"])): text,
         "blackbox_high_resolution": fine,
         "acc_1G": one_g,
     }

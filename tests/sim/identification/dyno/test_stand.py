@@ -288,6 +288,30 @@ def test_decimal_commas_of_three_digits_in_one_column_are_told_by_the_others(
     )
 
 
+def test_messages_and_columns_of_a_script_behind_a_row_are_passed_over(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    lines = steps()
+    lines[3] = lines[3].removesuffix(",") + "Cutoff: thrust (val=-1.02, limit=-1.02),"
+    lines[5] += "3500,-156,-1000,"
+    found = fitted(write(tmp_path, lines), capsys)
+    assert found.thrust == pytest.approx(K_T, rel=1e-12) and found.document["rows"] == 21
+    cut = ["0,5,1,2,1000,note", "1,0,2,4,2000,note", "1,5,3,6,3000,note"]  # decimal commas between commas
+    path = write(tmp_path, cut, "Time (s),Thrust (N),RPM,App message")
+    assert "line 2: 6 columns, expected 4 as in the heading" in refused(path, capsys)
+    path = write(tmp_path, ["1.5,2,1000", "2.5,4,2000"], "Thrust (N),RPM")
+    assert "line 2: 3 columns, expected 2" in refused(path, capsys)
+
+
+def test_a_log_of_too_few_levels_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert "StepsTest.csv: 2 rows with a turning rotor, expected at least 3" in refused(
+        write(tmp_path, steps(2)), capsys
+    )
+    still = [row.replace(row.split(",")[8], "0") for row in steps()]
+    assert "StepsTest.csv: the rotor's speed is 0 in every row" in refused(write(tmp_path, still), capsys)
+    assert "StepsTest.csv: no rows below the heading" in refused(write(tmp_path, []), capsys)
+
+
 def test_a_blackbox_log_is_called_what_it_is(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "LOG00001.TXT"
     path.write_bytes(b"H Product:Blackbox flight data recorder by Nicholas Sherlock\nH Data version:2\n\0")
