@@ -61,9 +61,10 @@ def read_foreign(model: onnx.ModelProto, ends: Ends) -> Adopted:
     reading = _read(model, shapes, MULTIPLY_ADDS_MAX)
     action = computed(reading.values, name)
     after = {reading.inputs[s].number: computed(reading.values, states[s]).number for s in states}
-    cells, failed = find_cells(reading.build.nodes, reading.build.widths, set(reading.names), after)
+    found, failed = find_cells(reading.build.nodes, reading.build.widths, set(reading.names), after)
+    needed = _needed(reading.build.nodes, action.number, found)
+    cells = [cell for cell in found if cell.result in needed]  # no critic's
     changes += _told(cells, reading, states)
-    needed = _needed(reading.build.nodes, action.number, cells)
     for node in (reading.build.nodes[number - 1] for number in sorted(needed)):
         if isinstance(node.operation, Recurrent):
             kind = _kind(node.operation)
@@ -176,10 +177,12 @@ def _check_failed(
     for number, why in failed.items():
         name = reading.names[number]
         if name in names:
+            others = [shown(other) for other in names[1:] if other not in states]
+            hint = f", or set {' or '.join(others)} with --constant NAME=VALUE" if others else ""
             raise PolicyError(
                 f"the input {shown(name)}, which the output {shown(states[name])} gives anew, is no state of "
                 f"a GRU, LSTM or tanh RNN: {why}; export the memory as torch.nn.GRU or LSTM, or observe the "
-                "past with terms like rate@1"
+                f"past with terms like rate@1{hint}"
             )
 
 
@@ -199,8 +202,8 @@ def _ordered(reading: _Reading, names: list[str], ends: Ends) -> tuple[list[str]
         listing = ", ".join(f"{shown(name)} ({width} values)" for name, width in widths.items())
         raise PolicyError(
             f"the model takes {listing}, together {sum(widths.values())}, but the blocks of --observation "
-            f"make {ends.observation_count} with {ends.motors} motors; name the blocks of all, or set an input "
-            "that the firmware does not have with --constant NAME=VALUE"
+            f"make {ends.observation_count} with {ends.motors} motors; name the blocks of all, or set an "
+            "input that the firmware does not have with --constant NAME=VALUE"
         )
     parts, terms, joined = list[str](), list(ends.terms or ()), list[str]()
     for name in order:

@@ -156,10 +156,13 @@ def read_sum(build: Builder, call: Call) -> Row:
     rows = [value for value in call.inputs if isinstance(value, Row)]
     constants = [call.numbers(place) for place, value in enumerate(call.inputs) if not isinstance(value, Row)]
     arrays = [array for array in constants if array is not None]
-    shape = joint_shape(call, *(value.shape for value in (*rows, *arrays)))
+    shapes = [row.shape for row in rows] + [array.shape for array in arrays]
+    shape = joint_shape(call, *shapes)
     total, *others = (build.broadcast(call, row, shape) for row in rows)
     for row in others:
         total = build.append(call, Add(), total, row, shape=shape)
-    offset = np.broadcast_to(sum(arrays, np.zeros(())), shape).ravel()
+    offset = np.zeros(shape)
+    for array in arrays:
+        offset += array
     share = 1 / len(call.inputs) if call.operator == "Mean" else 1.0
-    return mapped(build, call, total, share, share * offset, shape)
+    return mapped(build, call, total, share, share * offset.ravel(), shape)

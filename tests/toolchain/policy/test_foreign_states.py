@@ -21,6 +21,7 @@ from toolchain.errors import PolicyError
 from toolchain.ir.interpreter import replay
 from toolchain.policy.import_onnx import PolicyClaims, imported_model
 from toolchain.policy.model import parse_policy
+from toolchain.verification.original import compare
 
 Float32 = NDArray[np.float32]
 CLAIMS = PolicyClaims("rate_error,rate_error_delta", 1000, "[]", "nf1", "ab" * 32, 4)
@@ -32,6 +33,7 @@ class Actor(nn.Module):
     """A cell between an encoder and a head; `shapes` are those of its states."""
 
     shapes: tuple[tuple[int, ...], ...] = ((1, UNITS),)
+    given: int | None = None  # how many of them it gives anew, where not all
 
     def __init__(self) -> None:
         super().__init__()
@@ -139,6 +141,20 @@ class WithCritic(Actor):
         return self.action(hidden), h, c, hv, cv, self.value(valued[0])
 
 
+class Restarts(Actor):
+    """An LSTM whose states an input of the trainer's clears, as of sb3-contrib."""
+
+    shapes, given = ((1, UNITS), (1, UNITS), (1, 1)), 2
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.cell = nn.LSTMCell(INPUTS, UNITS)
+
+    def forward(self, observation: Tensor, h: Tensor, c: Tensor, starts: Tensor) -> tuple[Tensor, ...]:
+        h, c = self.cell(observation, ((1 - starts) * h, (1 - starts) * c))
+        return self.action(h), h, c
+
+
 class Filter(Actor):
     """A low-pass, which is no cell."""
 
@@ -182,7 +198,7 @@ def export(actor: Actor, *, dynamo: bool = False, outputs: Sequence[str] = ()) -
     states = [f"state_{number}" for number in range(len(actor.shapes))]
     names: dict[str, Any] = {
         "input_names": ["obs", *states],
-        "output_names": ["actions", *(f"next_{name}" for name in states), *outputs],
+        "output_names": ["actions", *(f"next_{name}" for name in states[: actor.given]), *outputs],
         "dynamo": dynamo,
         "opset_version": 18 if dynamo else 11,
     }
@@ -242,6 +258,8 @@ def test_state_is_carried_as_onnxruntime_carries_it_when_it_is_input_and_output(
     assert any(
         f"a state that the policy carries, from zero at its start: {words}" in line for line in changes
     )
+    dropped = [line for line in changes if line.startswith("dropped the input")]
+    assert len(dropped) == (2 if name == "beside a critic" else 0)
     network = parse_policy(imported).network
     assert network.inputs == INPUTS
     observation = np.random.default_rng(0).normal(size=(STEPS, INPUTS)).astype(np.float32)
@@ -267,6 +285,16 @@ def test_model_is_refused_by_the_names_of_its_state_when_no_cell_carries_it(word
         imported_model(export(REFUSED[words]()), CLAIMS, clip=False)
     assert words in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_state_is_carried_when_the_input_that_clears_it_is_a_constant() -> None:
+    data = export(Restarts())
+    with pytest.raises(PolicyError, match="or set 'state_2' with --constant NAME=VALUE"):
+        imported_model(data, CLAIMS, clip=False)
+    imported, changes = imported_model(data, CLAIMS, clip=False, constants={"state_2": 0.0}, prove=compare)
+    assert changes[0] == "took 0 for the input 'state_2' throughout"
+    assert "300 steps, its state carried: at most" in changes[-1]
+    assert parse_policy(imported).network.text == "6-lstm5-4 sigmoid"
 
 
 def test_search_ends_when_a_graph_has_no_end_of_branches() -> None:

@@ -390,7 +390,7 @@ def episode_starts(graph: onnx.GraphProto) -> None:
     graph.input.add().CopyFrom(graph.input[0])
     graph.input[1].name = "episode_starts"
     graph.input[1].type.tensor_type.shape.dim[1].dim_value = 1
-    one = onnx.numpy_helper.from_array(np.float32(1), "one_")
+    one = onnx.numpy_helper.from_array(np.array(1, np.float32), "one_")
     graph.initializer.append(one)
     nodes = [("Sub", ["one_", "episode_starts"], "going_on"), ("Mul", ["obs", "going_on"], "kept")]
     for place, (operator, inputs, output) in enumerate(nodes):

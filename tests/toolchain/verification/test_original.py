@@ -64,6 +64,24 @@ def test_reason_is_told_when_nothing_runs_the_model() -> None:
     )
 
 
+@pytest.mark.parametrize(
+    ("factor", "words"),
+    [
+        (1.0, "compared with onnxruntime"),
+        (1e30, "not compared with the model itself: its sums leave float32"),
+    ],
+)
+def test_nothing_is_refused_when_sums_leave_float32(factor: float, words: str) -> None:
+    huge = onnx.load_from_string(model())
+    huge.graph.initializer[0].CopyFrom(numpy_helper.from_array(np.full((6, 4), 1e38, np.float32), "w"))
+    huge.graph.initializer.append(numpy_helper.from_array(np.array(factor, np.float32), "factor"))
+    huge.graph.node[1].op_type = "Relu"
+    huge.graph.node.insert(0, helper.make_node("Mul", ["obs", "factor"], ["wide"]))
+    huge.graph.node[1].input[0] = "wide"
+    data = huge.SerializeToString()
+    assert compare(data, adopted(data)).startswith(words)
+
+
 def test_model_is_refused_when_what_was_read_of_it_computes_something_else() -> None:
     data = model()
     found = adopted(data)
