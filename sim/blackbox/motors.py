@@ -19,6 +19,7 @@ Words = NDArray[np.uint16]
 PULSE_STOP_US, PULSE_FULL_US = 1000.0, 2000.0  # motor values of an analog protocol
 PULSE_LEAST_US, PULSE_MOST_US = 750.0, 2250.0  # that Betaflight's settings let a pulse have
 ROTORFLIGHT_FULL = 1000.0  # motor value at full power
+DSHOT_ROUNDED = DSHOT_MAX + 1  # Betaflight 3.4's full power in its logs, which its driver cuts to DSHOT_MAX
 IMPOSSIBLE = 0xFFFF  # DShot value that stands for one that no motor was given
 MINTHROTTLE, MINMOTOR = 4, 11  # predictors
 BASE = {MINTHROTTLE: "minthrottle", MINMOTOR: "motorOutput"}  # the header line that one of motor[0] adds
@@ -74,6 +75,7 @@ def motor_idle(log: Log) -> float | None:
 
 
 def _digital(values: NDArray[np.int64]) -> Motors:
+    values = np.where(values == DSHOT_ROUNDED, DSHOT_MAX, values)
     stopped, running = values == DSHOT_STOP, (values >= DSHOT_MIN) & (values <= DSHOT_MAX)
     dshot = np.where(stopped | running, values, IMPOSSIBLE).astype(np.uint16)
     fractions = motor_fractions(np.where(running, values, DSHOT_STOP).astype(np.uint16))

@@ -92,7 +92,7 @@ def choose(
     error, best = followed[0]
     for other_error, other in followed[1:]:
         if other_error < CLEARER * error and _differ(best, other, sticks[rows]):
-            raise RatesError(f"the gyro follows {best.name} as well as {other.name}")
+            raise RatesError(f"the gyro follows {_named(best)} as well as {_named(other)}")
     return best, ""
 
 
@@ -102,10 +102,15 @@ def _unproven(readings: Sequence[Reading], sticks: Array, why: str) -> tuple[Rea
     for other in readings[1:]:
         if _differ(first, other, sticks):
             raise RatesError(
-                f"its rates may be {', '.join(one.name for one in readings)}, between which its gyro "
+                f"its rates may be {' or '.join(_named(one) for one in readings)}, between which its gyro "
                 f"does not decide: {why}"
             )
     return first, f"not held against the gyro: {why}"
+
+
+def _named(reading: Reading) -> str:
+    """A reading, and the header line that chooses it."""
+    return f"{reading.name} ({reading.choice})" if reading.choice else reading.name
 
 
 def _differ(one: Reading, other: Reading, sticks: Array) -> bool:

@@ -20,6 +20,7 @@ Columns = Mapping[str, NDArray[np.int64]]
 
 BASEFLIGHT_SCALE = 1e-5  # a gyro_scale below it is in rad/us, as Baseflight had it; others are in deg/s
 ADC_FULL, ADC_VOLTS = 4095.0, 3.3
+CELL_LEAST_V = 2.5  # of a cell that still feeds a flight
 ERPM = 100.0  # of an electrical revolution a minute, in a count of eRPM
 WORD = 1 << 32
 
@@ -80,7 +81,11 @@ def voltage(columns: Columns, header: Mapping[str, str], firmware: Firmware) -> 
     scale = header_number(header, "vbatscale")  # ten times the divider's ratio
     if scale is None or scale <= 0 or not _is_adc(firmware):
         return None
-    return np.asarray(counts * (ADC_VOLTS / ADC_FULL * scale / 10.0), np.float64)
+    volts = np.asarray(counts * (ADC_VOLTS / ADC_FULL * scale / 10.0), np.float64)
+    # Builds on the way to Betaflight 3.1 call themselves 3.0 and have tenths: no battery gives so little.
+    if firmware.since(Maker.BETAFLIGHT, 3) and len(volts) and 0 < np.median(volts) < CELL_LEAST_V:
+        return counts / 10.0
+    return volts
 
 
 def current(columns: Columns, header: Mapping[str, str], firmware: Firmware) -> Array | None:

@@ -38,30 +38,32 @@ class Pilot:
     rates: Array | None = None  # (N, 3) [deg/s]; NaN where the stick commanded an angle
     throttle: Array | None = None  # (N,) of full thrust, beyond 0..1 where the log's number is no stick's
     source: str = ""  # the field that rates come from
+    level: Rows | None = None  # (N,) whether ANGLE or HORIZON mode is on: the stick commands an angle
     note: str = ""  # what is to be told of them
     lacks: str = ""  # why there are none, and what mends it
 
 
 def pilot(log: Log, firmware: Firmware, gyro: Array | None, armed: Rows) -> Pilot:
     """Read what was asked for; gyro (N, 3) [deg/s], armed (N,)."""
-    parts = fine(log.header)
+    parts, level = fine(log.header), _level(log, firmware)
     throttle = _throttle(log, firmware, parts)
     setpoint = log.matrix("setpoint", 3)
     if setpoint is not None:
         counts = log.columns.get("setpoint[3]")
         if counts is not None and firmware.maker is not Maker.ROTORFLIGHT:
             throttle = _ends(counts / THROTTLE_COUNTS)
-        return Pilot(setpoint / parts, throttle, "setpoint[0..2]")
+        return Pilot(setpoint / parts, throttle, "setpoint[0..2]", level)
     target = log.matrix("axisRate", 3)
     if target is not None:
-        return Pilot(target.astype(np.float64), throttle, "axisRate[0..2]")
+        return Pilot(target.astype(np.float64), throttle, "axisRate[0..2]", level)
     sticks = log.matrix("rcCommand", 3)
     if sticks is None:
         return Pilot(
             throttle=throttle,
             lacks="neither setpoint nor rcCommand: log one of them (blackbox_disabled_mask)",
         )
-    level = _level(log, firmware)
+    if level.any() and not (armed & ~level).any():
+        return Pilot(np.full(sticks.shape, np.nan), throttle, "rcCommand, an angle", level)
     steady = armed & ~level
     if throttle is not None:
         steady &= (throttle >= AIRBORNE) & is_stick(throttle)
@@ -72,7 +74,7 @@ def pilot(log: Log, firmware: Firmware, gyro: Array | None, armed: Rows) -> Pilo
     rates = chosen.curve(sticks / parts)
     rates[level] = np.nan
     told = f"no setpoint was logged: rcCommand is flown by {chosen.name} of the header"
-    return Pilot(rates, throttle, f"rcCommand by {chosen.name}", f"{told}{note and ', '}{note}")
+    return Pilot(rates, throttle, f"rcCommand by {chosen.name}", level, f"{told}{note and ', '}{note}")
 
 
 def ask_rates(why: str) -> str:

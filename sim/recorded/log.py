@@ -50,6 +50,8 @@ def read_commands(
     first = int(np.flatnonzero(flown.armed)[0])
     seconds = flown.time(first)[rows.start - first : rows.stop - first]
     odd = [*log.notes, *filter(None, [asked.note])]
+    if asked.level is not None and (angled := float(asked.level[rows].mean())):
+        odd.append(f"in {100 * angled:.0f} % of the rows ANGLE or HORIZON mode made the rates, not the stick")
     if lost := int(log.missing[rows][1:].sum()):
         odd.append(f"{lost} rows are missing: the command before them is held")
     throttle = np.zeros(len(log)) if asked.throttle is None else asked.throttle

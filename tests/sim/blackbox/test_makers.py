@@ -120,6 +120,15 @@ def test_gyro_is_in_its_makers_unit(lines: dict[str, object], deg_s: float | Non
             1850 * 3.3 / 4095 * 11,
             (400 * 3300 / 4095 - 50) / 40,
         ),
+        (
+            "Betaflight 3.0.1 (a) X",
+            ("vbatLatest", "rssi"),
+            (1850, 0),
+            {"vbatscale": 110},
+            1850 * 3.3 / 4095 * 11,
+            None,
+        ),
+        ("Betaflight 3.0.1 (a) X", ("vbatLatest", "rssi"), (163, 0), {"vbatscale": 110}, 16.3, None),
         ("Betaflight 2.9.0 (a) X", ("vbatLatest", "amperageLatest"), (1850, 400), {}, None, None),
         ("unheard of", ("vbatLatest", "amperageLatest"), (1652, 1234), {"vbatscale": 110}, None, None),
     ],
@@ -186,6 +195,7 @@ def test_inavs_axis_rate_is_its_setpoint(tmp_path: Path) -> None:
     ("lines", "values", "fractions"),
     [
         ({"motorOutput": "138,2047"}, (0, 48, 138, 2047), (0, 0, 90 / 1999, 1)),
+        ({"motorOutput": "138,2047"}, (0, 48, 138, 2048), (0, 0, 90 / 1999, 1)),  # as Betaflight 3.4 rounds
         ({"motorOutput": "1070,2000"}, (1000, 1070, 1500, 2000), (0, 0.07, 0.5, 1)),
         ({"motor_pwm_protocol": 7}, (0, 48, 1047, 2047), (0, 0, 999 / 1999, 1)),
         ({"motor_pwm_protocol": 1}, (1000, 1250, 1500, 2000), (0, 0.25, 0.5, 1)),
@@ -244,7 +254,7 @@ def test_no_motor_value_out_of_range_reads_as_a_fraction(digital: bool, tmp_path
     log = written(tmp_path, values.tolist(), names, lines)
     told = channels(log)
     assert told.motors is not None and told.dshot is not None
-    low, high = (48, 2047) if digital else (750, 2250)
+    low, high = (48, 2048) if digital else (750, 2250)
     possible = (values == 0) | ((values >= low) & (values <= high))
     assert (np.isnan(told.motors) == ~possible).all() and ((told.dshot == IMPOSSIBLE) == ~possible).all()
     assert any(

@@ -132,6 +132,14 @@ def test_sticks_that_command_an_angle_are_not_flown(mode: int, tmp_path: Path) -
         load_commands(path)
 
 
+def test_a_mode_that_made_the_setpoints_is_told(tmp_path: Path) -> None:
+    path = tmp_path / "angle.bfl"
+    path.write_bytes(log().replace(b"S\x01", b"S\x03"))
+    assert len(load_commands(path).time) == 90
+    [words] = load_commands(path).warnings()
+    assert words == "angle.bfl: in 100 % of the rows ANGLE or HORIZON mode made the rates, not the stick"
+
+
 def test_a_log_is_not_flown_when_a_value_is_no_stick(tmp_path: Path) -> None:
     path = tmp_path / "wrapped.bfl"
     rows = [[*row[:3], row[3] if at < 60 else 2_000_000_000] for at, row in enumerate(ROWS)]
