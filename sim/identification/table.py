@@ -164,8 +164,7 @@ def numbers(table: Table, columns: Sequence[int], where: str, failure: Failure) 
             if text.lower() in MISSING:
                 continue
             try:
-                plain = text.removesuffix("%").replace(" ", "").replace("\N{NO-BREAK SPACE}", "")
-                value = float(plain.replace(other, "").replace(decimal, "."))
+                value = float(_plain(text).replace(other, "").replace(decimal, "."))
             except ValueError:
                 value = np.inf
             if not abs(value) < 1e12:
@@ -177,9 +176,20 @@ def numbers(table: Table, columns: Sequence[int], where: str, failure: Failure) 
     return values
 
 
+def is_number(cell: str) -> bool:
+    """Whether `numbers` takes a cell for one, whatever its marks."""
+    return bool(re.fullmatch(r"[+-]?[\d.,]+(e[+-]?\d+)?", _plain(cell).lower()))
+
+
+def _plain(cell: str) -> str:
+    """A number's cell without blanks and the sign of percent."""
+    cell = re.sub(r"[ \N{NO-BREAK SPACE}\N{NARROW NO-BREAK SPACE}]", "", cell).removesuffix("%")
+    return cell.replace("\N{MINUS SIGN}", "-")
+
+
 def _decimal_mark(cells: Sequence[str], where: str, failure: Failure) -> str:
     """Tell the mark before decimals, by the numbers in which both marks stand or one cannot be thousands."""
-    cells = [cell.removesuffix("%") for cell in cells]
+    cells = [_plain(cell) for cell in cells]
     with_comma = [cell for cell in cells if "," in cell]
     if not with_comma:
         return "."

@@ -7,7 +7,6 @@ dense enough and a throttle become a recording like ours; the others are steady 
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -35,7 +34,7 @@ from sim.identification.dyno.recording import (
     read_recordings,
 )
 from sim.identification.recording import is_log
-from sim.identification.table import Table, find_table, numbers, read_text
+from sim.identification.table import MISSING, Table, find_table, is_number, numbers, read_text
 from toolchain.errors import DynoError
 
 Array = NDArray[np.float64]
@@ -149,7 +148,7 @@ def read_stand(text: str, path: Path, chosen: Choices) -> Stand:
 def _units_in_heading(table: Table) -> Table:
     """`table` with the units of a line below the heading, where there is one, behind the names."""
     known = [at for at, name in enumerate(table.names) if read_heading(name) is not None]
-    if not table.rows or any(_is_number(table.rows[0][at]) or not table.rows[0][at] for at in known):
+    if not table.rows or any(is_number(table.rows[0][at]) or not table.rows[0][at] for at in known):
         return table
     names = list(table.names)
     for at in known:
@@ -284,16 +283,15 @@ def _in_percent(table: Table, at: int) -> bool:
     return bool(cells) and all(cell.endswith("%") for cell in cells)
 
 
-def _is_number(cell: str) -> bool:
-    return bool(re.fullmatch(r"[+-]?[\d.,]+(e[+-]?\d+)?", cell.strip().lower()))
-
-
 def _stand(table: Table, columns: dict[Quantity, list[int]], path: Path, chosen: Choices) -> Stand:
     where = str(path)
     notes: list[str] = []
-    if (clock := columns.get(Quantity.TIME)) and not _is_number(table.rows[0][clock[0]]):
-        notes.append(f"{table.names[clock[0]]!r} holds no numbers: rows are taken one by one")
-        columns = {quantity: places for quantity, places in columns.items() if quantity is not Quantity.TIME}
+    for quantity in (Quantity.TIME, Quantity.THROTTLE):  # a date, or IDLE: they are not needed
+        at = columns.get(quantity, [-1])[0]
+        words = [row[at] for row in table.rows if row[at].lower() not in MISSING and not is_number(row[at])]
+        if at >= 0 and words:
+            notes.append(f"{table.names[at]!r} holds {words[0][:40]!r}: it is left out")
+            columns = {other: places for other, places in columns.items() if other is not quantity}
     units = _units(table, columns, path, chosen)
     wanted = [at for places in columns.values() for at in places]
     values = dict(zip(wanted, numbers(table, wanted, where, DynoError).T, strict=True))
