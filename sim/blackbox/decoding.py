@@ -261,7 +261,7 @@ class _Decoder:
         return values, end
 
     def _prediction(self, kind: int, values: Sequence[int], last: int) -> int:
-        """The rarer predictions of the field behind `values`; last: its value in the main frame before."""
+        """Return a rarer prediction of the field behind `values`; last: its value in the frame before."""
         if kind == _MOTOR:
             return values[self._motor]
         if kind == _STEPS:
@@ -271,7 +271,7 @@ class _Decoder:
         return 0 if self._home is None else self._home[kind - _HOME_0]
 
     def _skipped(self, step: int) -> int:
-        """Steps after `step` that are not logged, until the next that is."""
+        """Count the steps after `step` that are not logged, until the next that is."""
         if self._last is None or self._of == self._logged:
             return 0
         place = step % self._intra
@@ -401,7 +401,7 @@ def _array(rows: list[list[int]], width: int) -> Array:
 
 
 def _plan(fields: Sequence[FieldDefinition], headers: Headers) -> Plan:
-    """How frames of these fields are read and predicted."""
+    """Return how frames of these fields are read and predicted."""
     groups: list[tuple[str, Reader, int]] = []
     at = 0
     while at < len(fields):
@@ -434,7 +434,7 @@ def _plan(fields: Sequence[FieldDefinition], headers: Headers) -> Plan:
 
 
 def _event_values(kind: int, data: bytes, at: int) -> tuple[str, dict[str, int], int]:
-    """Name and content of event `kind`, and where it ends. Raises ValueError for one that is not known."""
+    """Read name and content of event `kind`, and where it ends. Raises ValueError for one not known."""
     if kind not in _EVENTS:
         raise ValueError("no such event")
     name, parts = _EVENTS[kind]

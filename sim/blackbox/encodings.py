@@ -17,7 +17,7 @@ Reader = Callable[[bytes, int, int], tuple[Sequence[int], int]]
 
 
 def unsigned(data: bytes, at: int) -> tuple[int, int]:
-    """An integer of up to five bytes, 7 bits each, the lowest first."""
+    """Read an integer of up to five bytes, 7 bits each, the lowest first."""
     byte = data[at]
     if byte < 0x80:
         return byte, at + 1
@@ -32,12 +32,12 @@ def unsigned(data: bytes, at: int) -> tuple[int, int]:
 
 
 def signed_of(word: int) -> int:
-    """The number whose sign is the lowest bit of `word`."""
+    """Return the number whose sign is the lowest bit of `word`."""
     return (word >> 1) ^ -(word & 1)
 
 
 def _extended(value: int, bits: int) -> int:
-    """`value` of `bits` bits in two's complement."""
+    """Return `value` of `bits` bits in two's complement."""
     return value - (1 << bits) if value >> (bits - 1) else value
 
 
@@ -61,7 +61,7 @@ def _nothing(_: bytes, at: int, count: int) -> tuple[Sequence[int], int]:
 
 
 def _tag8_8svb(data: bytes, at: int, count: int) -> tuple[Sequence[int], int]:
-    """A bit for each field that is not 0; a single field stands alone."""
+    """Read a bit for each field that is not 0, then those; a single field stands alone."""
     if count == 1:
         return _signed_vb(data, at, 1)
     tags = data[at]
@@ -81,7 +81,7 @@ def _tag8_8svb(data: bytes, at: int, count: int) -> tuple[Sequence[int], int]:
 
 
 def _tag2_3s32(data: bytes, at: int, _: int) -> tuple[Sequence[int], int]:
-    """Three fields of 2, 4 or 6 bits, or of 1 to 4 bytes each."""
+    """Read three fields of 2, 4 or 6 bits, or of 1 to 4 bytes each."""
     lead = data[at]
     kind = lead >> 6
     if kind == 0:
@@ -103,7 +103,7 @@ def _tag2_3s32(data: bytes, at: int, _: int) -> tuple[Sequence[int], int]:
 
 
 def _tag8_4s16(data: bytes, at: int, _: int) -> tuple[Sequence[int], int]:
-    """Four fields of 0, 4, 8 or 16 bits, packed, the upper half of a byte first."""
+    """Read four fields of 0, 4, 8 or 16 bits, packed, the upper half of a byte first."""
     tags = data[at]
     at += 1
     values = []
@@ -121,7 +121,7 @@ def _tag8_4s16(data: bytes, at: int, _: int) -> tuple[Sequence[int], int]:
 
 
 def read_tag8_4s16_1(data: bytes, at: int, _: int) -> tuple[Sequence[int], int]:
-    """The same as data version 1 has it: two fields of 4 bits share a byte, the lower half first."""
+    """Read them as data version 1 has them: two fields of 4 bits share a byte, the lower half first."""
     tags = data[at]
     at += 1
     values: list[int] = []

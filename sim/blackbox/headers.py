@@ -28,10 +28,7 @@ PREDICTORS = frozenset(range(12))
 MINTHROTTLE, MOTOR_0, STEP, HOME, VBATREF, MINMOTOR = 4, 5, 6, 7, 9, 11  # some of them
 TEXT_MAX = 100  # characters of a header's value in a message
 KINDS = "IPSGH"  # of frames that headers describe
-OUTPUT_FROM, FINE_FROM = (
-    (3, 1),
-    (4, 4),
-)  # Betaflight's versions since which motorOutput, blackbox_high_resolution
+OUTPUT_FROM, FINE_FROM = (3, 1), (4, 4)  # Betaflight's, since which it writes the lines that `_lost` names
 # What is taken where the line is lost, as blackbox_decode takes it.
 DEFAULTS = {"Data version": 2, "I interval": 32, "minthrottle": 1150, "vbatref": 4095}
 
@@ -75,7 +72,7 @@ class Headers:
         return default if found is None else found
 
     def lost(self) -> dict[str, str]:
-        """Header lines that the meaning of the fields depends on and that are not there: what follows of it.
+        """Return header lines that are not there though the fields depend on them, each with what follows.
 
         They are those that predictors and encodings of the fields name, and of a known firmware those that it
         always writes.
@@ -208,7 +205,7 @@ def _definitions(kind: str, named: Sequence[str], values: dict[str, str]) -> tup
 
 
 def _signs(kind: str, values: dict[str, str], count: int) -> list[bool] | None:
-    """Whether each field has a sign, in P frames as in I frames; None where that line is lost."""
+    """Return whether each field has a sign, in P frames as in I frames; None where that line is lost."""
     numbers = [
         _integer(text) for text in values.get(f"Field {'I' if kind == 'P' else kind} signed", "").split(",")
     ]
@@ -216,7 +213,7 @@ def _signs(kind: str, values: dict[str, str], count: int) -> list[bool] | None:
 
 
 def intervals(headers: Headers) -> tuple[int, int, int]:
-    """Every how many steps there is an I frame, and of how many steps how many are logged: I, P and Q of P/Q.
+    """Return every how many steps there is an I frame, and that P of Q steps are logged: I, P, Q.
 
     They are within limits that let every search for the next step end.
     """

@@ -37,8 +37,7 @@ def load_commands(path: Path, part: Part = WHOLE, told: Mapping[str, str] | None
     """The commands of an archive, a table or a log; FILE:N is log N of the file, from 1.
 
     part: that is taken; told: header lines of a log that the user tells, by name. Raises ScenarioError on a
-    file that is missing, damaged or none of these, or asks for what no stick gives; NeuroflightError where
-    what reads logs is not installed.
+    file that is missing, damaged or none of these, or asks for what no stick gives.
     """
     path, number = split_number(path)
     where = f"recording {path}"
