@@ -56,6 +56,15 @@ class Part:
     row: Row  # what the pattern works on
     label: str  # of the node that computes it
     epsilon: float = 0.0
+    shape: tuple[int, ...] = ()  # that ONNX gives it, of a mean
+
+
+@dataclass(frozen=True)
+class Condition:
+    """A comparison of values: it holds where `row` is above 0, or, `negated`, where it is not."""
+
+    row: Row
+    negated: bool
 
 
 @dataclass(frozen=True)
@@ -67,7 +76,7 @@ class Unread:
     shape: tuple[int, ...] | None = None  # where that is known all the same
 
 
-Value = Array | Row | Part | Unread
+Value = Array | Row | Part | Condition | Unread
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,6 +17,7 @@ from toolchain.ir.operations import (
     Clip,
     Concat,
     Elu,
+    Erf,
     Gru,
     LayerNorm,
     LeakyRelu,
@@ -25,9 +26,13 @@ from toolchain.ir.operations import (
     Multiply,
     Operation,
     Relu,
+    RmsNorm,
+    Select,
     Sigmoid,
     Silu,
     Slice,
+    Softmax,
+    Softplus,
     Softsign,
     Tanh,
 )
@@ -37,7 +42,7 @@ from toolchain.passes.equivalence import BOUND, check_equivalence
 SEEDS, SEEDS_PROVEN = range(150), range(1000, 5000)
 WIDEST = 8
 WIDTHS_TOGETHER = 100  # no more Concats beyond it
-CLEAN = (Tanh(), Sigmoid(), Silu(), Softsign(), Relu())
+CLEAN = (Tanh(), Sigmoid(), Silu(), Softsign(), Erf(), Softplus(), Relu())
 
 
 def floats(rng: Generator, *shape: int, scale: float = 1.0) -> NDArray[np.float32]:
@@ -78,7 +83,7 @@ def cell(rng: Generator, inputs: int) -> Operation:
 
 def one_value(rng: Generator, width: int) -> Operation:
     """An operation of one value."""
-    match rng.integers(14):
+    match rng.integers(16):
         case 0 | 1 | 2:
             return matrix(rng, int(rng.integers(1, WIDEST + 1)), width)
         case 3 | 4:
@@ -95,6 +100,10 @@ def one_value(rng: Generator, width: int) -> Operation:
             return LayerNorm(1e-5, floats(rng, width), floats(rng, width))
         case 12:
             return cut(rng, width)
+        case 13:
+            return RmsNorm(1e-5, floats(rng, width), floats(rng, width))
+        case 14:
+            return Softmax()
         case _:
             return cell(rng, width)
 
@@ -121,7 +130,14 @@ def random_network(rng: Generator) -> Network:
             add(matrix(rng, int(rng.integers(1, WIDEST + 1)), widths[joined]), joined)
         elif kind < 0.3:
             other = rng.choice([number for number, same in enumerate(widths) if same == width])
-            add(Add() if rng.random() < 0.6 else Multiply(), value, int(other))
+            match rng.integers(5):
+                case 0:  # the larger of two: no jump where a rewritten comparison rounds otherwise
+                    less = add(Affine(np.full(width, -1.0), np.zeros(width)), int(other))
+                    add(Select(), add(Add(), value, less), value, int(other))
+                case 1 | 2:
+                    add(Multiply(), value, int(other))
+                case _:
+                    add(Add(), value, int(other))
         elif kind < 0.4 and sum(widths) < WIDTHS_TOGETHER:
             add(Concat(), *(int(v) for v in rng.integers(0, len(widths), int(rng.integers(1, 4)))))
         else:
