@@ -206,14 +206,21 @@ def test_checkpoint_is_refused_when_it_is_told_what_it_knows(tmp_path: Path, cap
     assert "leave out --rate" in line
 
 
-@pytest.mark.parametrize("content", [b"", b"text", b"\xff" * 100])
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (b"", "it is empty"),
+        (b"text", "it is text"),
+        (b"\xff" * 100, "is no checkpoint and no ONNX model, or damaged"),
+    ],
+)
 def test_file_is_refused_when_it_is_neither_checkpoint_nor_model(
-    tmp_path: Path, capsys: Capture, content: bytes
+    tmp_path: Path, capsys: Capture, content: bytes, words: str
 ) -> None:
     path = tmp_path / "checkpoint.pt"
     path.write_bytes(content)
     line = refused([str(path), *OPTIONS, "--out", str(tmp_path / "policy.onnx")], capsys)
-    assert "is no checkpoint and no ONNX model" in line
+    assert words in line
 
 
 def taken_name(graph: onnx.GraphProto) -> None:
