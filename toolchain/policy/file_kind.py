@@ -7,6 +7,7 @@ import struct
 import zipfile
 from codecs import getincrementaldecoder
 
+SAFETENSORS_HEADER_MAX = 100_000_000  # bytes, as its own reader has it
 TEXT_BYTES = 4096  # that are looked at to call a file text
 TORCH_EXPORT = "export its actor with torch.onnx.export(actor.eval(), (torch.zeros(1, n),), 'actor.onnx')"
 KERAS_EXPORT = "export it with model.export('actor.onnx', format='onnx') or tf2onnx"
@@ -63,7 +64,11 @@ def foreign_kind(data: bytes) -> str | None:
         return IDENTIFIERS[data[4:8]]
     if data.startswith(b"PK"):
         return _archive(data)
-    if len(data) > 8 and data[8:9] == b"{" and 2 <= struct.unpack("<Q", data[:8])[0] <= len(data) - 8:
+    if (
+        len(data) > 8
+        and data[8:9] == b"{"
+        and 2 <= struct.unpack("<Q", data[:8])[0] <= SAFETENSORS_HEADER_MAX
+    ):
         return "weights alone (safetensors), without the network that they belong to; " + TORCH_EXPORT
     return _text(data[:TEXT_BYTES])
 

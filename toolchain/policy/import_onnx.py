@@ -18,6 +18,7 @@ from toolchain.errors import PolicyError
 from toolchain.files import file_size, write_bytes
 from toolchain.ir.network import Network, Node
 from toolchain.ir.operations import Clip
+from toolchain.policy.file_kind import foreign_kind
 from toolchain.policy.model import PolicyModel, parse_model, parse_policy, read_file
 from toolchain.policy.model_constants import ModelConstants
 from toolchain.reader.checks import check_parts
@@ -51,9 +52,14 @@ class PolicyClaims:
 def is_checkpoint(path: Path) -> bool:
     """Whether the file is torch's rather than an ONNX model. Raises PolicyError when it is neither."""
     try:
-        file_size(path)  # raises for a pipe or a device, which would not end
+        size = file_size(path)  # raises for a pipe or a device, which would not end
         with path.open("rb") as file:
-            if file.read(2).startswith(CHECKPOINT_STARTS):
+            start = file.read(2)
+            if start.startswith(CHECKPOINT_STARTS) and size <= contract.CHECKPOINT_FILE_BYTES_MAX:
+                kind = foreign_kind(start + file.read())
+                if kind is not None:
+                    raise PolicyError(f"{path} is no checkpoint and no ONNX model: it is {kind}")
+            if start.startswith(CHECKPOINT_STARTS):
                 return True
     except OSError as error:
         raise PolicyError(f"cannot read {path}: {error.strerror}") from error

@@ -82,15 +82,17 @@ def read_policy(path: Path) -> PolicyModel:
 def read_file(path: Path) -> bytes:
     """The bytes of an ONNX file. Raises PolicyError when it is missing or larger than any policy."""
     try:
-        if (size := file_size(path)) > contract.POLICY_FILE_BYTES_MAX:
-            raise PolicyError(
-                f"{path} is {size} bytes, expected at most {contract.POLICY_FILE_BYTES_MAX}; is it a policy?"
-            )
-        data = path.read_bytes()
+        size = file_size(path)
+        with path.open("rb") as file:
+            data = file.read(contract.POLICY_FILE_BYTES_MAX)
     except OSError as error:
         raise PolicyError(f"cannot read the policy {path}: {error.strerror}") from error
     if (kind := foreign_kind(data)) is not None:
         raise PolicyError(f"{path} is no ONNX model: it is {kind}")
+    if size > contract.POLICY_FILE_BYTES_MAX:
+        raise PolicyError(
+            f"{path} is {size} bytes, expected at most {contract.POLICY_FILE_BYTES_MAX}; is it a policy?"
+        )
     return data
 
 

@@ -157,7 +157,7 @@ def read_reduction(build: Builder, call: Call) -> Row:
     for output, taken in enumerate(places.T):
         weight[output, taken] = 1 / len(taken) if call.operator == "ReduceMean" else 1
     sizes = ((1 if axis in axes else size) for axis, size in enumerate(row.shape) if kept or axis not in axes)
-    return _linear(build, call, row, weight, np.zeros(len(weight)), tuple(sizes))
+    return linear(build, call, row, weight, np.zeros(len(weight)), tuple(sizes))
 
 
 def reduced_axes(call: Call, row: Row) -> list[int]:

@@ -13,10 +13,9 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from toolchain.ir.operations import LayerNorm, Linear, Multiply, Norm, RmsNorm, Select, Softsign
-from toolchain.reader.arithmetic import mapped, reduced_axes
+from toolchain.ir.operations import LayerNorm, Multiply, Norm, RmsNorm, Select, Softsign
+from toolchain.reader.arithmetic import linear, mapped, reduced_axes
 from toolchain.reader.values import Array, Builder, Call, Part, Row, Value
 
 ABSOLUTE, ABSOLUTE_AND_ONE = "|x|", "1 + |x|"
@@ -100,21 +99,16 @@ def _computed(build: Builder, call: Call, part: Part) -> Row:
             negative = mapped(build, call, row, -1.0, 0.0, row.shape)
             return build.append(call, Select(), row, row, negative, shape=row.shape)
         case str(kind) if kind == MEAN:
-            return _linear(build, call, row, np.full((1, width), 1 / width), part.shape)
+            return linear(build, call, row, np.full((1, width), 1 / width), np.zeros(1), part.shape)
         case str(kind) if kind == DISTANCE:
-            return _linear(build, call, row, np.eye(width) - 1 / width, row.shape)
+            return linear(build, call, row, np.eye(width) - 1 / width, np.zeros(width), row.shape)
         case str(kind) if kind == MEAN_SQUARE:
             square = build.append(call, Multiply(), row, row, shape=row.shape)
-            return _linear(build, call, square, np.full((1, width), 1 / width), part.shape)
+            return linear(build, call, square, np.full((1, width), 1 / width), np.zeros(1), part.shape)
     raise call.error(
         f"takes {_listed(call)}: parts of no pattern that is known, which are x / (1 + |x|), "
         "(x - mean) / sqrt(variance + epsilon) and x / sqrt(mean(x^2) + epsilon) over all values of a row"
     )
-
-
-def _linear(build: Builder, call: Call, row: Row, weight: NDArray[np.float64], shape: tuple[int, ...]) -> Row:
-    layer = Linear(weight.astype(np.float32), np.zeros(len(weight), np.float32))
-    return build.append(call, layer, row, shape=shape)
 
 
 def _norm(build: Builder, call: Call, kind: type[Norm], row: Row, epsilon: float) -> Row:

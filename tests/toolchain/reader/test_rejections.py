@@ -57,7 +57,10 @@ REFUSED = [
     # operators
     ("x = LogSoftmax(observation)", "node 'x' (LogSoftmax) is not supported, supported are Add, BatchNor"),
     (f"x = If{IF}(true)", "node 'x' (If) is not supported"),
-    ("x = com.microsoft.Gelu(observation)", "node 'x' (com.microsoft::Gelu) is not supported"),
+    (
+        "x = com.microsoft.Gelu(observation)",
+        "the model was optimized by onnxruntime: node 'x' (com.microsoft::Gelu)",
+    ),
     (
         "x = Where(observation, observation, six)",
         "(Where) chooses by what is no comparison of values",
@@ -70,7 +73,10 @@ REFUSED = [
     ),
     ("a = MatMul(observation, byte)" + OUT, "initializer 'byte' is of type int8, expected float32"),
     ("a = MatMul(observation, wide)" + OUT, "initializer 'wide' is of type double, expected float32"),
-    ("a = MatMul(observation, half)" + OUT, "initializer 'half' is of type float16, expected float32"),
+    (
+        "a = MatMul(observation, half)" + OUT,
+        "the model computes in float16: initializer 'half'; export it in float32",
+    ),
     ("a = MatMul(observation, nan)" + OUT, "node 'a' (MatMul) takes 'nan', which holds 24 NaN or infinite"),
     ("a = MatMul(observation, cube)" + OUT, "(MatMul) has weights of shape [2, 6, 4], expected a matrix"),
     ("a = Gemm(observation, w)" + OUT, "node 'a' (Gemm) has weights for 4 inputs, expected 6"),
