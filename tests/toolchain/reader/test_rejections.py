@@ -82,7 +82,7 @@ REFUSED = [
     ("a = Gemm(observation, w)" + OUT, "node 'a' (Gemm) has weights for 4 inputs, expected 6"),
     ("a = Gemm<alpha=3e38>(observation, large)" + OUT, "scales its weights beyond the range of float32"),
     ("x = Add(observation, whole_one)", "(Add) takes 'whole_one' of type int64, expected float32"),
-    ("x = Cast<to=10>(observation)", "node 'x' (Cast) converts to float16, expected float32"),
+    ("x = Cast<to=10>(observation)", "the model computes in float16: node 'x' (Cast); export it in float32"),
     # arithmetic
     ("p = Tanh(observation) x = Div(observation, p)", "node 'x' (Div) divides a value by another"),
     ("x = Div(six, observation)", "node 'x' (Div) divides a constant by a value"),
