@@ -40,13 +40,19 @@ Interval = tuple[Float64, Float64]  # lowest and highest value, each (n,)
 SILU_LOWEST = -0.2784645427610739  # at x = -1.2784645
 
 
-def value_intervals(network: Network) -> list[Interval]:
-    """Between which bounds each value lies, whatever the observation and the observations before."""
+def value_intervals(network: Network, *, by_weights: bool = True) -> list[Interval]:
+    """Return the bounds of each value, whatever the observation and the observations before.
+
+    by_weights: what a layer gives of bounded values is bounded; otherwise only activations and maps of single
+    values tell bounds, which are then those that a designer had in mind: -1 to 1 of a Tanh.
+    """
     unbounded = np.full(network.inputs, np.inf)
     intervals: list[Interval] = [(-unbounded, unbounded)]
     with np.errstate(all="ignore"):
         for node, width in zip(network.nodes, network.widths[1:], strict=True):
             low, high = _interval(node.operation, [intervals[value] for value in node.inputs], width)
+            if not by_weights and isinstance(node.operation, Linear | LayerNorm | RmsNorm):
+                low, high = np.full(width, -np.inf), np.full(width, np.inf)
             # Infinity times nothing: nothing is known.
             intervals.append(
                 (
