@@ -265,7 +265,8 @@ def test_region_and_bytes_are_named_when_the_linker_finds_no_room(tmp_path: Path
     )
     (root / "firmware" / "tiny.ld").write_text(
         "MEMORY { BANK (rx) : ORIGIN = 0x08000000, LENGTH = 1000 }\n"
-        "SECTIONS { .text : { *(.text) } > BANK .rodata : { *(.rodata) } > BANK .data : { *(.data) } > BANK }\n"
+        "SECTIONS { .text : { *(.text) } > BANK .rodata : { *(.rodata) } > BANK "
+        ".data : { *(.data) } > BANK }\n"
     )
     with pytest.raises(BuildError) as caught:
         build("HOST", policy_file, root)
