@@ -73,7 +73,7 @@ def test_model_becomes_a_policy_when_frozen_with_what_it_does_not_say(
     printed = capsys.readouterr().out.splitlines()
     assert re.fullmatch(
         r"compared with onnxruntime on the model itself, 300 steps: at most \d\.\de-0\d apart",
-        printed.pop(-2),
+        printed.pop(-3),
     )
     assert printed == [
         "fixed axis 0 of 'obs' to 1 (was batch)",
@@ -555,7 +555,7 @@ def test_input_is_a_constant_when_it_is_told_so(kit: Kit, tmp_path: Path, capsys
     assert main(["freeze", str(source), *OPTIONS, "--constant", "episode_starts=0", "--out", str(out)]) == 0
     printed = capsys.readouterr().out.splitlines()
     assert printed[0] == "took 0 for the input 'episode_starts' throughout"
-    assert printed[-2].startswith("compared with onnxruntime on the model itself")
+    assert printed[-3].startswith("compared with onnxruntime on the model itself")
     observation = kit.observations(20, 6)
     expected = evaluate(parse_policy(kit.mlp((6, 8, 4)).data()).network, observation)
     np.testing.assert_array_equal(evaluate(read_policy(out).network, observation), expected)
