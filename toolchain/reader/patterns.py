@@ -2,6 +2,8 @@
 
     Softsign    x / (1 + |x|)
     LayerNorm   (x - mean) / sqrt(mean((x - mean)^2) + epsilon), scale and offset as arithmetic after it
+                x i - mean i + offset with i = scale / deviation, as TensorFlow has it
+                with mean(x^2) - mean^2 for the variance, as Flax has it
     RMSNorm     x / sqrt(mean(x^2) + epsilon), likewise
 
 A value inside a pattern is a `Part`; each rule below takes parts to the next part or to the operation. A part
@@ -15,7 +17,7 @@ from dataclasses import replace
 import numpy as np
 
 from toolchain.ir.operations import LayerNorm, Multiply, Norm, RmsNorm, Select, Softsign
-from toolchain.reader.arithmetic import linear, mapped, reduced_axes
+from toolchain.reader.arithmetic import Float64, linear, mapped, reduced_axes
 from toolchain.reader.values import Array, Builder, Call, Part, Row, Value
 
 ABSOLUTE, ABSOLUTE_AND_ONE = "|x|", "1 + |x|"
@@ -23,6 +25,8 @@ MEAN, DISTANCE, SQUARE, VARIANCE = "the mean", "x - mean", "(x - mean)^2", "the 
 VARIANCE_AND_EPSILON, DEVIATION, INVERSE = "variance + epsilon", "the deviation", "1 / deviation"
 MEAN_SQUARE, SQUARE_AND_EPSILON = "the mean of x^2", "mean of x^2 + epsilon"
 ROOT, INVERSE_ROOT = "the root of the mean of x^2", "1 / that root"
+MEAN_SQUARED, NEGATIVE_MEAN = "mean^2", "-mean"
+SCALED, MEAN_SCALED, SHIFT = "x / deviation", "mean / deviation", "-mean / deviation"
 WITH_EPSILON = {VARIANCE: VARIANCE_AND_EPSILON, MEAN_SQUARE: SQUARE_AND_EPSILON}
 ROOTS = {VARIANCE_AND_EPSILON: DEVIATION, SQUARE_AND_EPSILON: ROOT}
 INVERSES = {DEVIATION: INVERSE, ROOT: INVERSE_ROOT}
@@ -35,6 +39,13 @@ def read_part(build: Builder, call: Call) -> Value | None:
     match call.operator, *call.inputs:
         case "Abs", Row() as row:
             return Part(ABSOLUTE, row, call.label)
+        case ("Add", Part(kind=kind) as part, np.ndarray() as constant) | (
+            "Add",
+            np.ndarray() as constant,
+            Part(kind=kind) as part,
+        ) if kind == SHIFT and _fits(part, constant):
+            offset = constant if part.offset is None else part.offset + constant
+            return replace(part, label=call.label, offset=offset)
         case ("Add", Part(kind=kind) as part, np.ndarray() as constant) | (
             "Add",
             np.ndarray() as constant,
@@ -55,8 +66,8 @@ def read_part(build: Builder, call: Call) -> Value | None:
         case "Sub", Row() as row, Part(kind=kind, row=same) if (kind, row) == (MEAN, same):
             return Part(DISTANCE, row, call.label)
         case "Pow", Part(kind=kind, row=row) as part, np.ndarray() as power:
-            if kind == DISTANCE and _scalar(power) == 2:
-                return Part(SQUARE, row, call.label)
+            if kind in (DISTANCE, MEAN) and _scalar(power) == 2:
+                return Part(SQUARE if kind == DISTANCE else MEAN_SQUARED, row, call.label)
             if kind in ROOTS and _scalar(power) in (0.5, -0.5):
                 root = ROOTS[kind] if _scalar(power) == 0.5 else INVERSES[ROOTS[kind]]
                 return Part(root, row, call.label, part.epsilon)
@@ -66,23 +77,50 @@ def read_part(build: Builder, call: Call) -> Value | None:
             return Part(INVERSES[kind], part.row, call.label, part.epsilon)
         case "Div", np.ndarray() as one, Part(kind=kind) as part if kind in INVERSES and _scalar(one) == 1:
             return Part(INVERSES[kind], part.row, call.label, part.epsilon)
-        case (
-            ("Div", Row() as row, Part() as part)
-            | ("Mul", Row() as row, Part() as part)
-            | (
-                "Mul",
-                Part() as part,
-                Row() as row,
-            )
-        ) if part.row == row and part.kind == (ROOT if call.operator == "Div" else INVERSE_ROOT):
-            return _norm(build, call, RmsNorm, row, part.epsilon)
+        case ("Div" | "Mul") as operator, Row() as row, Part(row=same) as part if row == same:
+            return _of_row(build, call, operator, row, part)
+        case "Mul", Part(row=same) as part, Row() as row if row == same:
+            return _of_row(build, call, "Mul", row, part)
+        case ("Mul", Part() as part, np.ndarray() as values) | (
+            "Mul",
+            np.ndarray() as values,
+            Part() as part,
+        ):
+            if part.kind in (INVERSE, INVERSE_ROOT) and _fits(part, values):
+                return replace(
+                    part, label=call.label, scale=values if part.scale is None else part.scale * values
+                )
+        case "Neg", Part(kind=kind) as part if kind == MEAN:
+            return Part(NEGATIVE_MEAN, part.row, call.label)
+        case "Sub", np.ndarray() as values, Part(kind=kind) as part if kind == MEAN_SCALED and _fits(
+            part, values
+        ):
+            return replace(part, kind=SHIFT, label=call.label, offset=values)
+        case "Max", np.ndarray() as bound, Part(kind=kind) as part if (
+            kind == VARIANCE and _scalar(bound) == 0
+        ):
+            return part
+        case ("Add" | "Sub") as operator, Part() as first, Part() as second if first.row == second.row:
+            kinds = first.kind, second.kind
+            if (operator, *kinds) == ("Sub", MEAN_SQUARE, MEAN_SQUARED):
+                return Part(VARIANCE, first.row, call.label)
+            first, second = (first, second) if first.kind == SCALED else (second, first)
+            ends = second.kind == (SHIFT if operator == "Add" else MEAN_SCALED) and kinds[0] != MEAN_SCALED
+            if first.kind == SCALED and ends and np.array_equal(_factors(first), _factors(second)):
+                return _norm(build, call, LayerNorm, replace(second, scale=first.scale))
         case ("Mul" | "Div") as operator, Part() as first, Part() as second if first.row == second.row:
             kinds = {first.kind, second.kind}
             if operator == "Mul" and kinds == {DISTANCE}:
                 return Part(SQUARE, first.row, call.label)
-            ends = (operator, first.kind, second.kind) == ("Div", DISTANCE, DEVIATION)
-            if ends or (operator == "Mul" and kinds == {DISTANCE, INVERSE}):
-                return _norm(build, call, LayerNorm, first.row, max(first.epsilon, second.epsilon))
+            if operator == "Mul" and kinds == {MEAN}:
+                return Part(MEAN_SQUARED, first.row, call.label)
+            inner, outer = (first, second) if second.kind in (DEVIATION, INVERSE) else (second, first)
+            if (operator, inner.kind, second.kind) == ("Div", DISTANCE, DEVIATION) or (
+                operator == "Mul" and kinds == {DISTANCE, INVERSE}
+            ):
+                return _norm(build, call, LayerNorm, outer)
+            if operator == "Mul" and outer.kind == INVERSE and inner.kind in (MEAN, NEGATIVE_MEAN):
+                return replace(outer, kind=MEAN_SCALED if inner.kind == MEAN else SHIFT, label=call.label)
     return None
 
 
@@ -111,9 +149,37 @@ def _computed(build: Builder, call: Call, part: Part) -> Row:
     )
 
 
-def _norm(build: Builder, call: Call, kind: type[Norm], row: Row, epsilon: float) -> Row:
-    one, zero = np.ones(row.width, np.float32), np.zeros(row.width, np.float32)
-    return build.append(call, kind(epsilon, one, zero), row, shape=row.shape)
+def _of_row(build: Builder, call: Call, operator: str, row: Row, part: Part) -> Value | None:
+    """Divide `row` by a part of its own, or multiply it by one."""
+    if (operator, part.kind) in (("Div", ROOT), ("Mul", INVERSE_ROOT)):
+        return _norm(build, call, RmsNorm, part)
+    if (operator, part.kind) == ("Mul", INVERSE):
+        return replace(part, kind=SCALED, label=call.label)
+    return None
+
+
+def _norm(build: Builder, call: Call, kind: type[Norm], part: Part) -> Row:
+    """The norm of a part's row, with the scale and offset that the part has collected."""
+    row, one, zero = part.row, np.ones(part.row.width, np.float32), np.zeros(part.row.width, np.float32)
+    norm = build.append(call, kind(part.epsilon, one, zero), row, shape=row.shape)
+    if part.scale is None and part.offset is None:
+        return norm
+    offset = np.zeros(row.width) if part.offset is None else np.broadcast_to(part.offset, row.shape).ravel()
+    return mapped(build, call, norm, _factors(part), offset.astype(np.float64), row.shape)
+
+
+def _factors(part: Part) -> Float64:
+    scale = np.ones(()) if part.scale is None else part.scale
+    return np.broadcast_to(scale, part.row.shape).ravel().astype(np.float64)
+
+
+def _fits(part: Part, values: Array) -> bool:
+    """Whether values are a finite number each, or one, of the part's row."""
+    shape = part.row.shape
+    fits = values.ndim <= len(shape) and all(
+        size in (1, full) for size, full in zip(values.shape[::-1], shape[::-1], strict=False)
+    )
+    return fits and values.dtype.kind == "f" and bool(np.isfinite(values).all())
 
 
 def _squared(build: Builder, row: Row) -> Row | None:

@@ -48,7 +48,7 @@ class Row:
         return np.arange(self.width).reshape(self.shape)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Part:
     """A value inside a pattern of nodes that makes one operation, such as the mean within a layer norm."""
 
@@ -57,6 +57,8 @@ class Part:
     label: str  # of the node that computes it
     epsilon: float = 0.0
     shape: tuple[int, ...] = ()  # that ONNX gives it, of a mean
+    scale: Array | None = None  # of each value, that the pattern has multiplied in
+    offset: Array | None = None  # likewise added
 
 
 @dataclass(frozen=True)

@@ -64,6 +64,12 @@ RMS = (
     "m = Mul(n, positive) x = Add(m, six) " + END
 )
 
+TF_NORM = (
+    "m = ReduceMean<axes=[-1]>(observation) d = Sub(observation, m) q = Mul(d, d) "
+    "s = ReduceMean<axes=[-1]>(q) e = Add(s, epsilon) r = Sqrt(e) i = Reciprocal(r) "
+    "j = Mul(i, positive) {end}" + END
+)
+
 ACCEPTED: dict[str, str] = {
     "Gemm": "y = Gemm<transB=1, alpha=0.3, beta=2.0>(observation, w, four) " + RESULT,
     "Gemm without bias": "y = Gemm(observation, v) " + RESULT,
@@ -162,6 +168,16 @@ ACCEPTED: dict[str, str] = {
     "the norm in other parts": NORM.format(
         square="q = Mul(d, d)", quotient="i = Reciprocal(r) n = Mul(i, d)"
     ),
+    "the norm as TensorFlow has it": TF_NORM.format(
+        end="k = Neg(m) l = Mul(k, j) o = Mul(observation, j) x = Add(o, l) "
+    ),
+    "the norm as TensorFlow has it, with an offset": TF_NORM.format(
+        end="l = Mul(m, j) k = Sub(six, l) o = Mul(observation, j) x = Add(o, k) "
+    ),
+    "the norm as Flax has it": "q = Mul(observation, observation) m = ReduceMean<axes=[-1]>(observation) "
+    "s = ReduceMean<axes=[-1]>(q) n = Mul(m, m) t = Sub(s, n) u = Max(zero, t) e = Add(u, epsilon) "
+    "r = Sqrt(e) i = Reciprocal(r) j = Mul(i, positive) d = Sub(observation, m) k = Mul(d, j) "
+    "x = Add(k, six) " + END,
     "a residual network": "p = Gemm(observation, square, six) q = Tanh(p) r = Add(observation, q) "
     "s = Gemm(r, square) t = Relu(s) x = Add(t, r) " + END,
     "a network that ends with Sigmoid": "y = Gemm(observation, v) action = Sigmoid(y)",
@@ -201,6 +217,9 @@ def test_policy_computes_what_onnxruntime_does_when_its_operators_are_known(kit:
         ("Softsign in parts", Softsign, 3),
         ("the norm in parts", LayerNorm, 4),
         ("the norm in other parts", LayerNorm, 4),
+        ("the norm as TensorFlow has it", LayerNorm, 4),
+        ("the norm as TensorFlow has it, with an offset", LayerNorm, 4),
+        ("the norm as Flax has it", LayerNorm, 6),
         ("the RMS norm in parts", RmsNorm, 6),
         ("the RMS norm in other parts", RmsNorm, 6),
         ("Softplus with its threshold", Softplus, 4),
