@@ -111,7 +111,9 @@ def _check_operations(content: bytes) -> None:
     for count, (operation, argument, _) in enumerate(pickletools.genops(content)):
         if operation.name not in OPERATIONS:
             raise PolicyError(f"its pickle does {operation.name}, expected plain data and tensors")
-        if count > OPERATIONS_MAX or (operation.name == "LONG_BINPUT" and int(argument) > OPERATIONS_MAX):
+        if count > OPERATIONS_MAX or (
+            operation.name == "LONG_BINPUT" and isinstance(argument, int) and argument > OPERATIONS_MAX
+        ):
             raise PolicyError(f"its pickle has more than {OPERATIONS_MAX} operations")
 
 

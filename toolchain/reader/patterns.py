@@ -77,10 +77,10 @@ def read_part(build: Builder, call: Call) -> Value | None:
             return Part(INVERSES[kind], part.row, call.label, part.epsilon)
         case "Div", np.ndarray() as one, Part(kind=kind) as part if kind in INVERSES and _scalar(one) == 1:
             return Part(INVERSES[kind], part.row, call.label, part.epsilon)
-        case ("Div" | "Mul") as operator, Row() as row, Part(row=same) as part if row == same:
-            return _of_row(build, call, operator, row, part)
+        case (("Div" | "Mul"), Row() as row, Part(row=same) as part) if row == same:
+            return _of_row(build, call, part)
         case "Mul", Part(row=same) as part, Row() as row if row == same:
-            return _of_row(build, call, "Mul", row, part)
+            return _of_row(build, call, part)
         case ("Mul", Part() as part, np.ndarray() as values) | (
             "Mul",
             np.ndarray() as values,
@@ -101,11 +101,11 @@ def read_part(build: Builder, call: Call) -> Value | None:
         ):
             return part
         case ("Add" | "Sub") as operator, Part() as first, Part() as second if first.row == second.row:
-            kinds = first.kind, second.kind
-            if (operator, *kinds) == ("Sub", MEAN_SQUARE, MEAN_SQUARED):
+            order = first.kind, second.kind
+            if (operator, *order) == ("Sub", MEAN_SQUARE, MEAN_SQUARED):
                 return Part(VARIANCE, first.row, call.label)
             first, second = (first, second) if first.kind == SCALED else (second, first)
-            ends = second.kind == (SHIFT if operator == "Add" else MEAN_SCALED) and kinds[0] != MEAN_SCALED
+            ends = second.kind == (SHIFT if operator == "Add" else MEAN_SCALED) and order[0] != MEAN_SCALED
             if first.kind == SCALED and ends and np.array_equal(_factors(first), _factors(second)):
                 return _norm(build, call, LayerNorm, replace(second, scale=first.scale))
         case ("Mul" | "Div") as operator, Part() as first, Part() as second if first.row == second.row:
@@ -149,11 +149,11 @@ def _computed(build: Builder, call: Call, part: Part) -> Row:
     )
 
 
-def _of_row(build: Builder, call: Call, operator: str, row: Row, part: Part) -> Value | None:
-    """Divide `row` by a part of its own, or multiply it by one."""
-    if (operator, part.kind) in (("Div", ROOT), ("Mul", INVERSE_ROOT)):
+def _of_row(build: Builder, call: Call, part: Part) -> Value | None:
+    """Divide a row by a part of its own, or multiply it by one."""
+    if (call.operator, part.kind) in (("Div", ROOT), ("Mul", INVERSE_ROOT)):
         return _norm(build, call, RmsNorm, part)
-    if (operator, part.kind) == ("Mul", INVERSE):
+    if (call.operator, part.kind) == ("Mul", INVERSE):
         return replace(part, kind=SCALED, label=call.label)
     return None
 

@@ -7,7 +7,7 @@ import re
 from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import onnx
@@ -200,7 +200,7 @@ def test_clip_is_asked_for_when_nothing_bounds_the_motors(
     assert "--clip" in line
 
 
-def ending(kit: Kit, tmp_path: Path, *last: tuple[object, ...]) -> Path:
+def ending(kit: Kit, tmp_path: Path, *last: tuple[Any, ...]) -> Path:
     """A model of another trainer that ends with the operators `last`."""
     path = tmp_path / "model.onnx"
     chain = kit.mlp((6, 8, 4))
@@ -226,7 +226,7 @@ def ending(kit: Kit, tmp_path: Path, *last: tuple[object, ...]) -> Path:
     ],
 )
 def test_refusal_names_the_range_and_not_the_clip_when_outputs_leave_motor_fractions(
-    kit: Kit, tmp_path: Path, capsys: Capture, last: list[tuple[object, ...]], words: str
+    kit: Kit, tmp_path: Path, capsys: Capture, last: list[tuple[Any, ...]], words: str
 ) -> None:
     path = ending(kit, tmp_path, *last)
     line = refused([str(path), *OPTIONS, "--out", str(tmp_path / "policy.onnx")], capsys)
@@ -247,7 +247,7 @@ def test_outputs_are_mapped_when_their_range_is_told(
     kit: Kit,
     tmp_path: Path,
     capsys: Capture,
-    last: list[tuple[object, ...]],
+    last: list[tuple[Any, ...]],
     asked: str,
     low: float,
     high: float,
@@ -281,7 +281,7 @@ def test_outputs_are_mapped_when_their_range_is_told(
     ],
 )
 def test_freeze_warns_when_a_clip_holds_what_the_model_means(
-    kit: Kit, tmp_path: Path, capsys: Capture, last: list[tuple[object, ...]], warned: str | None
+    kit: Kit, tmp_path: Path, capsys: Capture, last: list[tuple[Any, ...]], warned: str | None
 ) -> None:
     path = ending(kit, tmp_path, *last)
     assert main(["freeze", str(path), *OPTIONS, "--clip", "--out", str(tmp_path / "policy.onnx")]) == 0
@@ -304,7 +304,7 @@ def test_range_is_refused_when_it_does_not_fit(
     kit: Kit,
     tmp_path: Path,
     capsys: Capture,
-    last: list[tuple[object, ...]],
+    last: list[tuple[Any, ...]],
     options: tuple[str, ...],
     words: str,
 ) -> None:

@@ -11,6 +11,7 @@ import sys
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -158,7 +159,7 @@ def test_no_memory_is_taken_when_a_checkpoint_would_inflate(tmp_path: Path) -> N
 def test_checkpoint_is_loaded_when_it_holds_plain_data_and_tensors(tmp_path: Path) -> None:
     path = tmp_path / "checkpoint.pt"
     base = torch.arange(24, dtype=torch.float64).reshape(4, 6)
-    content = {
+    content: dict[str, Any] = {
         "a": [1, 2.5, "word", None, True, (), (1, 2), -(2**40)],
         "views": [base[1:, ::2], base.T, torch.zeros(0), torch.tensor(3)],
         "kinds": [

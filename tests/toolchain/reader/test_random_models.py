@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import onnxruntime
@@ -40,7 +40,15 @@ PARAMETERS = {  # operator: attributes and between which they lie
     "Selu": {"alpha": (0.5, 2.0), "gamma": (0.5, 2.0)},
     "HardSigmoid": {"alpha": (0.1, 0.4), "beta": (0.2, 0.8)},
 }
-OTHERS = ("Gelu", "Gelu tanh", "GELU in parts", "SiLU in parts", "PRelu", "RMSNormalization", "RMS in parts")
+OTHERS: tuple[str, ...] = (
+    "Gelu",
+    "Gelu tanh",
+    "GELU in parts",
+    "SiLU in parts",
+    "PRelu",
+    "RMSNormalization",
+    "RMS in parts",
+)
 OTHERS += ("LayerNormalization", "softplus with threshold", "Max", "Where", "residual", "ReduceMean")
 KINDS = (*PLAIN, *PARAMETERS, *OTHERS)
 
@@ -58,7 +66,7 @@ class Model:
         self.tensors.append(numpy_helper.from_array(np.asarray(values, np.float32), name))
         return name
 
-    def add(self, operator: str, *inputs: str, **attributes: object) -> str:
+    def add(self, operator: str, *inputs: str, **attributes: Any) -> str:
         name = f"v{len(self.nodes)}"
         self.nodes.append(helper.make_node(operator, inputs, [name], **attributes))
         return name
