@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import math
+import re
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -21,6 +22,9 @@ EPILOG = (
     "A checkpoint of `neuroflight train` knows its observation, rate and aircraft. A model of another "
     "trainer (ONNX, raw observation in, motor fractions out) is told them here."
 )
+
+
+RESTING = 0.2  # motor fraction; a policy that leaves the thrust to the pilot rests below
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -59,7 +63,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="NAME=VALUE",
         help="value of an input that the firmware does not have, such as episode_starts=0; may be repeated",
     )
-    parser.add_argument("--clip", action="store_true", help="append a Clip to [0, 1] if the model has none")
+    parser.add_argument(
+        "--output-range",
+        metavar="LO,HI",
+        help="what its outputs ranged over in training, -1,1 for most trainers; mapped to 0..1",
+    )
+    # argparse takes what begins with - for an option, but for what this calls a number: -1,1 is two of them.
+    parser._negative_number_matcher = re.compile(r"-[\d.]")
+    parser.add_argument(
+        "--clip",
+        action="store_true",
+        help="append a Clip to [0, 1] if the model has none: its outputs are motor fractions already",
+    )
     parser.add_argument(
         "--unfolded",
         action="store_true",
@@ -101,6 +116,7 @@ def run(args: argparse.Namespace) -> int:
             "control_rate_hz": policy.control_rate_hz,
             "filters": policy.filters,
             "idle": policy.idle,
+            "at_rest": _at_rest(policy),
             "mix": policy.mix.text,
             "model": None if policy.model is None else policy.model.document(),
             "aircraft": policy.aircraft,
@@ -115,7 +131,30 @@ def run(args: argparse.Namespace) -> int:
         f"{args.source} -> {args.out}: {policy.network.text}, {policy.aircraft}, "
         f"{policy.control_rate_hz} Hz, mix {policy.mix.text}, filters {json.dumps(policy.filters)}"
     )
+    print(_rest_words(policy, _at_rest(policy)))
     return 0
+
+
+def _at_rest(policy: PolicyModel) -> list[float]:
+    """What a policy gives for an observation of zeros, its first."""
+    import numpy as np
+
+    from toolchain.ir.interpreter import evaluate
+
+    observation = np.zeros((1, policy.observation_count), np.float32)
+    return [float(value) for value in evaluate(policy.network, observation)[0]]
+
+
+def _rest_words(policy: PolicyModel, outputs: Sequence[float]) -> str:
+    """Idle and outputs at rest, and which mix they would be wrong with."""
+    listed = " ".join(f"{output:.3f}" for output in outputs)
+    words = f"idle {policy.idle:g}; at a zero observation its outputs are {listed}"
+    if policy.mix is Mix.ATTITUDE_FIRST and min(outputs) > RESTING:
+        words += (
+            ": with this mix the motors turn so with the throttle closed; if outputs only turn the aircraft, "
+            f"use --mix {Mix.CENTRED.text}"
+        )
+    return words
 
 
 def _claims(args: argparse.Namespace) -> dict[str, object]:
@@ -130,6 +169,7 @@ def _claims(args: argparse.Namespace) -> dict[str, object]:
         "--output": args.output,
         "--input-order": args.input_order,
         "--constant": args.constant,
+        "--output-range": args.output_range,
         "--clip": args.clip or None,
     }
 
@@ -149,6 +189,7 @@ def _import(args: argparse.Namespace) -> tuple[PolicyModel, Sequence[str]]:
     from toolchain.contract import IDLE_DEFAULT, IDLE_MAX
     from toolchain.errors import PolicyError
     from toolchain.policy.import_onnx import PolicyClaims, import_onnx
+    from toolchain.policy.output_map import OutputRange
     from toolchain.verification.original import compare
 
     needed = ("--observation", "--rate", "--aircraft")
@@ -171,14 +212,16 @@ def _import(args: argparse.Namespace) -> tuple[PolicyModel, Sequence[str]]:
         mix=Mix.of(args.mix or Mix.ATTITUDE_FIRST.text),
         model=_model(args, aircraft),
     )
-    order = None if args.input_order is None else args.input_order.split(",")
+    if args.clip and args.output_range is not None:
+        raise PolicyError("--clip and --output-range: the latter clips what it maps; leave out --clip")
     return import_onnx(
         args.source,
         args.out,
         claims,
         clip=args.clip,
         output=args.output,
-        input_order=order,
+        output_range=None if args.output_range is None else OutputRange.of(args.output_range),
+        input_order=None if args.input_order is None else args.input_order.split(","),
         constants=dict(map(_constant, args.constant or ())),
         prove=compare,
     )

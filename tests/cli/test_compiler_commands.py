@@ -66,7 +66,7 @@ def test_freeze_writes_nothing_when_the_checkpoint_is_none(
 ) -> None:
     out = tmp_path / "frozen.onnx"
     policy_file.write_bytes(b"no checkpoint")
-    assert "is no checkpoint" in refused(["freeze", str(policy_file), "--out", str(out)], capsys)
+    assert "is no ONNX model: it is text" in refused(["freeze", str(policy_file), "--out", str(out)], capsys)
     assert not out.exists()
 
 

@@ -118,7 +118,7 @@ def test_evaluate_rejects_a_policy_for_another_number_of_motors(
         (["train", "--seed", "-4", "--out", "OUT"], "seed -4"),
         (["train", "--out", "FILE"], "is no folder"),
         (["evaluate", "OUT/none.onnx"], "none.onnx"),
-        (["evaluate", "FILE"], "not an ONNX file"),
+        (["evaluate", "FILE"], "no ONNX model: it is text"),
         (["evaluate", "pid", "--episodes", "0"], "--episodes 0"),
         (["evaluate", "pid", "--episodes", "99999"], "--episodes 99999"),
         (["evaluate", "pid", "--throttle", "1.5"], "--throttle 1.5"),

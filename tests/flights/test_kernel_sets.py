@@ -36,12 +36,17 @@ from toolchain.ir.operations import (
     Clip,
     Concat,
     Elu,
+    Erf,
     LeakyRelu,
     Multiply,
     Relu,
+    RmsNorm,
+    Select,
     Sigmoid,
     Silu,
     Slice,
+    Softmax,
+    Softplus,
     Softsign,
     Tanh,
 )
@@ -64,7 +69,7 @@ WIDEST = (  # 64 values, of six motors
 KERNELS = {
     *("linear8", "linear4", "look_up", "affine", "at_least", "at_most", "clip", "leaky", "softsign", "elu"),
     *("half", "half_sum", "sigmoid", "silu", "add", "multiply", "multiply_add", "blend", "cell"),
-    *("layer_norm", "copy"),
+    *("layer_norm", "rms_norm", "below_largest", "shares", "look_up_even", "select", "copy"),
 }
 
 
@@ -99,6 +104,20 @@ def exponential_units() -> Network:
     return make.clipped()
 
 
+def smooth_units() -> Network:
+    """GELU, Mish and SELU, an RMS norm between."""
+    make = Maker(16, 10)
+    seen = make.linear(24)
+    wide = make.add(Affine(np.full(24, 0.5**0.5), np.zeros(24)), seen)
+    make.add(Multiply(), seen, make.add(Affine(np.full(24, 0.5), np.full(24, 0.5)), make.add(Erf(), wide)))
+    seen = make.add(RmsNorm(1e-5, 1 + 0.1 * make.weights(20), make.weights(20)), make.linear(20))
+    make.add(Multiply(), seen, make.add(Tanh(), make.add(Softplus(), seen)))
+    make.linear(12)
+    make.add(Elu(1.6732632))
+    make.add(Affine(np.full(12, 1.050701), np.zeros(12)))
+    return make.clipped()
+
+
 def gated() -> Network:
     """A GRU."""
     make = Maker(16, 4)
@@ -128,6 +147,9 @@ def everything() -> Network:
     product = make.add(Multiply(), gated, gate)
     make.add(Add(), product, gated)
     make.linear(12)
+    make.add(RmsNorm(1e-5, np.linspace(0.5, 1.5, 12, dtype=np.float32), np.zeros(12, np.float32)))
+    error, smooth = make.add(Erf()), make.add(Softplus())
+    make.add(Select(), error, smooth, make.add(Softmax(), error))
     make.add(Relu())
     make.add(gru(make, 12, 8))
     cell = make.add(lstm(make, 8, 8))
@@ -166,11 +188,11 @@ def weights() -> Network:
     return make.clipped(6)
 
 
-SETS = (tanh, linear_units, exponential_units, gated, remembering, everything)
+SETS = (tanh, linear_units, exponential_units, smooth_units, gated, remembering, everything)
 LIMITS = (memory, observation, weights)
 slow = pytest.mark.slow
 FLOWN = (*SETS, *LIMITS)
-SAMPLED = (everything, memory, weights)  # the others are slow
+SAMPLED = (everything, smooth_units, memory, weights)  # the others are slow
 CASES = [param(make, id=make.__name__, marks=() if make in SAMPLED else slow) for make in FLOWN]
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from toolchain.codegen.kernel_calls import BLOCK, Call, Place
 from toolchain.codegen.scratch_allocation import PendingCall
 from toolchain.codegen.weight_table import block_part, lanes_part, padded_gates
-from toolchain.ir.activation_tables import EXPM1, TANH, ActivationTable
+from toolchain.ir.activation_tables import ERF, EXPM1, SOFTPLUS, TANH, ActivationTable
 from toolchain.ir.float32 import Float32
 from toolchain.ir.lanes import LANES, padded
 from toolchain.ir.network import Network, Node
@@ -21,18 +21,31 @@ from toolchain.ir.operations import (
     Clip,
     Concat,
     Elu,
+    Erf,
     Gru,
     LayerNorm,
     LeakyRelu,
     Linear,
     Lstm,
     Multiply,
+    Norm,
     Relu,
+    RmsNorm,
+    Select,
     Sigmoid,
     Silu,
     Slice,
+    Softmax,
+    Softplus,
     Softsign,
     Tanh,
+)
+
+TABLES = (  # of functions, and the operations that look them up
+    (TANH, (Tanh, Sigmoid, Silu, Gru, Lstm)),
+    (EXPM1, (Elu, Softmax)),
+    (ERF, (Erf,)),
+    (SOFTPLUS, (Softplus,)),
 )
 
 
@@ -57,7 +70,7 @@ class Lowering:
         self._size = 0
         self._buffers = 0
         self._tables: dict[str, int] = {}
-        for function, users in ((TANH, (Tanh, Sigmoid, Silu, Gru, Lstm)), (EXPM1, (Elu,))):
+        for function, users in TABLES:
             if any(isinstance(node.operation, users) for node in network.nodes):
                 self.functions.append(function)
                 self._tables[function.name] = self._store(function.rows.ravel())
@@ -90,6 +103,10 @@ class Lowering:
                 return self._map("silu", [x, self._look_up(TANH, self._map("half", [x]))])
             case Softsign():
                 return self._map("softsign", [x])
+            case Erf():
+                return self._look_up(ERF, x)
+            case Softplus():
+                return self._map("elu", [x, self._look_up(SOFTPLUS, x)], constants=(1.0,))
             case Relu():
                 return self._map("at_least", [x], constants=(0.0,))
             case LeakyRelu(slope):
@@ -100,16 +117,18 @@ class Lowering:
                 kernel = "clip" if None not in (low, high) else "at_most" if low is None else "at_least"
                 bounds = _bounds(node.operation)
                 return self._map(kernel, [x], constants=bounds) if bounds else x
-            case LayerNorm(epsilon, scale, offset):
-                table = self._store(lanes_part(scale), lanes_part(offset))
-                target = self._new(x.count)
-                constants = (1 / x.count, epsilon)
-                self._emit("layer_norm", target, (x,), x.count, table=table, constants=constants)
-                return target
+            case LayerNorm():
+                return self._norm("layer_norm", node.operation, x)
+            case RmsNorm():
+                return self._norm("rms_norm", node.operation, x)
+            case Softmax():
+                return self._reduce("shares", self._look_up(EXPM1, self._reduce("below_largest", x)))
             case Add():
                 return self._map("add", inputs)
             case Multiply():
                 return self._map("multiply", inputs)
+            case Select():
+                return self._map("select", inputs)
             case Concat():
                 return self._concat(inputs)
             case Slice(start, count, step):
@@ -140,10 +159,23 @@ class Lowering:
     def _look_up(self, function: ActivationTable, x: _Value) -> _Value:
         """The bounds that keep addresses inside the table come with the code: no weight can change them."""
         limits = (function.low, function.high, function.magic)
-        return self._map("look_up", [x], table=self._tables[function.name], constants=limits)
+        kernel = "look_up_even" if function.even else "look_up"
+        return self._map(kernel, [x], table=self._tables[function.name], constants=limits)
 
     def _sigmoid(self, half: _Value) -> _Value:
         return self._map("sigmoid", [self._look_up(TANH, half)])
+
+    def _norm(self, kernel: str, norm: Norm, x: _Value) -> _Value:
+        table = self._store(lanes_part(norm.scale), lanes_part(norm.offset))
+        return self._reduce(kernel, x, table=table, constants=(1 / x.count, norm.epsilon))
+
+    def _reduce(
+        self, kernel: str, x: _Value, *, table: int | None = None, constants: tuple[float, ...] = ()
+    ) -> _Value:
+        """A kernel that first takes all values of `x` together, without the padding behind them."""
+        target = self._new(x.count)
+        self._emit(kernel, target, (x,), x.count, table=table, constants=constants)
+        return target
 
     def _map(
         self,

@@ -102,6 +102,15 @@ TARGETS = {
 }
 
 
+# What `check_memories` cannot foresee, as GNU ld tells it; where a policy's part of the region comes from.
+OVERFLOW = re.compile(r"region [`'\"]?(\w+)'? overflowed by (\d+) bytes")
+ADVICE = {
+    "BANK": "train fewer layers or fewer kinds of activation",
+    "ITCM": "train fewer kinds of activation",
+    "SRAM1": "observe fewer values",
+}
+
+
 class MakeError(BuildError):
     """A compilation that failed; `output` is all that make and the compiler said."""
 
@@ -245,6 +254,13 @@ def run_make(target: Target, root: Path, out: Path, generated: Path) -> int:
         words = done.stdout + done.stderr
         if (full := os.strerror(errno.ENOSPC)) in words:
             raise OSError(errno.ENOSPC, full, str(out))
+        if (found := OVERFLOW.search(words)) is not None:
+            region, over = found[1], int(found[2])
+            advice = ADVICE.get(region, "train a smaller network")
+            raise BuildError(
+                f"the firmware around this policy does not fit {target.name}: {over:,} bytes too many for "
+                f"{region}; {advice}; {end}"
+            )
         raise MakeError(f"the firmware for {target.name} does not build; {end}", words)
     return sum(" -c " in line for line in done.stdout.splitlines())
 

@@ -27,6 +27,7 @@ from toolchain.files import write_text
 from toolchain.ir.float32 import Float32
 
 PATH = Path(__file__).with_name("activation_tables.json")
+PI = Decimal("3.14159265358979323846264338327950288419716939937510582097494459")
 DIGITS = 50  # of the decimal arithmetic; differences of near values lose at most a few of them
 GRID = 96  # points of an interval that the fit looks at
 SAMPLES = 513  # inputs of an interval that the bound is taken over
@@ -37,8 +38,9 @@ ROUNDS = 30  # of the exchange; it settles after three or four
 class Function:
     """A function f to be tabulated: f(x) = x G(|x|) for `low` <= x <= `high`, constant beyond.
 
-    `step` is a power of two and `low` a multiple of it. `row_zero`: the powers of r that
-    row 0 has beside c0 = 1, so that tiny x come back unchanged.
+    An `even` one is G(|x|) itself, with all powers free. `step` is a power of two and `low` a multiple of it.
+    `row_zero`: the powers of r that row 0 has beside c0 = G(0), so that tiny x come back unchanged where that
+    is 1.
     """
 
     name: str
@@ -47,6 +49,7 @@ class Function:
     step: float
     quotient: Callable[[Decimal], Decimal]
     row_zero: tuple[int, ...]
+    even: bool = False
 
     @property
     def rows(self) -> int:
@@ -54,23 +57,45 @@ class Function:
 
     def interval(self, row: int) -> tuple[float, float]:
         """The values of |x| - row * step that row `row` serves; row 0 from a 128th of a step on."""
-        first = self.step / 128 if row == 0 else -self.step / 2
+        first = -self.step / 2 if row else 0.0 if self.even else self.step / 128
         return first, 0.0 if row == self.rows - 1 else self.step / 2
 
 
 def _tanh_quotient(a: Decimal) -> Decimal:
+    if not a:
+        return Decimal(1)
     decay = (-2 * a).exp()
     return (1 - decay) / (1 + decay) / a
 
 
 def _expm1_quotient(a: Decimal) -> Decimal:
+    if not a:
+        return Decimal(1)
     return (1 - (-a).exp()) / a
 
 
 # Limits: the first multiple of the step whose float32 result is exactly 1 (or -1) and within 1 ulp of the
 # function. Steps: the cubics are off by 0.26 ulp of G at most; at twice the step by almost 4.
+def _erf_quotient(a: Decimal) -> Decimal:
+    """erf(a) / a by its series: terms grow to 1e6 at 4, and fall; of 50 digits 40 are left."""
+    term, total, n = Decimal(1), Decimal(1), 0
+    while abs(term) > Decimal(10) ** -(DIGITS - 5):
+        n += 1
+        term *= -a * a / n
+        total += term / (2 * n + 1)
+    return 2 * total / PI.sqrt()
+
+
+def _softplus_even(a: Decimal) -> Decimal:
+    return (1 + (-a).exp()).ln()
+
+
 TANH = Function("tanh", -8.875, 8.875, 1 / 16, _tanh_quotient, (2, 3))
 EXPM1 = Function("expm1", -16.75, 0.0, 1 / 8, _expm1_quotient, (1, 2, 3))
+ERF = Function("erf", -3.875, 3.875, 1 / 16, _erf_quotient, (2, 3))
+# Nothing is above its constant beyond 20, 2e-9, which a factor x of Mish makes 2e-9 |x|.
+SOFTPLUS = Function("softplus", -20.0, 20.0, 1 / 8, _softplus_even, (1, 2, 3), even=True)
+FUNCTIONS = (TANH, EXPM1, ERF, SOFTPLUS)
 
 
 def fit_row(function: Function, row: int) -> Float32:
@@ -80,13 +105,14 @@ def fit_row(function: Function, row: int) -> Float32:
         first, last = (Decimal(end) for end in function.interval(row))
         grid = [first + (last - first) * i / GRID for i in range(GRID + 1)]
         target = [function.quotient(Decimal(row * function.step) + r) for r in grid]
-        if row == 0:
-            c0, c1, c2, c3 = _minimax(grid, target, 1, function.row_zero)
+        if row == 0 and not function.even:
+            at_zero = Decimal(float(np.float32(float(function.quotient(Decimal(0))))))
+            c0, c1, c2, c3 = _minimax(grid, target, at_zero, function.row_zero)
         else:
-            c0, c1, c2, c3 = _minimax(grid, target, 0, (0, 1, 2, 3))
+            c0, c1, c2, c3 = _minimax(grid, target, Decimal(0), (0, 1, 2, 3))
         bound = _bound(function, row)
     rows = []
-    for near_c0 in _neighbours(c0, 1) if row else [1.0]:
+    for near_c0 in _neighbours(c0, 1) if row or function.even else [float(c0)]:
         bend = 1.5 * (near_c0 - float(c0)) / (function.step / 2) ** 2
         for near_c1 in _neighbours(c1, 2) if c1 else [0.0]:
             rows.append(np.array([near_c0, near_c1, float(c2) - bend, float(c3)], np.float32))
@@ -105,19 +131,21 @@ def _bound(function: Function, row: int) -> Callable[[Float32], float]:
     r = np.linspace(*function.interval(row), SAMPLES)
     a = [Decimal(centre + float(v)) for v in r]
     quotient = np.array([float(function.quotient(v)) for v in a])
-    result = np.array([float(v * function.quotient(v)) for v in a])
+    result = quotient if function.even else np.array([float(v * function.quotient(v)) for v in a])
     quotient_ulp, result_ulp = (np.ldexp(1.0, np.frexp(v)[1] - 24) for v in (quotient, result))
 
     def bound(row: Float32) -> float:
         c0, c1, c2, c3 = row.astype(np.float64)
         error = np.abs(((c3 * r + c2) * r + c1) * r + c0 - quotient) + quotient_ulp / 2
+        if function.even:
+            return float((error / result_ulp).max())
         return float(((centre + r) * error / result_ulp).max() + 0.5)
 
     return bound
 
 
 def _minimax(
-    grid: Sequence[Decimal], target: Sequence[Decimal], constant: int, powers: Sequence[int]
+    grid: Sequence[Decimal], target: Sequence[Decimal], constant: Decimal, powers: Sequence[int]
 ) -> list[Decimal]:
     """c0 to c3 of the polynomial closest to `target` on `grid` in relative error.
 
@@ -141,7 +169,7 @@ def _minimax(
             peaks.pop(0 if abs(error[peaks[0]]) < abs(error[peaks[-1]]) else -1)
         if peaks == chosen:
             free = dict(zip(powers, solution, strict=True))
-            return [free.get(power, Decimal(constant if power == 0 else 0)) for power in range(4)]
+            return [free.get(power, constant if power == 0 else Decimal(0)) for power in range(4)]
         chosen = peaks
     raise ArithmeticError(f"the exchange did not settle in {ROUNDS} rounds")
 
@@ -159,7 +187,7 @@ def _solve(matrix: list[list[Decimal]], right: list[Decimal]) -> list[Decimal]:
     return [row[-1] for row in rows]
 
 
-def tables_json(functions: Sequence[Function] = (TANH, EXPM1)) -> str:
+def tables_json(functions: Sequence[Function] = FUNCTIONS) -> str:
     """The tables as the JSON text of activation_tables.json: floats in hexadecimal, one row a line."""
     blocks = []
     for function in functions:
@@ -167,6 +195,7 @@ def tables_json(functions: Sequence[Function] = (TANH, EXPM1)) -> str:
         lines = ",\n".join("   " + json.dumps([float(c).hex() for c in row]) for row in rows)
         limits = {"low": function.low, "high": function.high, "step": function.step}
         head = "".join(f'  "{key}": "{value.hex()}",\n' for key, value in limits.items())
+        head += '  "even": true,\n' if function.even else ""
         blocks.append(f' "{function.name}": {{\n{head}  "rows": [\n{lines}\n  ]\n }}')
     return "{\n" + ",\n".join(blocks) + "\n}\n"
 

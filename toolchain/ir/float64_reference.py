@@ -11,9 +11,9 @@ from dataclasses import replace
 from typing import Any, assert_never
 
 import numpy as np
-from numpy.typing import NDArray
 
 from toolchain.ir.float32 import Float32
+from toolchain.ir.float64_functions import Float64, erf, softplus
 from toolchain.ir.network import Network
 from toolchain.ir.operations import (
     Add,
@@ -21,6 +21,7 @@ from toolchain.ir.operations import (
     Clip,
     Concat,
     Elu,
+    Erf,
     Gru,
     LayerNorm,
     LeakyRelu,
@@ -30,15 +31,17 @@ from toolchain.ir.operations import (
     Operation,
     Recurrent,
     Relu,
+    RmsNorm,
+    Select,
     Sigmoid,
     Silu,
     Slice,
+    Softmax,
+    Softplus,
     Softsign,
     Stateless,
     Tanh,
 )
-
-Float64 = NDArray[np.float64]
 
 ULP = 2.0**-23  # relative, at most: from one float32 to the next
 CONSTANTS = ("weight", "bias", "scale", "offset", "input_weight", "state_weight", "input_bias", "state_bias")
@@ -47,13 +50,17 @@ CONSTANTS = ("weight", "bias", "scale", "offset", "input_weight", "state_weight"
 Function = Callable[[Float64], Float64]
 
 
-def reference(network: Network, observation: Float32, tanh: Function = np.tanh) -> Float64:
+def reference(network: Network, observation: Float32, tabulated: Function = lambda values: values) -> Float64:
     """Actions (S, T, outputs) of S sequences of T observations (S, T, inputs), each from cleared state.
 
-    tanh: what is taken for it, in gates and sigmoids too.
+    tabulated: what becomes of each result that the policy has from a table, such as every tanh.
     """
+
+    def tanh(x: Float64) -> Float64:
+        return tabulated(np.tanh(x))
+
     if not network.recurrent and observation.shape[1] > 1:
-        flat = reference(network, observation.reshape(-1, 1, network.inputs), tanh)
+        flat = reference(network, observation.reshape(-1, 1, network.inputs), tabulated)
         return flat.reshape(*observation.shape[:2], network.outputs)
     sequences, steps, _ = observation.shape
     state = {index: _clear(node.operation, sequences) for index, node in enumerate(network.nodes)}
@@ -68,23 +75,23 @@ def reference(network: Network, observation: Float32, tanh: Function = np.tanh) 
                         state[index] = _cell(cell, tanh, inputs[0], *state[index])
                         values.append(state[index][0])
                     case operation:
-                        values.append(_apply(operation, tanh, inputs))
+                        values.append(_apply(operation, tanh, tabulated, inputs))
             actions[:, step] = values[-1]
     return actions
 
 
 def disturbed(network: Network, observation: Float32, rng: np.random.Generator) -> Float64:
-    """Like `reference`, with each constant and each tanh moved by about a unit in its last place, up or down.
+    """Like `reference`, with constants and values of tables moved by about a unit in their last place.
 
     An evaluation in float32 is one in real arithmetic that is disturbed in about this way, a few times over:
     so how far these actions lie from the reference's says how much of rounding an observation shows.
     """
 
-    def tanh(x: Float64) -> Float64:
-        return np.tanh(x) * (1 + ULP * rng.standard_normal(x.shape))
+    def tabulated(values: Float64) -> Float64:
+        return values * (1 + ULP * rng.standard_normal(values.shape))
 
     nodes = tuple(replace(node, operation=_moved(node.operation, rng)) for node in network.nodes)
-    return reference(replace(network, nodes=nodes), observation, tanh)
+    return reference(replace(network, nodes=nodes), observation, tabulated)
 
 
 def _moved(operation: Operation, rng: np.random.Generator) -> Operation:
@@ -126,7 +133,7 @@ def _cell(
     return (_sigmoid(o, tanh) * tanh(c), c)
 
 
-def _apply(operation: Stateless, tanh: Function, inputs: list[Float64]) -> Float64:
+def _apply(operation: Stateless, tanh: Function, tabulated: Function, inputs: list[Float64]) -> Float64:
     x = inputs[0]
     match operation:
         case Linear():
@@ -141,22 +148,34 @@ def _apply(operation: Stateless, tanh: Function, inputs: list[Float64]) -> Float
             return x * _sigmoid(x, tanh)
         case Softsign():
             return np.asarray(x / (1 + np.abs(x)))
+        case Erf():
+            return tabulated(erf(x))
+        case Softplus():
+            return np.maximum(x, 0) + tabulated(softplus(-np.abs(x)))
         case Relu():
             return np.maximum(x, 0)
         case LeakyRelu(slope):
             return np.asarray(np.where(x < 0, slope * x, x))
         case Elu(alpha):
-            return np.where(x < 0, alpha * np.expm1(np.minimum(x, 0)), x)
+            return np.where(x < 0, alpha * tabulated(np.expm1(np.minimum(x, 0))), x)
         case Clip(low, high):
             return np.clip(x, -np.inf if low is None else low, np.inf if high is None else high)
         case LayerNorm():
             distance = x - x.mean(axis=1, keepdims=True)
             deviation = np.sqrt(np.square(distance).mean(axis=1, keepdims=True) + operation.epsilon)
             return np.asarray(distance / deviation * operation.scale + operation.offset)
+        case RmsNorm(epsilon, scale, offset):
+            root = np.sqrt(np.square(x).mean(axis=1, keepdims=True) + epsilon)
+            return np.asarray(x / root * scale + offset)
+        case Softmax():
+            share = 1 + tabulated(np.expm1(x - x.max(axis=1, keepdims=True)))
+            return np.asarray(share / share.sum(axis=1, keepdims=True))
         case Add():
             return x + inputs[1]
         case Multiply():
             return x * inputs[1]
+        case Select():
+            return np.where(x > 0, inputs[1], inputs[2])
         case Concat():
             return np.concatenate(inputs, axis=1)
         case Slice(start, count, step):

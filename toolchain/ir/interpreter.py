@@ -13,7 +13,7 @@ from typing import assert_never
 
 import numpy as np
 
-from toolchain.ir.activation_tables import EXPM1, TANH, apply
+from toolchain.ir.activation_tables import ERF, EXPM1, SOFTPLUS, TANH, apply
 from toolchain.ir.float32 import Float32, fma
 from toolchain.ir.lanes import LANES
 from toolchain.ir.network import Network
@@ -23,6 +23,7 @@ from toolchain.ir.operations import (
     Clip,
     Concat,
     Elu,
+    Erf,
     Gru,
     LayerNorm,
     LeakyRelu,
@@ -31,9 +32,13 @@ from toolchain.ir.operations import (
     Multiply,
     Recurrent,
     Relu,
+    RmsNorm,
+    Select,
     Sigmoid,
     Silu,
     Slice,
+    Softmax,
+    Softplus,
     Softsign,
     Stateless,
     Tanh,
@@ -42,6 +47,7 @@ from toolchain.ir.operations import (
 State = tuple[Float32, ...]  # (N, units) of each recurrent node in order; for an Lstm h, then c
 
 _HALF, _1, _NAN = np.float32(0.5), np.float32(1), np.float32(np.nan)
+_LARGEST = np.finfo(np.float32).max
 
 
 def evaluate(network: Network, observation: Float32, *, exact: bool = True) -> Float32:
@@ -117,6 +123,10 @@ def _apply(operation: Stateless, inputs: Sequence[Float32], exact: bool) -> Floa
         case Softsign():
             quotient: Float32 = np.divide(x, _1 + np.abs(x))
             return quotient
+        case Erf():
+            return apply(ERF, x)
+        case Softplus():
+            return apply(SOFTPLUS, x) + _at_least(x, 0.0)
         case Relu():
             return _at_least(x, 0.0)
         case LeakyRelu(slope):
@@ -128,10 +138,16 @@ def _apply(operation: Stateless, inputs: Sequence[Float32], exact: bool) -> Floa
             return x if high is None else _at_most(x, high)
         case LayerNorm():
             return _layer_norm(operation, x)
+        case RmsNorm():
+            return _rms_norm(operation, x)
+        case Softmax():
+            return _softmax(x)
         case Add():
             return x + inputs[1]
         case Multiply():
             return x * inputs[1]
+        case Select():
+            return fma(x, np.float32(0), np.where(x > 0, inputs[1], inputs[2]))
         case Concat():
             return np.concatenate(inputs, axis=1)
         case Slice(start, count, step):
@@ -184,6 +200,20 @@ def _layer_norm(norm: LayerNorm, x: Float32) -> Float32:
     variance = _sum(distance, lambda value, total: fma(value, value, total)) * share
     inverse = _1 / np.sqrt(variance + np.float32(norm.epsilon))
     return fma(distance * inverse, norm.scale, norm.offset)
+
+
+def _rms_norm(norm: RmsNorm, x: Float32) -> Float32:
+    square = _sum(x, lambda value, total: fma(value, value, total)) * np.float32(1 / x.shape[1])
+    inverse = _1 / np.sqrt(square + np.float32(norm.epsilon))
+    return fma(x * inverse, norm.scale, norm.offset)
+
+
+def _softmax(x: Float32) -> Float32:
+    """Every power is of what is at most 0, by the table of e^x - 1."""
+    largest = np.where(x > -_LARGEST, x, -_LARGEST).max(axis=1, keepdims=True)
+    powers = apply(EXPM1, x - largest) + _1
+    shares: Float32 = powers * (_1 / _sum(powers, lambda value, total: value + total))
+    return shares
 
 
 def _sum(x: Float32, add: Callable[[Float32, Float32], Float32]) -> Float32:

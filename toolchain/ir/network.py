@@ -22,7 +22,10 @@ from toolchain.ir.operations import (
     Multiply,
     Operation,
     Recurrent,
+    RmsNorm,
+    Select,
     Slice,
+    Softmax,
 )
 
 OBSERVATION = 0  # the number of the first value
@@ -105,7 +108,11 @@ def output_width(operation: Operation, widths: Sequence[int]) -> int:
         match operation:
             case Add() | Multiply():
                 expected, result = [same, same], same
-            case Affine() | LayerNorm():
+            case Softmax():
+                expected, result = [same], same
+            case Select():
+                expected, result = [same, same, same], same
+            case Affine() | LayerNorm() | RmsNorm():
                 expected, result = [operation.scale.size], operation.scale.size
             case Linear():
                 expected, result = [operation.inputs], operation.outputs

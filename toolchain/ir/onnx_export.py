@@ -21,6 +21,7 @@ from toolchain.ir.operations import (
     Clip,
     Concat,
     Elu,
+    Erf,
     Gru,
     LayerNorm,
     LeakyRelu,
@@ -28,9 +29,13 @@ from toolchain.ir.operations import (
     Lstm,
     Multiply,
     Relu,
+    RmsNorm,
+    Select,
     Sigmoid,
     Silu,
     Slice,
+    Softmax,
+    Softplus,
     Softsign,
     Tanh,
 )
@@ -43,6 +48,9 @@ _FUNCTIONS = {
     Tanh: "Tanh",
     Sigmoid: "Sigmoid",
     Softsign: "Softsign",
+    Erf: "Erf",
+    Softplus: "Softplus",
+    Softmax: "Softmax",
     Relu: "Relu",
     Add: "Add",
     Multiply: "Mul",
@@ -67,7 +75,9 @@ class _Graph:
         self.tensors.append(numpy_helper.from_array(array, name))
         return name
 
-    def add(self, operator: str, inputs: list[str], outputs: list[str], **attributes: float) -> None:
+    def add(
+        self, operator: str, inputs: list[str], outputs: list[str], **attributes: float | list[int]
+    ) -> None:
         """Append a node, named after what it gives where it has no name, or another node has it."""
         given = next(output for output in outputs if output)
         name = self.name or given
@@ -129,7 +139,9 @@ def _write(graph: _Graph, node: Node, inputs: list[str], output: str, state: boo
                 graph.add("Mul", [x, graph.constant(scale)], [f"{output}_scaled"])
                 x = f"{output}_scaled"
             graph.add("Add", [x, graph.constant(offset)], y)
-        case Tanh() | Sigmoid() | Softsign() | Relu() | Add() | Multiply() as operation:
+        case Tanh() | Sigmoid() | Softsign() | Erf() | Softplus() | Softmax() as operation:
+            graph.add(_FUNCTIONS[type(operation)], inputs, y)
+        case Relu() | Add() | Multiply() as operation:
             graph.add(_FUNCTIONS[type(operation)], inputs, y)
         case Silu():
             graph.add("Sigmoid", [x], [f"{output}_sigmoid"])
@@ -144,6 +156,17 @@ def _write(graph: _Graph, node: Node, inputs: list[str], output: str, state: boo
         case LayerNorm(epsilon, scale, offset):
             affine = [graph.constant(scale), graph.constant(offset)]
             graph.add("LayerNormalization", [x, *affine], y, axis=1, epsilon=float(epsilon))
+        case RmsNorm(epsilon, scale, offset):
+            graph.add("Mul", [x, x], [f"{output}_square"])
+            graph.add("ReduceMean", [f"{output}_square"], [f"{output}_mean"], axes=[1])
+            graph.add("Add", [f"{output}_mean", graph.constant(epsilon)], [f"{output}_sum"])
+            graph.add("Sqrt", [f"{output}_sum"], [f"{output}_root"])
+            graph.add("Div", [x, f"{output}_root"], [f"{output}_norm"])
+            graph.add("Mul", [f"{output}_norm", graph.constant(scale)], [f"{output}_scaled"])
+            graph.add("Add", [f"{output}_scaled", graph.constant(offset)], y)
+        case Select():
+            graph.add("Greater", [x, graph.constant(0)], [f"{output}_above"])
+            graph.add("Where", [f"{output}_above", *inputs[1:]], y)
         case Concat():
             graph.add("Concat", inputs, y, axis=1)
         case Slice(start, count, step):

@@ -68,6 +68,16 @@ class Softsign:
 
 
 @dataclass(frozen=True)
+class Erf:
+    """y = erf x, the error function, by a table: what GELU is made of."""
+
+
+@dataclass(frozen=True)
+class Softplus:
+    """y = log(1 + e^x), as max(x, 0) + log(1 + e^-|x|), by a table."""
+
+
+@dataclass(frozen=True)
 class Relu:
     """y = max(x, 0)."""
 
@@ -103,6 +113,20 @@ class LayerNorm:
     offset: Float32  # (n,)
 
 
+@dataclass(frozen=True, eq=False)
+class RmsNorm:
+    """y = x / sqrt(mean(x^2) + epsilon) scale + offset, over all values of x."""
+
+    epsilon: float
+    scale: Float32  # (n,)
+    offset: Float32  # (n,)
+
+
+@dataclass(frozen=True)
+class Softmax:
+    """y = e^x / sum(e^x), over all values of x."""
+
+
 @dataclass(frozen=True)
 class Add:
     """y = a + b of two values of one width."""
@@ -111,6 +135,11 @@ class Add:
 @dataclass(frozen=True)
 class Multiply:
     """y = a b, value by value, of two values of one width."""
+
+
+@dataclass(frozen=True)
+class Select:
+    """y = a where c > 0, else b, value by value, of three values c, a, b of one width."""
 
 
 @dataclass(frozen=True)
@@ -163,8 +192,11 @@ class Lstm:
         return int(self.state_weight.shape[1])
 
 
-Activation = Tanh | Sigmoid | Silu | Softsign | Relu | LeakyRelu | Elu | Clip
-Elementwise = Affine | Activation | Add | Multiply  # each element of the result from the same of the inputs
-Stateless = Elementwise | Linear | LayerNorm | Concat | Slice
+Activation = Tanh | Sigmoid | Silu | Softsign | Erf | Softplus | Relu | LeakyRelu | Elu | Clip
+Elementwise = (
+    Affine | Activation | Add | Multiply | Select
+)  # each element of the result from the same of the inputs
+Norm = LayerNorm | RmsNorm
+Stateless = Elementwise | Linear | Norm | Softmax | Concat | Slice
 Recurrent = Gru | Lstm
 Operation = Stateless | Recurrent  # a new one: mypy then lists every `match` that lacks it

@@ -17,6 +17,7 @@ from toolchain.ir.operations import (
     Clip,
     Concat,
     Elu,
+    Erf,
     Gru,
     LayerNorm,
     LeakyRelu,
@@ -25,9 +26,13 @@ from toolchain.ir.operations import (
     Multiply,
     Operation,
     Relu,
+    RmsNorm,
+    Select,
     Sigmoid,
     Silu,
     Slice,
+    Softmax,
+    Softplus,
     Softsign,
     Tanh,
 )
@@ -134,13 +139,13 @@ def operations(operation: Operation, width: int) -> int:
             return multiply_adds(operation) + 18 * width
         case Concat() | Slice():
             return 0
-        case Sigmoid() | Softsign() | Elu():
+        case Sigmoid() | Softsign() | Softplus() | Elu():
             return 3 * width
-        case LayerNorm() | Silu():
+        case LayerNorm() | RmsNorm() | Softmax() | Silu():
             return 4 * width
         case LeakyRelu():
             return 2 * width
-        case Affine() | Tanh() | Relu() | Clip() | Add() | Multiply():
+        case Affine() | Tanh() | Erf() | Relu() | Clip() | Add() | Multiply() | Select():
             return width
         case never:
             assert_never(never)

@@ -18,7 +18,9 @@ from toolchain.ir.operations import (
     LayerNorm,
     Linear,
     Lstm,
+    Norm,
     Operation,
+    RmsNorm,
     Sigmoid,
     Slice,
     Tanh,
@@ -39,7 +41,7 @@ def merge_affine(network: Network) -> Network:
 
 
 def fold_affine(network: Network) -> Network:
-    """Affine maps move into the weights of linear layers, recurrent cells and LayerNorms beside them.
+    """Affine maps move into the weights of linear layers, recurrent cells and norms beside them.
 
     Into the layer after it a map moves only where all that takes it are such layers: it vanishes.
     """
@@ -51,7 +53,9 @@ def fold_affine(network: Network) -> Network:
             case Linear() | Gru() | Lstm(), Node(operation=Affine() as first) as before:
                 if all(vanishes[role] for role in draft.roles[taken]):
                     return Node(_before(node.operation, first), before.inputs, node.name)
-            case Affine() as second, Node(operation=Linear() | LayerNorm()) as before if draft.sole(taken):
+            case Affine() as second, Node() as before if isinstance(
+                before.operation, Linear | Norm
+            ) and draft.sole(taken):
                 return replace(before, operation=_after(before.operation, second))
         return None
 
@@ -98,7 +102,7 @@ def lower_sigmoid(network: Network) -> Network:
 
     def rule(draft: Draft, node: Node, number: int) -> Node | None:
         match node.operation, draft.sole(node.inputs[0]):
-            case Sigmoid(), Node(operation=Linear() | Affine() | LayerNorm()) if vanishes[number]:
+            case Sigmoid(), Node(operation=Linear() | Affine() | LayerNorm() | RmsNorm()) if vanishes[number]:
                 half = np.full(draft.widths[node.inputs[0]], 0.5)
                 below = draft.add(Affine(half, 0 * half), node.inputs, node.name)
                 return Node(Affine(half, half), (draft.add(Tanh(), (below,), node.name),), node.name)
@@ -163,9 +167,9 @@ def _after(first: Operation, second: Affine) -> Operation:
             case Linear(weight, bias):
                 bias64 = bias * second.scale + second.offset
                 return Linear(rounded(weight * second.scale[:, None]), rounded(bias64))
-            case LayerNorm(epsilon, scale, offset):
+            case LayerNorm(epsilon, scale, offset) | RmsNorm(epsilon, scale, offset):
                 offset64 = offset * second.scale + second.offset
-                return LayerNorm(epsilon, rounded(scale * second.scale), rounded(offset64))
+                return type(first)(epsilon, rounded(scale * second.scale), rounded(offset64))
     raise TypeError(f"{first} takes no affine map after it")
 
 
@@ -187,7 +191,7 @@ def _below_concat(draft: Draft, node: Node, parts: Sequence[Node | None]) -> Nod
 def _above_concat(draft: Draft, node: Node, before: Node, second: Affine) -> Node | None:
     """An affine map of a Concat: the Concat of maps of its parts, if each vanishes into its part."""
     parts = [draft.sole(value) for value in before.inputs]
-    if not all(part and isinstance(part.operation, Linear | LayerNorm | Affine) for part in parts):
+    if not all(part and isinstance(part.operation, Linear | Norm | Affine) for part in parts):
         return None
     values, first = [], 0
     for value in before.inputs:

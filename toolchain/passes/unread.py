@@ -18,7 +18,9 @@ from toolchain.ir.operations import (
     Linear,
     Lstm,
     Operation,
+    RmsNorm,
     Slice,
+    Softmax,
 )
 
 Mask = NDArray[np.bool_]  # (n,): which elements of a value are kept
@@ -28,7 +30,7 @@ def drop_unread(network: Network) -> Network:
     """Nodes, and rows of matrices, that cannot reach the output are dropped.
 
     An element is read unless every weight that it meets is exactly 0. The observation keeps its width, a
-    recurrent cell and a LayerNorm all of their elements.
+    recurrent cell, a norm and a Softmax all of their elements.
     """
     network = sweep(network)
     kept = kept_elements(network)
@@ -75,7 +77,7 @@ def _mark(operation: Operation, result: Mask, taken: Sequence[Mask]) -> None:
         case Linear(weight, _):
             taken[0] |= (weight[result] != 0).any(axis=0)
             taken[0][0] |= not taken[0].any()  # a value has at least one element
-        case Gru() | Lstm() | LayerNorm():
+        case Gru() | Lstm() | LayerNorm() | RmsNorm() | Softmax():
             result[:] = True
             taken[0][:] = True
         case Concat():

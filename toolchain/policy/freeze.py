@@ -14,15 +14,15 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from toolchain import contract
 from toolchain.errors import PolicyError
-from toolchain.files import file_size
 from toolchain.policy.freeze_memory import KINDS, Memory
+from toolchain.policy.plain_checkpoint import ANOTHER_TRAINER, load_plain
 
 OPSET, IR_VERSION = 17, 8  # old enough for every runtime in use, new enough for every operator here
 ACTIVATIONS = {"tanh": "Tanh", "relu": "Relu"}
@@ -85,18 +85,16 @@ def freeze(checkpoint: Path, out: Path, *, fold: bool = True) -> None:
 def load_checkpoint(path: Path) -> tuple[dict[str, Any], dict[str, NDArray[Any]], dict[str, Any]]:
     """Configuration, policy weights and progress of a checkpoint. Loads plain data only, never code."""
     try:
-        if (size := file_size(path)) > contract.CHECKPOINT_FILE_BYTES_MAX:
-            raise PolicyError(
-                f"{path} is {size} bytes, expected at most {contract.CHECKPOINT_FILE_BYTES_MAX}"
-            )
-        with path.open("rb") as file:
-            content = _unpickle(file, path)
+        content = load_plain(path)
     except OSError as error:
         raise PolicyError(f"cannot read the checkpoint {path}: {error.strerror}") from error
     form = (content.get("format"), content.get("version")) if isinstance(content, dict) else None
     if form != (contract.CHECKPOINT_FORMAT, contract.CHECKPOINT_VERSION):
         expected = f"{contract.CHECKPOINT_FORMAT} version {contract.CHECKPOINT_VERSION}"
-        raise PolicyError(f"{path} is no checkpoint: expected {expected}; write one with `neuroflight train`")
+        raise PolicyError(
+            f"{path} is no checkpoint: expected {expected}, which `neuroflight train` writes; "
+            f"{ANOTHER_TRAINER}"
+        )
     try:
         config, state = json.loads(content["config"]), dict(content["state_dict"])
         arrays = {str(name): np.asarray(tensor.detach().cpu()) for name, tensor in state.items()}
@@ -104,19 +102,6 @@ def load_checkpoint(path: Path) -> tuple[dict[str, Any], dict[str, NDArray[Any]]
     except (KeyError, TypeError, ValueError, AttributeError, RuntimeError) as error:
         # RuntimeError: lists within lists without end, or tensors that torch has no values of
         raise PolicyError(f"{path} is a damaged checkpoint: {type(error).__name__} {error}") from error
-
-
-def _unpickle(file: BinaryIO, path: Path) -> Any:  # noqa: ANN401
-    import warnings
-
-    import torch
-
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of archives that are no checkpoint: they are refused
-            return torch.load(file, map_location="cpu", weights_only=True)
-    except Exception as error:  # torch documents no set of errors for a file that is not its own
-        raise PolicyError(f"{path} is no checkpoint: torch cannot load it as plain data") from error
 
 
 def to_onnx(

@@ -16,8 +16,7 @@ from typing import TYPE_CHECKING
 from toolchain import contract
 from toolchain.errors import PolicyError
 from toolchain.files import file_size, write_bytes
-from toolchain.ir.network import Network, Node
-from toolchain.ir.operations import Clip
+from toolchain.policy.file_kind import foreign_kind
 from toolchain.policy.model import PolicyModel, parse_model, parse_policy, read_file
 from toolchain.policy.model_constants import ModelConstants
 from toolchain.reader.checks import check_parts
@@ -29,6 +28,7 @@ if TYPE_CHECKING:
     from toolchain.policy.foreign_network import Adopted
 
     Proof = Callable[[bytes, Adopted], str]  # of the model's bytes; raises PolicyError where they differ
+    from toolchain.policy.output_map import OutputRange
 
 CHECKPOINT_STARTS = (b"PK", b"\x80")  # torch's zip archive and the pickle it wrote before
 
@@ -51,9 +51,14 @@ class PolicyClaims:
 def is_checkpoint(path: Path) -> bool:
     """Whether the file is torch's rather than an ONNX model. Raises PolicyError when it is neither."""
     try:
-        file_size(path)  # raises for a pipe or a device, which would not end
+        size = file_size(path)  # raises for a pipe or a device, which would not end
         with path.open("rb") as file:
-            if file.read(2).startswith(CHECKPOINT_STARTS):
+            start = file.read(2)
+            if start.startswith(CHECKPOINT_STARTS) and size <= contract.CHECKPOINT_FILE_BYTES_MAX:
+                kind = foreign_kind(start + file.read())
+                if kind is not None:
+                    raise PolicyError(f"{path} is no checkpoint and no ONNX model: it is {kind}")
+            if start.startswith(CHECKPOINT_STARTS):
                 return True
     except OSError as error:
         raise PolicyError(f"cannot read {path}: {error.strerror}") from error
@@ -74,6 +79,7 @@ def import_onnx(
     *,
     clip: bool,
     output: str | None = None,
+    output_range: OutputRange | None = None,
     input_order: Sequence[str] | None = None,
     constants: Mapping[str, float] | None = None,
     prove: Proof | None = None,
@@ -82,6 +88,7 @@ def import_onnx(
 
     clip: append a Clip to [0, 1] where nothing else keeps the motor fractions there.
     output: which output of the model is the action, where it has several.
+    output_range: what its outputs range over, mapped to motor fractions from 0 to 1, and clipped to them.
     input_order: the inputs that make the observation, in its order, where there are several.
     constants: values of inputs that the firmware does not have.
     prove: compares the model with what was made of it; what it says is the last of the words.
@@ -95,6 +102,7 @@ def import_onnx(
             claims,
             clip=clip,
             output=output,
+            output_range=output_range,
             input_order=input_order,
             constants=constants,
             prove=prove,
@@ -117,6 +125,7 @@ def imported_model(
     *,
     clip: bool,
     output: str | None = None,
+    output_range: OutputRange | None = None,
     input_order: Sequence[str] | None = None,
     constants: Mapping[str, float] | None = None,
     prove: Proof | None = None,
@@ -132,6 +141,7 @@ def imported_model(
         keep_outputs,
     )
     from toolchain.policy.foreign_network import read_foreign
+    from toolchain.policy.output_map import clip_output, map_output
     from toolchain.reader.checks import check_model
     from toolchain.reader.output_range import UnboundedError, bounded
 
@@ -152,15 +162,17 @@ def imported_model(
     network, changes = adopted.network, [*changes, *adopted.changes]
     if wide := _float64(model):
         changes.append(f"computes in float32 what the model has in float64: {wide}")
+    if output_range is not None:
+        network, more = map_output(network, output_range)
+        changes += more
+        clip = True
     try:
         network = bounded(network)
     except UnboundedError:
         if not clip:
             raise
-        network = Network(
-            network.inputs, (*network.nodes, Node(Clip(0.0, 1.0), (len(network.nodes),), "clip"))
-        )
-        changes.append("appended a Clip to [0, 1]")
+        network, more = clip_output(network)
+        changes += more if output_range is None else []
     policy = to_model(network)
     policy.metadata_props.extend(model.metadata_props)
     producer = f"{model.producer_name} {model.producer_version}".strip()

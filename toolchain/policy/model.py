@@ -18,6 +18,7 @@ from toolchain.contract import Mix, ObservationTerm
 from toolchain.errors import PolicyError
 from toolchain.files import file_size
 from toolchain.ir.network import Network
+from toolchain.policy.file_kind import foreign_kind
 from toolchain.policy.model_constants import ModelConstants
 
 if TYPE_CHECKING:
@@ -81,13 +82,18 @@ def read_policy(path: Path) -> PolicyModel:
 def read_file(path: Path) -> bytes:
     """The bytes of an ONNX file. Raises PolicyError when it is missing or larger than any policy."""
     try:
-        if (size := file_size(path)) > contract.POLICY_FILE_BYTES_MAX:
-            raise PolicyError(
-                f"{path} is {size} bytes, expected at most {contract.POLICY_FILE_BYTES_MAX}; is it a policy?"
-            )
-        return path.read_bytes()
+        size = file_size(path)
+        with path.open("rb") as file:
+            data = file.read(contract.POLICY_FILE_BYTES_MAX)
     except OSError as error:
         raise PolicyError(f"cannot read the policy {path}: {error.strerror}") from error
+    if (kind := foreign_kind(data)) is not None:
+        raise PolicyError(f"{path} is no ONNX model: it is {kind}")
+    if size > contract.POLICY_FILE_BYTES_MAX:
+        raise PolicyError(
+            f"{path} is {size} bytes, expected at most {contract.POLICY_FILE_BYTES_MAX}; is it a policy?"
+        )
+    return data
 
 
 def parse_policy(data: bytes) -> PolicyModel:
@@ -110,7 +116,11 @@ def parse_model(data: bytes) -> onnx.ModelProto:
     try:
         return onnx.load_model_from_string(data)
     except DecodeError as error:
-        raise PolicyError("not an ONNX file, or a truncated one; export it again") from error
+        archive = data.startswith(b"PK")
+        hint = (
+            "a checkpoint, which `neuroflight freeze` makes a policy of" if archive else "or a truncated one"
+        )
+        raise PolicyError(f"not an ONNX file, {hint}; export it again") from error
 
 
 def _describe(metadata: Mapping[str, str], sha256: str, network: Network) -> PolicyModel:

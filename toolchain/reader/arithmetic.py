@@ -1,4 +1,4 @@
-"""Readers of matrices and arithmetic: Gemm, MatMul, Add, Sub, Mul, Div and Neg."""
+"""Readers of matrices and arithmetic: Gemm, MatMul, ReduceMean, ReduceSum, Add, Sub, Mul, Div and Neg."""
 
 from __future__ import annotations
 
@@ -144,6 +144,31 @@ def _reject_constant_state(build: Builder, call: Call, row: Row, constant: Array
     after_tanh = node is not None and node.operation == Tanh()
     if call.operator == "Mul" or (call.operator == "Sub" and constant.size > 1 and after_tanh):
         raise call.error(f"computes with zeros only; {CONSTANT_STATE}")
+
+
+def read_reduction(build: Builder, call: Call) -> Row:
+    """ReduceMean and ReduceSum over any axes: a matrix of ones, or of their shares."""
+    row, kept = call.row(), call.attributes.get("keepdims", 1)
+    axes = reduced_axes(call, row)
+    places = np.moveaxis(row.places, axes, range(len(axes))).reshape(
+        math.prod(row.shape[axis] for axis in axes), -1
+    )
+    weight = np.zeros((places.shape[1], row.width))
+    for output, taken in enumerate(places.T):
+        weight[output, taken] = 1 / len(taken) if call.operator == "ReduceMean" else 1
+    sizes = ((1 if axis in axes else size) for axis, size in enumerate(row.shape) if kept or axis not in axes)
+    return linear(build, call, row, weight, np.zeros(len(weight)), tuple(sizes))
+
+
+def reduced_axes(call: Call, row: Row) -> list[int]:
+    """The axes of `row` that a reduction goes over, in order."""
+    given = call.constant(1)  # from opset 13 (ReduceSum) and 18 (ReduceMean) on the axes are an input
+    axes = call.attributes.get("axes") if given is None else [int(axis) for axis in given.ravel()]
+    if not axes:
+        return [] if call.attributes.get("noop_with_empty_axes", 0) else list(range(len(row.shape)))
+    if not all(-len(row.shape) <= axis < len(row.shape) for axis in axes):
+        raise call.error(f"reduces axes {list(axes)} of a value of shape {list(row.shape)}")
+    return sorted({axis % len(row.shape) for axis in axes})
 
 
 def read_negative(build: Builder, call: Call) -> Row:

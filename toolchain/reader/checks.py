@@ -11,6 +11,7 @@ from toolchain.contract import POLICY_INPUT, POLICY_OUTPUT
 from toolchain.errors import PolicyError
 from toolchain.reader.constants import TYPES
 from toolchain.reader.operators import COMPUTING
+from toolchain.reader.origin import check_origin
 from toolchain.reader.values import NODES_MAX, STANDARD_DOMAINS, label, shown
 
 OPSET_MIN = 13  # the oldest that torch still writes; since then axes and bounds are inputs
@@ -80,6 +81,7 @@ def check_parts(model: onnx.ModelProto, *, functions: bool = False) -> None:
         raise PolicyError("a name in the policy is not UTF-8; is the file damaged? export it again")
     if (count := len(model.graph.node)) > FILE_NODES_MAX:
         raise PolicyError(f"the policy has {count} nodes, expected at most {FILE_NODES_MAX}; is it a policy?")
+    check_origin(model)
 
 
 def opset(model: onnx.ModelProto) -> int:

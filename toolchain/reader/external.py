@@ -46,6 +46,8 @@ def _read(folder: Path, name: str, limit: int) -> bytes:
         raise PolicyError(f"the model keeps weights in {shown(str(name))}, expected a file beside it")
     path = folder / name
     try:
+        if path.resolve().parent != folder.resolve():
+            raise PolicyError(f"{path} is a link out of the model's folder; put the weights themselves there")
         if (size := file_size(path)) > limit:
             raise PolicyError(f"{path} is {size} bytes, expected at most {limit}; is it a policy?")
         return path.read_bytes()

@@ -16,11 +16,12 @@ from toolchain.reader.checks import action_width, check_model, observation_width
 from toolchain.reader.constants import array, fold
 from toolchain.reader.operators import KNOWN, OPERATORS
 from toolchain.reader.output_range import bounded
-from toolchain.reader.patterns import STARTS, read_part
+from toolchain.reader.patterns import STARTS, computed, read_part
 from toolchain.reader.values import (
     WIDTH_MAX,
     Builder,
     Call,
+    Condition,
     Part,
     Row,
     Unread,
@@ -119,12 +120,12 @@ def _read(build: Builder, call: Call) -> tuple[Value, ...]:
     kinds = {type(value) for value in call.inputs}
     if call.operator == "Constant":
         return (_constant(call),)
-    if (call.operator == "Shape" and Part not in kinds) or not kinds & {Row, Part}:
+    if (call.operator == "Shape" and Part not in kinds) or not kinds & {Row, Part, Condition}:
         result = fold(call)
-    elif Part in kinds or call.operator in STARTS:
-        result = read_part(build, call)
+    elif (Part in kinds or call.operator in STARTS) and (part := read_part(build, call)) is not None:
+        result = part
     elif call.operator in OPERATORS:
-        result = OPERATORS[call.operator](build, call)
+        result = OPERATORS[call.operator](build, computed(build, call))
     elif call.operator in KNOWN:
         raise call.error("takes values computed from the observation; it is supported on constants only")
     else:

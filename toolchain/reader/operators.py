@@ -9,17 +9,34 @@ import numpy as np
 from onnx import TensorProto
 
 from toolchain.ir.operations import (
+    Add,
     Clip,
     Concat,
     Elu,
+    Erf,
     LayerNorm,
     LeakyRelu,
     Operation,
     Relu,
+    RmsNorm,
+    Select,
     Sigmoid,
-    Silu,
+    Softmax,
+    Softplus,
     Softsign,
     Tanh,
+)
+from toolchain.reader.activations import (
+    read_celu,
+    read_gelu,
+    read_hard_sigmoid,
+    read_hard_swish,
+    read_mish,
+    read_power,
+    read_prelu,
+    read_selu,
+    read_swish,
+    read_thresholded,
 )
 from toolchain.reader.arithmetic import (
     mapped,
@@ -27,13 +44,15 @@ from toolchain.reader.arithmetic import (
     read_gemm,
     read_matmul,
     read_negative,
+    read_reduction,
     read_sum,
 )
+from toolchain.reader.conditions import CONDITIONS, read_mask, read_where
 from toolchain.reader.constants import FOLDED, MOVES, apply
 from toolchain.reader.convolution import read_conv
 from toolchain.reader.patterns import ONLY_INSIDE, STARTS
 from toolchain.reader.recurrent import read_gru, read_lstm, read_rnn
-from toolchain.reader.values import WIDTH_MAX, Builder, Call, Row, Unread, Value, joint_shape
+from toolchain.reader.values import WIDTH_MAX, Builder, Call, Condition, Row, Unread, Value, joint_shape
 
 Reader = Callable[[Builder, Call], Value | tuple[Value, ...]]
 
@@ -55,21 +74,22 @@ def _parameter(make: Callable[[float], Operation], default: float) -> Reader:
     return read
 
 
-def _swish(build: Builder, call: Call) -> Row:
-    if call.attributes.get("alpha", 1.0) != 1:
-        raise call.error(f"has alpha {call.attributes['alpha']:g}, expected 1")
-    return build.append(call, Silu(), call.row(), shape=call.row().shape)
-
-
 def _clip(build: Builder, call: Call) -> Row:
     return _clipped(build, call, call.row(), call.scalar(1), call.scalar(2))
 
 
 def _min_or_max(build: Builder, call: Call) -> Row:
-    """Min or Max of a value and constants: a Clip with one bound."""
+    """Min or Max: of a value and a constant a Clip with one bound, of two values a Select."""
     places = [place for place, value in enumerate(call.inputs) if isinstance(value, Row)]
-    if len(places) != 1 or len(call.inputs) != 2:
-        raise call.error("takes more than one value, expected one value and one constant")
+    if len(call.inputs) != 2:
+        raise call.error(f"takes {len(call.inputs)} values, expected two")
+    if len(places) == 2:
+        shape = joint_shape(call, call.row(0).shape, call.row(1).shape)
+        first, second = (build.broadcast(call, call.row(place), shape) for place in (0, 1))
+        negative = mapped(build, call, second, -1.0, 0.0, shape)
+        above = build.append(call, Add(), first, negative, shape=shape)
+        ordered = (first, second) if call.operator == "Max" else (second, first)
+        return build.append(call, Select(), above, *ordered, shape=shape)
     row, bound, constant = call.row(places[0]), call.scalar(1 - places[0]), call.constant(1 - places[0])
     assert constant is not None
     row = build.broadcast(call, row, joint_shape(call, row.shape, constant.shape))
@@ -86,7 +106,17 @@ def _clipped(build: Builder, call: Call, row: Row, low: float | None, high: floa
     return build.append(call, Clip(low, high), row, shape=row.shape)
 
 
-def _layer_norm(build: Builder, call: Call) -> tuple[Value, ...]:
+def _softmax(build: Builder, call: Call) -> Row:
+    row, axis = call.row(), call.attributes.get("axis", -1)
+    if not -len(row.shape) <= axis < len(row.shape) or row.shape[axis] != row.width:
+        raise call.error(
+            f"shares out axis {axis} of a value of shape {list(row.shape)}, expected all of its values"
+        )
+    return build.append(call, Softmax(), row, shape=row.shape)
+
+
+def _norm(build: Builder, call: Call) -> tuple[Value, ...]:
+    """LayerNormalization, and RMSNormalization, which has no offset."""
     row, axis = call.row(), call.attributes.get("axis", -1)
     axis = axis + len(row.shape) if axis < 0 else axis
     epsilon = call.attributes.get("epsilon", 1e-5)
@@ -103,7 +133,8 @@ def _layer_norm(build: Builder, call: Call) -> tuple[Value, ...]:
                 f"has a constant of shape {list(values.shape)}, expected {list(row.shape[axis:])}"
             )
         rows.append(np.broadcast_to(values, row.shape).ravel().copy())
-    norm = build.append(call, LayerNorm(epsilon, rows[0], rows[1]), row, shape=row.shape)
+    kind = LayerNorm if call.operator == "LayerNormalization" else RmsNorm
+    norm = build.append(call, kind(epsilon, rows[0], rows[1]), row, shape=row.shape)
     return norm, *(Unread(f"an inner value of {call.label}") for _ in range(call.outputs - 1))
 
 
@@ -138,7 +169,8 @@ def _cast(build: Builder, call: Call) -> Row:
         known = kind in TensorProto.DataType.values()
         name = TensorProto.DataType.Name(kind).lower() if known else str(kind)
         raise call.error(f"converts to {name}, expected float32; export in float32")
-    return call.row()
+    value = call.input(0)
+    return read_mask(build, call, value) if isinstance(value, Condition) else call.row()
 
 
 def _concat(build: Builder, call: Call) -> Row:
@@ -169,26 +201,43 @@ OPERATORS: dict[str, Reader] = {
     **dict.fromkeys(("Add", "Sub", "Mul", "Div"), read_arithmetic),
     **dict.fromkeys(("Min", "Max"), _min_or_max),
     **dict.fromkeys(("Sum", "Mean"), read_sum),
+    **CONDITIONS,
     "BatchNormalization": _batch_norm,
     "Cast": _cast,
+    "Celu": read_celu,
     "Clip": _clip,
     "Concat": _concat,
     "Conv": read_conv,
     "Dropout": _dropout,
     "Elu": _parameter(Elu, 1.0),
+    "Erf": _activation(Erf()),
     "GRU": read_gru,
+    "Gelu": read_gelu,
     "Gemm": read_gemm,
+    "HardSigmoid": read_hard_sigmoid,
+    "HardSwish": read_hard_swish,
     "LSTM": read_lstm,
-    "LayerNormalization": _layer_norm,
+    "LayerNormalization": _norm,
     "LeakyRelu": _parameter(LeakyRelu, 0.01),
     "MatMul": read_matmul,
+    "Mish": read_mish,
     "Neg": read_negative,
+    "PRelu": read_prelu,
+    "Pow": read_power,
+    "RMSNormalization": _norm,
+    "ReduceMean": read_reduction,
+    "ReduceSum": read_reduction,
     "RNN": read_rnn,
     "Relu": _activation(Relu()),
+    "Selu": read_selu,
     "Sigmoid": _activation(Sigmoid()),
+    "Softmax": _softmax,
+    "Softplus": _activation(Softplus()),
     "Softsign": _activation(Softsign()),
-    "Swish": _swish,
+    "Swish": read_swish,
     "Tanh": _activation(Tanh()),
+    "ThresholdedRelu": read_thresholded,
+    "Where": read_where,
 }
 COMPUTING = sorted(OPERATORS.keys() - MOVES.keys())
 KNOWN = frozenset({*OPERATORS, *STARTS, *ONLY_INSIDE, *FOLDED, "Constant", "Shape"})

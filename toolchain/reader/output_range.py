@@ -8,28 +8,10 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from toolchain.errors import PolicyError
+from toolchain.ir.intervals import value_intervals
 from toolchain.ir.network import Network, Node
-from toolchain.ir.operations import (
-    Add,
-    Affine,
-    Clip,
-    Concat,
-    Gru,
-    Lstm,
-    Multiply,
-    Operation,
-    Relu,
-    Sigmoid,
-    Slice,
-    Softsign,
-    Tanh,
-)
-
-Range = tuple[float, float]
-ANY: Range = (-math.inf, math.inf)
+from toolchain.ir.operations import Clip, Operation
 
 
 class UnboundedError(PolicyError):
@@ -42,51 +24,36 @@ def bounded(network: Network) -> Network:
         case Clip(low=float(low), high=float(high)) if 0 <= low <= high <= 1:
             return network
         case last:
-            low, high = _ranges(network)[-1]
+            low, high = meant_range(network)
             if not 0 <= low <= high <= 1:
                 raise UnboundedError(
-                    f"the policy ends with {_short(last)}, expected Clip within [0, 1]; clip the motor "
-                    "fractions, or let `neuroflight freeze --clip` do it"
+                    f"the policy ends with {_short(last)}, expected Clip within [0, 1]; {_mend(low, high)}"
                 )
     clip = Node(Clip(0.0, 1.0), (len(network.nodes),), "clip")
     return Network(network.inputs, (*network.nodes, clip))
 
 
-def _ranges(network: Network) -> list[Range]:
-    """Bounds of every value for finite observations, the observation's first."""
-    ranges = [ANY]
-    for node in network.nodes:
-        with np.errstate(invalid="ignore"):
-            ends = _range(node.operation, [ranges[number] for number in node.inputs])
-        ranges.append(ANY if any(map(math.isnan, ends)) else (min(ends), max(ends)))
-    return ranges
+def meant_range(network: Network) -> tuple[float, float]:
+    """The bounds that activations and maps at the network's end give all outputs; infinite without such."""
+    low, high = value_intervals(network, by_weights=False)[-1]
+    return float(low.min()), float(high.max())
 
 
-def _range(operation: Operation, inputs: list[Range]) -> tuple[float, ...]:
-    """Values that the operation stays between; NaN where it cannot be told."""
-    low, high = inputs[0]
-    match operation:
-        case Sigmoid():
-            return 0.0, 1.0
-        case Tanh() | Softsign() | Gru() | Lstm():
-            return -1.0, 1.0
-        case Relu():
-            return max(low, 0.0), max(high, 0.0)
-        case Clip():
-            floor = -math.inf if operation.low is None else operation.low
-            ceiling = math.inf if operation.high is None else operation.high
-            return min(max(low, floor), ceiling), min(max(high, floor), ceiling)
-        case Affine(scale, offset):
-            return (*(scale * low + offset), *(scale * high + offset))
-        case Slice():
-            return low, high
-        case Concat():
-            return min(low for low, _ in inputs), max(high for _, high in inputs)
-        case Add():
-            return low + inputs[1][0], high + inputs[1][1]
-        case Multiply():
-            return tuple(first * second for first in inputs[0] for second in inputs[1])
-    return ANY
+def shown_range(low: float, high: float) -> str:
+    """A range in words."""
+    return f"{low:.4g} to {high:.4g}"
+
+
+def _mend(low: float, high: float) -> str:
+    if low > -math.inf and high < math.inf:
+        return (
+            f"its outputs lie in {shown_range(low, high)}: if these mean 0 to full power, "
+            f"`neuroflight freeze --output-range {low:.4g},{high:.4g}` maps them"
+        )
+    return (
+        "name the range that its outputs had in training, `neuroflight freeze --output-range LO,HI` (-1,1 "
+        "for most trainers), or, if they are motor fractions from 0 to 1 already, --clip"
+    )
 
 
 def _short(operation: Operation | None) -> str:

@@ -2,26 +2,40 @@
 
     Softsign    x / (1 + |x|)
     LayerNorm   (x - mean) / sqrt(mean((x - mean)^2) + epsilon), scale and offset as arithmetic after it
+                x i - mean i + offset with i = scale / deviation, as TensorFlow has it
+                with mean(x^2) - mean^2 for the variance, as Flax has it
+    RMSNorm     x / sqrt(mean(x^2) + epsilon), likewise
 
-A value inside a pattern is a `Part`; each rule below takes parts to the next part or to the operation.
+A value inside a pattern is a `Part`; each rule below takes parts to the next part or to the operation. A part
+that the rules do not lead on is computed after all, if operations for it are known.
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
-from toolchain.ir.operations import LayerNorm, Softsign
+from toolchain.ir.operations import LayerNorm, Multiply, Norm, RmsNorm, Select, Softsign
+from toolchain.reader.arithmetic import Float64, linear, mapped, reduced_axes
 from toolchain.reader.values import Array, Builder, Call, Part, Row, Value
 
 ABSOLUTE, ABSOLUTE_AND_ONE = "|x|", "1 + |x|"
 MEAN, DISTANCE, SQUARE, VARIANCE = "the mean", "x - mean", "(x - mean)^2", "the variance"
 VARIANCE_AND_EPSILON, DEVIATION, INVERSE = "variance + epsilon", "the deviation", "1 / deviation"
-STARTS = ("Abs", "ReduceMean")  # operators that only begin a pattern
-ONLY_INSIDE = ("Pow", "Sqrt", "Reciprocal")
+MEAN_SQUARE, SQUARE_AND_EPSILON = "the mean of x^2", "mean of x^2 + epsilon"
+ROOT, INVERSE_ROOT = "the root of the mean of x^2", "1 / that root"
+MEAN_SQUARED, NEGATIVE_MEAN = "mean^2", "-mean"
+SCALED, MEAN_SCALED, SHIFT = "x / deviation", "mean / deviation", "-mean / deviation"
+WITH_EPSILON = {VARIANCE: VARIANCE_AND_EPSILON, MEAN_SQUARE: SQUARE_AND_EPSILON}
+ROOTS = {VARIANCE_AND_EPSILON: DEVIATION, SQUARE_AND_EPSILON: ROOT}
+INVERSES = {DEVIATION: INVERSE, ROOT: INVERSE_ROOT}
+STARTS = ("Abs", "ReduceMean")  # operators that may begin a pattern
+ONLY_INSIDE = ("Sqrt", "Reciprocal")
 
 
-def read_part(build: Builder, call: Call) -> Value:
-    """The next part, or the operation that the pattern makes. Raises PolicyError where no rule applies."""
+def read_part(build: Builder, call: Call) -> Value | None:
+    """The next part, or the operation that the pattern makes; None where no rule applies."""
     match call.operator, *call.inputs:
         case "Abs", Row() as row:
             return Part(ABSOLUTE, row, call.label)
@@ -29,52 +43,164 @@ def read_part(build: Builder, call: Call) -> Value:
             "Add",
             np.ndarray() as constant,
             Part(kind=kind) as part,
+        ) if kind == SHIFT and _fits(part, constant):
+            offset = constant if part.offset is None else part.offset + constant
+            return replace(part, label=call.label, offset=offset)
+        case ("Add", Part(kind=kind) as part, np.ndarray() as constant) | (
+            "Add",
+            np.ndarray() as constant,
+            Part(kind=kind) as part,
         ) if (value := _scalar(constant)) is not None:
             if kind == ABSOLUTE and value == 1:
                 return Part(ABSOLUTE_AND_ONE, part.row, call.label)
-            if kind == VARIANCE and value > 0:
-                return Part(VARIANCE_AND_EPSILON, part.row, call.label, value)
+            if kind in WITH_EPSILON and value > 0:
+                return Part(WITH_EPSILON[kind], part.row, call.label, value)
         case "Div", Row() as row, Part(kind=kind, row=same) if (kind, row) == (ABSOLUTE_AND_ONE, same):
             return build.append(call, Softsign(), row, shape=row.shape)
         case "ReduceMean", Row() as row, *_ if _over_all(call, row):
-            return Part(MEAN, row, call.label)
+            if (squared := _squared(build, row)) is not None:
+                return Part(MEAN_SQUARE, squared, call.label, shape=_mean_shape(call, row))
+            return Part(MEAN, row, call.label, shape=_mean_shape(call, row))
         case "ReduceMean", Part(kind=kind, row=row), *_ if kind == SQUARE and _over_all(call, row):
             return Part(VARIANCE, row, call.label)
         case "Sub", Row() as row, Part(kind=kind, row=same) if (kind, row) == (MEAN, same):
             return Part(DISTANCE, row, call.label)
-        case "Pow", Part(kind=kind, row=row), np.ndarray() as power if kind == DISTANCE:
-            if _scalar(power) == 2:
-                return Part(SQUARE, row, call.label)
-        case "Sqrt", Part(kind=kind) as part if kind == VARIANCE_AND_EPSILON:
-            return Part(DEVIATION, part.row, call.label, part.epsilon)
-        case "Reciprocal", Part(kind=kind) as part if kind == DEVIATION:
-            return Part(INVERSE, part.row, call.label, part.epsilon)
+        case "Pow", Part(kind=kind, row=row) as part, np.ndarray() as power:
+            if kind in (DISTANCE, MEAN) and _scalar(power) == 2:
+                return Part(SQUARE if kind == DISTANCE else MEAN_SQUARED, row, call.label)
+            if kind in ROOTS and _scalar(power) in (0.5, -0.5):
+                root = ROOTS[kind] if _scalar(power) == 0.5 else INVERSES[ROOTS[kind]]
+                return Part(root, row, call.label, part.epsilon)
+        case "Sqrt", Part(kind=kind) as part if kind in ROOTS:
+            return Part(ROOTS[kind], part.row, call.label, part.epsilon)
+        case "Reciprocal", Part(kind=kind) as part if kind in INVERSES:
+            return Part(INVERSES[kind], part.row, call.label, part.epsilon)
+        case "Div", np.ndarray() as one, Part(kind=kind) as part if kind in INVERSES and _scalar(one) == 1:
+            return Part(INVERSES[kind], part.row, call.label, part.epsilon)
+        case (("Div" | "Mul"), Row() as row, Part(row=same) as part) if row == same:
+            return _of_row(build, call, part)
+        case "Mul", Part(row=same) as part, Row() as row if row == same:
+            return _of_row(build, call, part)
+        case ("Mul", Part() as part, np.ndarray() as values) | (
+            "Mul",
+            np.ndarray() as values,
+            Part() as part,
+        ):
+            if part.kind in (INVERSE, INVERSE_ROOT) and _fits(part, values):
+                return replace(
+                    part, label=call.label, scale=values if part.scale is None else part.scale * values
+                )
+        case "Neg", Part(kind=kind) as part if kind == MEAN:
+            return Part(NEGATIVE_MEAN, part.row, call.label)
+        case "Sub", np.ndarray() as values, Part(kind=kind) as part if kind == MEAN_SCALED and _fits(
+            part, values
+        ):
+            return replace(part, kind=SHIFT, label=call.label, offset=values)
+        case "Max", np.ndarray() as bound, Part(kind=kind) as part if (
+            kind == VARIANCE and _scalar(bound) == 0
+        ):
+            return part
+        case ("Add" | "Sub") as operator, Part() as first, Part() as second if first.row == second.row:
+            order = first.kind, second.kind
+            if (operator, *order) == ("Sub", MEAN_SQUARE, MEAN_SQUARED):
+                return Part(VARIANCE, first.row, call.label)
+            first, second = (first, second) if first.kind == SCALED else (second, first)
+            ends = second.kind == (SHIFT if operator == "Add" else MEAN_SCALED) and order[0] != MEAN_SCALED
+            if first.kind == SCALED and ends and np.array_equal(_factors(first), _factors(second)):
+                return _norm(build, call, LayerNorm, replace(second, scale=first.scale))
         case ("Mul" | "Div") as operator, Part() as first, Part() as second if first.row == second.row:
             kinds = {first.kind, second.kind}
             if operator == "Mul" and kinds == {DISTANCE}:
                 return Part(SQUARE, first.row, call.label)
-            ends = (operator, first.kind, second.kind) == ("Div", DISTANCE, DEVIATION)
-            if ends or (operator == "Mul" and kinds == {DISTANCE, INVERSE}):
-                return _layer_norm(build, call, first.row, max(first.epsilon, second.epsilon))
+            if operator == "Mul" and kinds == {MEAN}:
+                return Part(MEAN_SQUARED, first.row, call.label)
+            inner, outer = (first, second) if second.kind in (DEVIATION, INVERSE) else (second, first)
+            if (operator, inner.kind, second.kind) == ("Div", DISTANCE, DEVIATION) or (
+                operator == "Mul" and kinds == {DISTANCE, INVERSE}
+            ):
+                return _norm(build, call, LayerNorm, outer)
+            if operator == "Mul" and outer.kind == INVERSE and inner.kind in (MEAN, NEGATIVE_MEAN):
+                return replace(outer, kind=MEAN_SCALED if inner.kind == MEAN else SHIFT, label=call.label)
+    return None
+
+
+def computed(build: Builder, call: Call) -> Call:
+    """`call` with its parts as values. Raises PolicyError for one that is of no use outside its pattern."""
+    inputs = [_computed(build, call, v) if isinstance(v, Part) else v for v in call.inputs]
+    return replace(call, inputs=tuple(inputs))
+
+
+def _computed(build: Builder, call: Call, part: Part) -> Row:
+    row, width = part.row, part.row.width
+    match part.kind:
+        case str(kind) if kind == ABSOLUTE:
+            negative = mapped(build, call, row, -1.0, 0.0, row.shape)
+            return build.append(call, Select(), row, row, negative, shape=row.shape)
+        case str(kind) if kind == MEAN:
+            return linear(build, call, row, np.full((1, width), 1 / width), np.zeros(1), part.shape)
+        case str(kind) if kind == DISTANCE:
+            return linear(build, call, row, np.eye(width) - 1 / width, np.zeros(width), row.shape)
+        case str(kind) if kind == MEAN_SQUARE:
+            square = build.append(call, Multiply(), row, row, shape=row.shape)
+            return linear(build, call, square, np.full((1, width), 1 / width), np.zeros(1), part.shape)
     raise call.error(
-        f"takes {_listed(call)}: parts of no pattern that is known, which are x / (1 + |x|) and "
-        "(x - mean) / sqrt(variance + epsilon) over all values of a row"
+        f"takes {_listed(call)}: parts of no pattern that is known, which are x / (1 + |x|), "
+        "(x - mean) / sqrt(variance + epsilon) and x / sqrt(mean(x^2) + epsilon) over all values of a row"
     )
 
 
-def _layer_norm(build: Builder, call: Call, row: Row, epsilon: float) -> Row:
-    one, zero = np.ones(row.width, np.float32), np.zeros(row.width, np.float32)
-    return build.append(call, LayerNorm(epsilon, one, zero), row, shape=row.shape)
+def _of_row(build: Builder, call: Call, part: Part) -> Value | None:
+    """Divide a row by a part of its own, or multiply it by one."""
+    if (call.operator, part.kind) in (("Div", ROOT), ("Mul", INVERSE_ROOT)):
+        return _norm(build, call, RmsNorm, part)
+    if (call.operator, part.kind) == ("Mul", INVERSE):
+        return replace(part, kind=SCALED, label=call.label)
+    return None
+
+
+def _norm(build: Builder, call: Call, kind: type[Norm], part: Part) -> Row:
+    """The norm of a part's row, with the scale and offset that the part has collected."""
+    row, one, zero = part.row, np.ones(part.row.width, np.float32), np.zeros(part.row.width, np.float32)
+    norm = build.append(call, kind(part.epsilon, one, zero), row, shape=row.shape)
+    if part.scale is None and part.offset is None:
+        return norm
+    offset = np.zeros(row.width) if part.offset is None else np.broadcast_to(part.offset, row.shape).ravel()
+    return mapped(build, call, norm, _factors(part), offset.astype(np.float64), row.shape)
+
+
+def _factors(part: Part) -> Float64:
+    scale = np.ones(()) if part.scale is None else part.scale
+    return np.broadcast_to(scale, part.row.shape).ravel().astype(np.float64)
+
+
+def _fits(part: Part, values: Array) -> bool:
+    """Whether values are a finite number each, or one, of the part's row."""
+    shape = part.row.shape
+    fits = values.ndim <= len(shape) and all(
+        size in (1, full) for size, full in zip(values.shape[::-1], shape[::-1], strict=False)
+    )
+    return fits and values.dtype.kind == "f" and bool(np.isfinite(values).all())
+
+
+def _squared(build: Builder, row: Row) -> Row | None:
+    """x where `row` is x x."""
+    node = build.operation(row)
+    if node is None or node.operation != Multiply() or len(set(node.inputs)) != 1:
+        return None
+    return Row(node.inputs[0], row.shape)
+
+
+def _mean_shape(call: Call, row: Row) -> tuple[int, ...]:
+    axes = reduced_axes(call, row)
+    if call.attributes.get("keepdims", 1):
+        return (1,) * len(row.shape)
+    return tuple(size for axis, size in enumerate(row.shape) if axis not in axes)
 
 
 def _over_all(call: Call, row: Row) -> bool:
     """Whether a ReduceMean takes the mean of all values of `row`."""
-    given = call.constant(1)  # from opset 18 on the axes are an input
-    axes = call.attributes.get("axes") if given is None else [int(axis) for axis in given.ravel()]
-    if not axes:
-        return not call.attributes.get("noop_with_empty_axes", 0)
-    reduced = {axis + len(row.shape) if axis < 0 else axis for axis in axes}
-    return all(size == 1 or axis in reduced for axis, size in enumerate(row.shape))
+    axes = reduced_axes(call, row)
+    return all(size == 1 or axis in axes for axis, size in enumerate(row.shape))
 
 
 def _scalar(values: Array) -> float | None:

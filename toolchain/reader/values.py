@@ -48,7 +48,7 @@ class Row:
         return np.arange(self.width).reshape(self.shape)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Part:
     """A value inside a pattern of nodes that makes one operation, such as the mean within a layer norm."""
 
@@ -56,6 +56,17 @@ class Part:
     row: Row  # what the pattern works on
     label: str  # of the node that computes it
     epsilon: float = 0.0
+    shape: tuple[int, ...] = ()  # that ONNX gives it, of a mean
+    scale: Array | None = None  # of each value, that the pattern has multiplied in
+    offset: Array | None = None  # likewise added
+
+
+@dataclass(frozen=True)
+class Condition:
+    """A comparison of values: it holds where `row` is above 0, or, `negated`, where it is not."""
+
+    row: Row
+    negated: bool
 
 
 @dataclass(frozen=True)
@@ -67,7 +78,7 @@ class Unread:
     shape: tuple[int, ...] | None = None  # where that is known all the same
 
 
-Value = Array | Row | Part | Unread
+Value = Array | Row | Part | Condition | Unread
 
 
 @dataclass(frozen=True, eq=False)

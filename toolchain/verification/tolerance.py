@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolchain.ir.float32 import Float32
-from toolchain.ir.float64_reference import Float64, disturbed, reference
+from toolchain.ir.float64_functions import Float64
+from toolchain.ir.float64_reference import disturbed, reference
 from toolchain.ir.network import Network
 from toolchain.verification.inputs import Inputs
 

@@ -10,7 +10,6 @@ from __future__ import annotations
 import io
 import json
 import sys
-import warnings
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -18,8 +17,9 @@ from typing import Any
 import torch
 
 from toolchain.contract import CHECKPOINT_FILE_BYTES_MAX, CHECKPOINT_FORMAT, CHECKPOINT_VERSION
-from toolchain.errors import TrainingError
-from toolchain.files import file_size, write_bytes
+from toolchain.errors import PolicyError, TrainingError
+from toolchain.files import write_bytes
+from toolchain.policy.plain_checkpoint import load_plain
 from training.checkpoints.metrics import CheckpointMetrics
 from training.checkpoints.selection import better
 from training.config.selection import SelectionLimits
@@ -108,12 +108,8 @@ def load_run(path: Path, document: dict[str, Any]) -> tuple[Run, MonitorState]:
     """The run to resume. Raises TrainingError if there is none, or it has another configuration."""
     if not path.is_file():
         raise TrainingError(f"nothing to resume: {path} does not exist; start without --resume")
-    if (size := file_size(path)) > CHECKPOINT_FILE_BYTES_MAX:
-        raise TrainingError(f"{path} is {size} bytes, expected at most {CHECKPOINT_FILE_BYTES_MAX}")
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of archives that are no checkpoint: they are refused
-            content = torch.load(path, map_location="cpu", weights_only=True)
+        content = load_plain(path)
         form = content["format"], content["version"]
         config = json.loads(content["config"])
         progress = content["progress"]
@@ -133,7 +129,9 @@ def load_run(path: Path, document: dict[str, Any]) -> tuple[Run, MonitorState]:
             tuple((int(steps), dict(policy)) for steps, policy in content["pending"]),
             (chosen[0], dict(content["state_dict"])) if chosen else None,
         )
-    except Exception as error:  # torch does not document what it raises on other files
+    except PolicyError as error:
+        raise TrainingError(str(error)) from error
+    except Exception as error:  # of content that is another than ours, of any kind
         raise TrainingError(f"{path} is no checkpoint that a run can go on from; train anew") from error
     if form != (CHECKPOINT_FORMAT, CHECKPOINT_VERSION):
         raise TrainingError(f"{path} is of version {form[1]}, expected {CHECKPOINT_VERSION}; train anew")
@@ -184,14 +182,12 @@ def load_learned(path: Path) -> Learned:
     """The policy and the learner's state in a checkpoint. Raises TrainingError if it is none."""
     if not path.is_file():
         raise TrainingError(f"nothing to start from: {path} does not exist; give the folder of a run")
-    if (size := file_size(path)) > CHECKPOINT_FILE_BYTES_MAX:
-        raise TrainingError(f"{path} is {size} bytes, expected at most {CHECKPOINT_FILE_BYTES_MAX}")
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of archives that are no checkpoint: they are refused
-            content = torch.load(path, map_location="cpu", weights_only=True)
+        content = load_plain(path)
         if (content["format"], content["version"]) == (CHECKPOINT_FORMAT, CHECKPOINT_VERSION):
             return Learned(dict(content["state_dict"]), dict(content["learner"]))
-    except Exception as error:  # torch does not document what it raises on other files
+    except PolicyError as error:
+        raise TrainingError(str(error)) from error
+    except Exception as error:  # of content that is another than ours, of any kind
         raise TrainingError(f"{path} is no checkpoint that a run can start from") from error
     raise TrainingError(f"{path} is of another version, expected {CHECKPOINT_VERSION}")

@@ -29,6 +29,7 @@ from toolchain.ir.operations import (
     Clip,
     Concat,
     Elu,
+    Erf,
     Gru,
     LayerNorm,
     LeakyRelu,
@@ -36,8 +37,12 @@ from toolchain.ir.operations import (
     Lstm,
     Multiply,
     Relu,
+    RmsNorm,
+    Select,
     Silu,
     Slice,
+    Softmax,
+    Softplus,
     Softsign,
 )
 from toolchain.policy.blob import parse
@@ -95,7 +100,12 @@ def every_kernel() -> PolicyModel:
         Node(Clip(-1.0, 1.5), (13,)),
         Node(Affine(np.full(4, 0.5), np.full(4, 0.25)), (14,)),
         Node(Add(), (15, 14)),
-        Node(Clip(0.0, 1.0), (16,)),
+        Node(Erf(), (16,)),
+        Node(Softplus(), (17,)),
+        Node(RmsNorm(1e-5, ramp(4), ramp(4)), (18,)),
+        Node(Softmax(), (19,)),
+        Node(Select(), (15, 20, 16)),
+        Node(Clip(0.0, 1.0), (21,)),
     ]
     return PolicyModel(
         blocks=observation_blocks("rate_error~15Hz@2"),

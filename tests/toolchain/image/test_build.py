@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import re
 import shutil
 import subprocess
 from collections.abc import Callable
@@ -254,6 +255,27 @@ def test_no_earlier_image_is_promised_when_the_first_build_fails(tmp_path: Path,
     root = project(tmp_path / "root", last="exit 3")
     with pytest.raises(MakeError, match="there is no image of an earlier build"):
         build("HOST", policy_file, root)
+
+
+def test_region_and_bytes_are_named_when_the_linker_finds_no_room(tmp_path: Path, policy_file: Path) -> None:
+    """The words are the linker's own: a table of 3,000 bytes in a region of 1,000."""
+    root = project(tmp_path / "root", last="arm-none-eabi-gcc -nostdlib -T tiny.ld table.c -o table.elf")
+    (root / "firmware" / "table.c").write_text(
+        "const char table[3000] = { 1 };\nint data = 2;\nvoid _start(void) {}\n"
+    )
+    (root / "firmware" / "tiny.ld").write_text(
+        "MEMORY { BANK (rx) : ORIGIN = 0x08000000, LENGTH = 1000 }\n"
+        "SECTIONS { .text : { *(.text) } > BANK .rodata : { *(.rodata) } > BANK "
+        ".data : { *(.data) } > BANK }\n"
+    )
+    with pytest.raises(BuildError) as caught:
+        build("HOST", policy_file, root)
+    assert not isinstance(caught.value, MakeError)
+    assert re.fullmatch(
+        r"the firmware around this policy does not fit HOST: 2,\d\d\d bytes too many for BANK; train fewer "
+        "layers or fewer kinds of activation; there is no image of an earlier build",
+        str(caught.value),
+    )
 
 
 @pytest.mark.parametrize("where", ["checkout", "folder for outputs"])

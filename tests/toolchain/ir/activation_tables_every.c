@@ -26,7 +26,7 @@ static float value_of(uint32_t bits)
     return value;
 }
 
-static float lookup(const float (*rows)[4], float low, float high, float step, float x)
+static float lookup(const float (*rows)[4], float low, float high, float step, int even, float x)
 {
     const float magic = 12582912.0f * step;
     const float not_finite = x * 0.0f; /* NaN of NaN and of infinities */
@@ -36,25 +36,29 @@ static float lookup(const float (*rows)[4], float low, float high, float step, f
     const float total = a + magic;
     const float r = a - (total - magic) + not_finite;
     const float *c = rows[bits_of(total) - bits_of(magic)];
-    return x * fmaf(fmaf(fmaf(c[3], r, c[2]), r, c[1]), r, c[0]);
+    const float quotient = fmaf(fmaf(fmaf(c[3], r, c[2]), r, c[1]), r, c[0]);
+    return even ? quotient : x * quotient;
 }
 
-void lookup_all(const float (*rows)[4], float low, float high, float step, const float *x, float *y, int n)
+void lookup_all(const float (*rows)[4], float low, float high, float step, int even,
+                const float *x, float *y, int n)
 {
     for (int i = 0; i < n; i++) {
-        y[i] = lookup(rows, low, high, step, x[i]);
+        y[i] = lookup(rows, low, high, step, even, x[i]);
     }
 }
 
 /* libm's double results stand for the exact ones: their error is below 1e-8 ulp of float32. */
-void lookup_every(const float (*rows)[4], float low, float high, float step, int is_tanh, int negative,
-                  struct worst *worst)
+void lookup_every(const float (*rows)[4], float low, float high, float step, int even, int function,
+                  int negative, struct worst *worst)
 {
     float before = 0.0f, top = 0.0f;
     for (uint32_t magnitude = 0; magnitude < 0x7F800000u; magnitude++) {
         const float x = value_of(magnitude | (negative ? 0x80000000u : 0u));
-        const float result = lookup(rows, low, high, step, x);
-        const double exact = is_tanh ? tanh((double)x) : x > 0.0f ? 0.0 : expm1((double)x);
+        const float result = lookup(rows, low, high, step, even, x);
+        const double exact = function == 2 ? erf((double)x)
+                             : function == 1 ? tanh((double)x)
+                             : x > 0.0f ? 0.0 : expm1((double)x);
         int exponent;
         frexp(exact, &exponent);
         const double last_place = ldexp(1.0, exponent < -125 ? -149 : exponent - 24);

@@ -16,10 +16,12 @@ import pytest
 from numpy.typing import NDArray
 
 from toolchain.ir import activation_tables_fit as lookup_fit
-from toolchain.ir.activation_tables import EXPM1, TANH, ActivationTable, apply
+from toolchain.ir.activation_tables import ERF, EXPM1, SOFTPLUS, TANH, ActivationTable, apply
 from toolchain.ir.float32 import Float32
+from toolchain.ir.float64_functions import erf, softplus
 
 INFINITY_BITS = 0x7F800000
+NAMES = (EXPM1, TANH, ERF)  # `function` of activation_tables_every.c
 SOURCE = Path(__file__).with_name("activation_tables_every.c")
 
 
@@ -38,8 +40,11 @@ class Case:
 CASES = (
     Case(TANH, np.tanh, lookup_fit.TANH, 2.33, 1.39e-7, 3),
     Case(EXPM1, lambda x: np.expm1(np.minimum(x, 0)), lookup_fit.EXPM1, 2.23, 1.33e-7, 3),
+    Case(ERF, erf, lookup_fit.ERF, 2.21, 1.32e-7, 3),
 )
+SOFT = Case(SOFTPLUS, lambda x: softplus(-np.abs(x)), lookup_fit.SOFTPLUS, 2.05, 5.03e-8, 3)
 each = pytest.mark.parametrize("case", CASES, ids=lambda case: case.lookup.name)
+every = pytest.mark.parametrize("case", (*CASES, SOFT), ids=lambda case: case.lookup.name)
 
 
 def assert_bounds(case: Case, x: Float32) -> None:
@@ -94,10 +99,10 @@ def test_results_are_one_from_the_limit_on_when_x_grows(case: Case) -> None:
 @each
 def test_results_are_those_of_the_upper_limit_when_x_is_above_it(case: Case) -> None:
     x = np.array([case.lookup.high, 20, 3.4e38], np.float32)
-    np.testing.assert_array_equal(apply(case.lookup, x), np.full(len(x), float(case.lookup is TANH)))
+    np.testing.assert_array_equal(apply(case.lookup, x), np.full(len(x), float(case.lookup is not EXPM1)))
 
 
-@each
+@every
 def test_results_are_nan_when_x_is_no_number_or_infinite(case: Case) -> None:
     assert np.isnan(apply(case.lookup, np.array([np.nan, np.inf, -np.inf], np.float32))).all()
 
@@ -109,12 +114,28 @@ def test_results_are_x_when_x_is_tiny(lookup: ActivationTable, largest: float) -
     np.testing.assert_array_equal(apply(lookup, x).view(np.uint32), x.view(np.uint32))
 
 
-def test_tanh_is_odd_to_the_bit_when_x_changes_its_sign() -> None:
+@pytest.mark.parametrize("lookup", [TANH, ERF])
+def test_function_is_odd_to_the_bit_when_x_changes_its_sign(lookup: ActivationTable) -> None:
     x = np.arange(0, INFINITY_BITS + 1, 9973, dtype=np.uint32).view(np.float32)
-    np.testing.assert_array_equal(apply(TANH, -x).view(np.uint32), (-apply(TANH, x)).view(np.uint32))
+    np.testing.assert_array_equal(apply(lookup, -x).view(np.uint32), (-apply(lookup, x)).view(np.uint32))
 
 
-@each
+def test_softplus_keeps_its_bounds_when_x_is_any_float() -> None:
+    x = np.concatenate(
+        [np.arange(0, INFINITY_BITS, 1499, dtype=np.uint32).view(np.float32), floats(2**-12, 24, 97)]
+    )
+    result = apply(SOFTPLUS, x)
+    np.testing.assert_array_equal(apply(SOFTPLUS, -x).view(np.uint32), result.view(np.uint32))
+    exact = SOFT.exact(x.astype(np.float64))
+    error = np.abs(result - exact)
+    assert error.max() <= SOFT.absolute
+    inside = x <= SOFTPLUS.high
+    assert (error[inside] / ulp(exact[inside])).max() <= SOFT.ulp
+    assert np.unique(result[~inside]).size == 1
+    assert 0 < result[-1] < 2.1e-9
+
+
+@every
 def test_results_keep_the_shape_when_x_is_a_matrix(case: Case) -> None:
     x = np.array([[-3.0, -0.5, -0.25], [-1.0, 0.0, -9.0]], np.float32)
     result = apply(case.lookup, x)
@@ -127,7 +148,7 @@ def test_rows_end_at_the_limit_and_cannot_be_written_when_loaded(case: Case) -> 
     lookup = case.lookup
     assert lookup.rows.dtype == np.float32
     assert lookup.rows.shape == (-lookup.low / lookup.step + 1, 4)
-    assert lookup.rows[0, 0] == 1
+    assert lookup.rows[0, 0] == (1 if lookup is not ERF else np.float32(2 / np.sqrt(np.pi)))
     assert not lookup.rows.flags.writeable
 
 
@@ -135,8 +156,8 @@ def test_tanh_has_no_even_part_near_zero_when_loaded() -> None:
     assert TANH.rows[0, 1] == 0
 
 
-@each
-@pytest.mark.parametrize("row", [0, 1, 30, 77, -1])
+@every
+@pytest.mark.parametrize("row", [0, 1, 30, 60, -1])
 def test_fit_gives_the_committed_row_when_run_again(case: Case, row: int) -> None:
     again = lookup_fit.fit_row(case.fit, range(case.fit.rows)[row])
     np.testing.assert_array_equal(again.view(np.uint32), case.lookup.rows[row].view(np.uint32))
@@ -180,14 +201,14 @@ def machine(tmp_path_factory: pytest.TempPathFactory) -> ctypes.CDLL:
 
 def described(
     lookup: ActivationTable,
-) -> tuple[ctypes.c_void_p, ctypes.c_float, ctypes.c_float, ctypes.c_float]:
+) -> tuple[ctypes.c_void_p, ctypes.c_float, ctypes.c_float, ctypes.c_float, ctypes.c_int]:
     """`lookup` as the first arguments of the functions of activation_tables_every.c."""
     values = (lookup.low, lookup.high, lookup.step)
     low, high, step = map(ctypes.c_float, values)
-    return ctypes.c_void_p(lookup.rows.ctypes.data), low, high, step
+    return ctypes.c_void_p(lookup.rows.ctypes.data), low, high, step, ctypes.c_int(lookup.even)
 
 
-@each
+@every
 def test_results_have_the_bits_of_compiled_c_when_x_is_any_float(case: Case, machine: ctypes.CDLL) -> None:
     bits = np.arange(0, 2**32, 1009, dtype=np.uint64).astype(np.uint32)
     x = np.concatenate([bits.view(np.float32), -floats(2**-12, 20, 97), floats(2**-12, 20, 97)])
@@ -208,10 +229,9 @@ def test_results_keep_their_bounds_when_x_is_every_float(
     case: Case, negative: bool, machine: ctypes.CDLL
 ) -> None:
     worst = Worst()
-    is_tanh = case.lookup is TANH
-    machine.lookup_every(*described(case.lookup), is_tanh, negative, ctypes.byref(worst))
+    machine.lookup_every(*described(case.lookup), NAMES.index(case.lookup), negative, ctypes.byref(worst))
     print(case.lookup.name, {name: getattr(worst, name) for name, _ in Worst._fields_})
-    assert worst.largest == (1 if is_tanh or negative else 0)
+    assert worst.largest == (1 if case.lookup is not EXPM1 or negative else 0)
     assert worst.absolute <= case.absolute
     assert worst.ulp <= case.ulp
     assert worst.fall_ulp <= case.fall_ulp

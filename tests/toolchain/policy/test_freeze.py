@@ -314,7 +314,9 @@ def test_checkpoint_is_refused_in_one_line_when_its_content_cannot_be_used(
     tmp_path: Path, state: dict[str, torch.Tensor], changes: dict[str, object]
 ) -> None:
     path = save(tmp_path / "checkpoint.pt", configuration(), state, changes)
-    with pytest.raises(PolicyError, match="is a damaged checkpoint") as caught:
+    with pytest.raises(
+        PolicyError, match=r"is a damaged checkpoint|takes torch\._utils\._rebuild_meta_tensor"
+    ) as caught:
         freeze(path, tmp_path / "policy.onnx")
     assert "\n" not in str(caught.value)
     assert not (tmp_path / "policy.onnx").exists()
@@ -322,7 +324,7 @@ def test_checkpoint_is_refused_in_one_line_when_its_content_cannot_be_used(
 
 def test_nothing_but_the_error_is_told_when_torch_has_a_warning_for_the_file(tmp_path: Path) -> None:
     path = tmp_path / "script.pt"
-    torch.jit.save(torch.jit.script(torch.nn.Linear(2, 2)), path)  # type: ignore[no-untyped-call]
+    torch.save({"format": torch.nn.Linear(2, 2)}, path)
     with warnings.catch_warnings(record=True) as heard, pytest.raises(PolicyError, match="is no checkpoint"):
         warnings.simplefilter("always")
         freeze(path, tmp_path / "policy.onnx")

@@ -7,7 +7,7 @@ import re
 from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import onnx
@@ -73,7 +73,7 @@ def test_model_becomes_a_policy_when_frozen_with_what_it_does_not_say(
     printed = capsys.readouterr().out.splitlines()
     assert re.fullmatch(
         r"compared with onnxruntime on the model itself, 300 steps: at most \d\.\de-0\d apart",
-        printed.pop(-2),
+        printed.pop(-3),
     )
     assert printed == [
         "fixed axis 0 of 'obs' to 1 (was batch)",
@@ -81,6 +81,8 @@ def test_model_becomes_a_policy_when_frozen_with_what_it_does_not_say(
         "renamed the output 'act' to 'action'",
         "appended a Clip to [0, 1]",
         f"{source} -> {out}: 6-8-4 tanh, nf1, 1000 Hz, mix attitude-first, filters []",
+        "idle 0; at a zero observation its outputs are 0.437 0.438 0.334 0.376: with this mix the motors "
+        "turn so with the throttle closed; if outputs only turn the aircraft, use --mix centred",
     ]
     policy = read_policy(out)
     assert (policy.aircraft, policy.aircraft_sha256) == ("nf1", load_aircraft("nf1").sha256)
@@ -131,7 +133,7 @@ def test_policy_has_mix_filters_and_its_aircrafts_model_when_frozen_with_them(
     told = ["--observation", "rate_estimate,rate_estimate_error", "--rate", "2000", "--aircraft", "nf1"]
     told += ["--mix", "centred", "--filters", '[["mean"]]', "--out", str(out)]
     assert main(["freeze", str(source), *told]) == 0
-    assert capsys.readouterr().out.splitlines()[-1].endswith(', 2000 Hz, mix centred, filters [["mean"]]')
+    assert capsys.readouterr().out.splitlines()[-2].endswith(', 2000 Hz, mix centred, filters [["mean"]]')
     policy, model = read_policy(out), model_constants(load_aircraft("nf1"), 2000)
     assert (policy.mix, policy.gyro_mean, policy.model) == (Mix.CENTRED, True, model)
     assert main(["freeze", str(source), *told, "--json"]) == 0
@@ -198,6 +200,138 @@ def test_clip_is_asked_for_when_nothing_bounds_the_motors(
     assert "--clip" in line
 
 
+def ending(kit: Kit, tmp_path: Path, *last: tuple[Any, ...]) -> Path:
+    """A model of another trainer that ends with the operators `last`."""
+    path = tmp_path / "model.onnx"
+    chain = kit.mlp((6, 8, 4))
+    chain.nodes.pop()
+    del chain.tensors[-2:]  # the Clip's bounds
+    for operator, *constants in last:
+        chain.add(operator, *constants)
+    path.write_bytes(foreign(chain))
+    return path
+
+
+@pytest.mark.parametrize(
+    ("last", "words"),
+    [
+        (
+            [("Tanh",)],
+            "its outputs lie in -1 to 1: if these mean 0 to full power, `neuroflight freeze --output-",
+        ),
+        ([("Clip", np.float32(-1), np.float32(1))], "`neuroflight freeze --output-range -1,1` maps them"),
+        ([("Tanh",), ("Mul", np.float32(3))], "`neuroflight freeze --output-range -3,3` maps them"),
+        ([("Softsign",)], "--output-range -1,1"),
+        ([], "--output-range LO,HI` (-1,1 for most trainers), or, if they are motor fractions"),
+    ],
+)
+def test_refusal_names_the_range_and_not_the_clip_when_outputs_leave_motor_fractions(
+    kit: Kit, tmp_path: Path, capsys: Capture, last: list[tuple[Any, ...]], words: str
+) -> None:
+    path = ending(kit, tmp_path, *last)
+    line = refused([str(path), *OPTIONS, "--out", str(tmp_path / "policy.onnx")], capsys)
+    assert words in line
+    assert ("--clip" in line) == (not last)
+
+
+@pytest.mark.parametrize(
+    ("last", "asked", "low", "high"),
+    [
+        ([("Tanh",)], "-1,1", -1.0, 1.0),
+        ([("Tanh",), ("Mul", np.float32(3))], "-3,3", -3.0, 3.0),
+        ([("Mul", np.float32(4))], "-0.5,1.5", -0.5, 1.5),
+        ([("Sigmoid",), ("Mul", np.float32(2000)), ("Add", np.float32(1000))], "1000,3000", 1000.0, 3000.0),
+    ],
+)
+def test_outputs_are_mapped_when_their_range_is_told(
+    kit: Kit,
+    tmp_path: Path,
+    capsys: Capture,
+    last: list[tuple[Any, ...]],
+    asked: str,
+    low: float,
+    high: float,
+) -> None:
+    path, out = ending(kit, tmp_path, *last), tmp_path / "policy.onnx"
+    observation = np.random.default_rng(2).normal(size=(200, 6)).astype(np.float32)
+    session = onnxruntime.InferenceSession(path.read_bytes(), providers=["CPUExecutionProvider"])
+    theirs = np.concatenate([session.run(None, {"obs": row[None]})[0] for row in observation])
+    expected = np.clip((theirs.astype(np.float64) - low) / (high - low), 0, 1)
+    assert main(["freeze", str(path), *OPTIONS, "--output-range", asked, "--out", str(out)]) == 0
+    printed = capsys.readouterr().out
+    assert f"mapped outputs from {low:g} to {high:g} to motor fractions from 0 to 1" in printed
+    assert "warning" not in printed
+    network = read_policy(out).network
+    np.testing.assert_allclose(evaluate(network, observation), expected, rtol=0, atol=1e-6)
+    resting = evaluate(network, np.zeros((1, 6), np.float32))[0]
+    listed = " ".join(f"{value:.3f}" for value in resting)
+    assert f"idle 0; at a zero observation its outputs are {listed}" in printed
+    assert ("use --mix centred" in printed) == bool(resting.min() > 0.2)
+
+
+@pytest.mark.parametrize(
+    ("last", "warned"),
+    [
+        (
+            [("Tanh",)],
+            "its outputs lie in -1 to 1, so the Clip holds motors at 0 or full: on observations of",
+        ),
+        ([("Mul", np.float32(20))], "its outputs leave 0 to 1, so the Clip holds"),
+        ([], None),
+    ],
+)
+def test_freeze_warns_when_a_clip_holds_what_the_model_means(
+    kit: Kit, tmp_path: Path, capsys: Capture, last: list[tuple[Any, ...]], warned: str | None
+) -> None:
+    path = ending(kit, tmp_path, *last)
+    assert main(["freeze", str(path), *OPTIONS, "--clip", "--out", str(tmp_path / "policy.onnx")]) == 0
+    printed = capsys.readouterr().out
+    assert ("warning" in printed) == (warned is not None)
+    assert warned is None or (warned in printed and "use --output-range -1,1 instead of --clip" in printed)
+
+
+@pytest.mark.parametrize(
+    ("last", "options", "words"),
+    [
+        ([("Sigmoid",)], ("--output-range", "-1,1"), "its outputs stay within 0 to 1 by themselves"),
+        ([("Tanh",)], ("--output-range", "1,-1"), "expected two finite numbers, the lower one first"),
+        ([("Tanh",)], ("--output-range", "-1"), "expected LO,HI, such as -1,1"),
+        ([("Tanh",)], ("--output-range", "0,inf"), "expected two finite numbers"),
+        ([("Tanh",)], ("--output-range", "-1,1", "--clip"), "leave out --clip"),
+    ],
+)
+def test_range_is_refused_when_it_does_not_fit(
+    kit: Kit,
+    tmp_path: Path,
+    capsys: Capture,
+    last: list[tuple[Any, ...]],
+    options: tuple[str, ...],
+    words: str,
+) -> None:
+    path, out = ending(kit, tmp_path, *last), tmp_path / "policy.onnx"
+    assert words in refused([str(path), *OPTIONS, *options, "--out", str(out)], capsys)
+    assert not out.exists()
+
+
+def test_weights_are_refused_when_a_link_leads_out_of_the_folder(
+    kit: Kit, tmp_path: Path, capsys: Capture
+) -> None:
+    folder, elsewhere = tmp_path / "model", tmp_path / "elsewhere"
+    folder.mkdir()
+    elsewhere.mkdir()
+    model = onnx.load_from_string(kit.mlp((6, 8, 4)).data())
+    onnx.save(model, folder / "model.onnx", save_as_external_data=True, location="weights", size_threshold=0)
+    (folder / "weights").rename(elsewhere / "weights")
+    (folder / "weights").symlink_to(elsewhere / "weights")
+    out = tmp_path / "policy.onnx"
+    words = "is a link out of the model's folder; put the weights themselves there"
+    assert words in refused([str(folder / "model.onnx"), *OPTIONS, "--out", str(out)], capsys)
+    (folder / "weights").unlink()
+    (folder / "kept").write_bytes((elsewhere / "weights").read_bytes())
+    (folder / "weights").symlink_to("kept")  # within the folder it may lead
+    assert main(["freeze", str(folder / "model.onnx"), *OPTIONS, "--out", str(out)]) == 0
+
+
 def test_checkpoint_is_refused_when_it_is_told_what_it_knows(tmp_path: Path, capsys: Capture) -> None:
     path = tmp_path / "model.onnx"  # content decides, not the name
     path.write_bytes(b"PK\x03\x04")
@@ -206,14 +340,21 @@ def test_checkpoint_is_refused_when_it_is_told_what_it_knows(tmp_path: Path, cap
     assert "leave out --rate" in line
 
 
-@pytest.mark.parametrize("content", [b"", b"text", b"\xff" * 100])
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (b"", "it is empty"),
+        (b"text", "it is text"),
+        (b"\xff" * 100, "is no checkpoint and no ONNX model, or damaged"),
+    ],
+)
 def test_file_is_refused_when_it_is_neither_checkpoint_nor_model(
-    tmp_path: Path, capsys: Capture, content: bytes
+    tmp_path: Path, capsys: Capture, content: bytes, words: str
 ) -> None:
     path = tmp_path / "checkpoint.pt"
     path.write_bytes(content)
     line = refused([str(path), *OPTIONS, "--out", str(tmp_path / "policy.onnx")], capsys)
-    assert "is no checkpoint and no ONNX model" in line
+    assert words in line
 
 
 def taken_name(graph: onnx.GraphProto) -> None:
@@ -414,7 +555,7 @@ def test_input_is_a_constant_when_it_is_told_so(kit: Kit, tmp_path: Path, capsys
     assert main(["freeze", str(source), *OPTIONS, "--constant", "episode_starts=0", "--out", str(out)]) == 0
     printed = capsys.readouterr().out.splitlines()
     assert printed[0] == "took 0 for the input 'episode_starts' throughout"
-    assert printed[-2].startswith("compared with onnxruntime on the model itself")
+    assert printed[-3].startswith("compared with onnxruntime on the model itself")
     observation = kit.observations(20, 6)
     expected = evaluate(parse_policy(kit.mlp((6, 8, 4)).data()).network, observation)
     np.testing.assert_array_equal(evaluate(read_policy(out).network, observation), expected)

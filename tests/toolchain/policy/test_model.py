@@ -220,9 +220,9 @@ def test_file_is_refused_when_it_is_missing_or_too_large(tmp_path: Path) -> None
 
 def test_operator_is_refused_by_node_and_name_when_it_is_unsupported(kit: Kit) -> None:
     chain = kit.mlp()
-    chain.nodes.insert(1, helper.make_node("Softmax", ["value0"], ["soft"], name="/net/1/Softmax"))
+    chain.nodes.insert(1, helper.make_node("LogSoftmax", ["value0"], ["soft"], name="/net/1/Softmax"))
     chain.nodes[2].input[0] = "soft"
-    assert "node '/net/1/Softmax' (Softmax) is not supported" in refusal(chain.data())
+    assert "node '/net/1/Softmax' (LogSoftmax) is not supported" in refusal(chain.data())
 
 
 def test_operator_is_refused_when_no_standard_knows_it(kit: Kit) -> None:

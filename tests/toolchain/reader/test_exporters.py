@@ -112,6 +112,37 @@ def every_activation() -> nn.Module:
     return Clipped(nn.Linear(6, 8), *hidden, nn.LayerNorm(8), nn.Dropout(), nn.Flatten(), nn.Linear(8, 4))
 
 
+SMOOTH: dict[str, Callable[[], nn.Module]] = {  # activations and norms that are made of others
+    "GELU": nn.GELU,
+    "GELU by tanh": lambda: nn.GELU("tanh"),
+    "Softplus": nn.Softplus,
+    "Softplus, sharp": lambda: nn.Softplus(beta=3.0, threshold=15.0),
+    "Mish": nn.Mish,
+    "SELU": nn.SELU,
+    "CELU": nn.CELU,
+    "CELU of 0.4": lambda: nn.CELU(0.4),
+    "PReLU": nn.PReLU,
+    "PReLU a value": lambda: SlopedPrelu(8),
+    "Hardsigmoid": nn.Hardsigmoid,
+    "Hardswish": nn.Hardswish,
+    "RMSNorm": lambda: nn.RMSNorm(8, eps=1e-5),
+    "Softmax": lambda: nn.Softmax(dim=-1),
+    "Threshold": lambda: nn.Threshold(0.2, -0.3),
+}
+
+
+NEW_EXPORTER_ONLY = ("RMSNorm", "Threshold")
+
+
+class SlopedPrelu(nn.PReLU):
+    """Of slopes that differ."""
+
+    def __init__(self, width: int) -> None:
+        super().__init__(width)
+        with torch.no_grad():
+            self.weight.copy_(torch.linspace(-0.5, 0.8, width))
+
+
 @pytest.fixture(autouse=True)
 def quiet() -> Iterator[None]:
     """The exporters talk much of themselves."""
@@ -201,21 +232,30 @@ def test_cell_is_refused_when_its_state_became_a_constant(
     assert "a recurrent cell exported with a constant state forgets at every step" in str(caught.value)
 
 
+def test_activation_is_refused_by_name_when_no_kernel_computes_it(kit: Kit) -> None:
+    model = export(Clipped(nn.Linear(6, 8), nn.LogSoftmax(-1), nn.Linear(8, 4)), False, 17)
+    with pytest.raises(PolicyError, match=r"node '/layers/layers.1/\w+' \(LogSoftmax\) is not supported"):
+        parse_policy(policy(kit, model))
+
+
 @pytest.mark.parametrize(
-    ("module", "operator"),
+    ("name", "dynamo", "opset"),
     [
-        (nn.GELU, "Erf"),
-        (nn.Softplus, "Softplus"),
-        (nn.Hardsigmoid, "HardSigmoid"),
-        (nn.Hardswish, "HardSwish"),
+        (name, dynamo, opset)
+        for name in SMOOTH
+        for dynamo, opset in ((False, 17), (True, 18), (True, 20))
+        if dynamo or name not in NEW_EXPORTER_ONLY
     ],
 )
-def test_activation_is_refused_by_name_when_no_kernel_computes_it(
-    kit: Kit, module: type[nn.Module], operator: str
+def test_activation_computes_what_torch_does_when_exported(
+    kit: Kit, name: str, dynamo: bool, opset: int
 ) -> None:
-    model = export(Clipped(nn.Linear(6, 8), module(), nn.Linear(8, 4)), False, 17)
-    with pytest.raises(PolicyError, match=rf"node '/layers/layers.1/\w+' \({operator}\) is not supported"):
-        parse_policy(policy(kit, model))
+    module = Clipped(nn.Linear(6, 8), SMOOTH[name](), nn.Linear(8, 8), SMOOTH[name](), nn.Linear(8, 4))
+    network = parse_policy(policy(kit, export(module, dynamo, opset))).network
+    observation = np.concatenate([sequence(100), 10 * sequence(100), np.zeros((1, 6), np.float32)])
+    expected = by_torch(module, observation)
+    assert np.ptp(expected) > 0.02
+    np.testing.assert_allclose(evaluate(network, observation), expected, rtol=0, atol=1e-6)
 
 
 def test_actor_is_adopted_when_stable_baselines_exports_its_critic_too() -> None:

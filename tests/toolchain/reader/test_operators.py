@@ -13,7 +13,7 @@ import pytest
 from numpy.typing import NDArray
 
 from toolchain.ir.interpreter import evaluate
-from toolchain.ir.operations import Affine, Clip, LayerNorm, Silu, Softsign
+from toolchain.ir.operations import Affine, Clip, Erf, LayerNorm, RmsNorm, Silu, Softplus, Softsign
 from toolchain.policy.model import parse_policy
 from toolchain.reader.operators import KNOWN
 
@@ -33,6 +33,12 @@ CONSTANTS: Mapping[str, NDArray[np.generic]] = {
     "two": np.array(2, np.float32),
     "half": np.array(0.5, np.float32),
     "epsilon": np.array(1e-5, np.float32),
+    "three": np.array(3, np.float32),
+    "twenty": np.array(20, np.float32),
+    "root": np.array(np.sqrt(2), np.float32),
+    "small": np.array(0.044715, np.float32),
+    "factor": np.array(np.sqrt(2 / np.pi), np.float32),
+    "some": np.array([True, False, True, True, False, True]),
     "zeros": np.zeros(4, np.float32),
     "ones": np.ones(4, np.float32),
     "axis0": np.array([0], np.int64),
@@ -51,6 +57,17 @@ RESULT = "action = Clip(y, zero, one)"  # of a body that computes y [1, 4]
 NORM = (
     "m = ReduceMean<axes=[-1]>(observation) d = Sub(observation, m) {square} s = ReduceMean<axes=[-1]>(q) "
     "e = Add(s, epsilon) r = Sqrt(e) {quotient} x = Add(n, six) " + END
+)
+
+RMS = (
+    "q = {square} s = ReduceMean<axes=[-1]>(q) e = Add(epsilon, s) r = Sqrt(e) {quotient} "
+    "m = Mul(n, positive) x = Add(m, six) " + END
+)
+
+TF_NORM = (
+    "m = ReduceMean<axes=[-1]>(observation) d = Sub(observation, m) q = Mul(d, d) "
+    "s = ReduceMean<axes=[-1]>(q) e = Add(s, epsilon) r = Sqrt(e) i = Reciprocal(r) "
+    "j = Mul(i, positive) {end}" + END
 )
 
 ACCEPTED: dict[str, str] = {
@@ -77,12 +94,53 @@ ACCEPTED: dict[str, str] = {
     "Sigmoid": "x = Sigmoid(observation) " + END,
     "SiLU": "g = Sigmoid(observation) x = Mul(observation, g) " + END,
     "Softsign": "x = Softsign(observation) " + END,
+    "Erf": "x = Erf(observation) " + END,
+    "Gelu": "x = Gelu(observation) " + END,
+    "Gelu by tanh": 'x = Gelu<approximate="tanh">(observation) ' + END,
+    "GELU in parts": "p = Div(observation, root) q = Erf(p) r = Add(q, one) s = Mul(observation, r) "
+    "x = Mul(s, half) " + END,
+    "GELU by tanh in parts": "p = Pow(observation, three) q = Mul(p, small) r = Add(observation, q) "
+    "s = Mul(r, factor) t = Tanh(s) u = Add(one, t) z = Mul(observation, u) x = Mul(half, z) " + END,
+    "Softplus": "x = Softplus(observation) " + END,
+    "Softplus with its threshold": "s = Softplus(observation) g = Greater(observation, twenty) "
+    "x = Where(g, observation, s) " + END,
+    "Mish": "x = Mish(observation) " + END,
+    "Selu": "x = Selu(observation) " + END,
+    "Selu of its own": "x = Selu<alpha=0.5, gamma=2.0>(observation) " + END,
+    "Celu": "x = Celu(observation) " + END,
+    "Celu of its own": "x = Celu<alpha=0.3>(observation) " + END,
+    "PRelu of one slope": "x = PRelu(observation, half) " + END,
+    "PRelu": "x = PRelu(observation, six) " + END,
+    "HardSigmoid": "x = HardSigmoid(observation) " + END,
+    "HardSwish": "x = HardSwish(observation) " + END,
+    "ThresholdedRelu": "x = ThresholdedRelu<alpha=0.4>(observation) " + END,
+    "ThresholdedRelu below 0": "x = ThresholdedRelu<alpha=-0.4>(observation) " + END,
+    "Softmax": "x = Softmax(observation) " + END,
+    "Where": "p = Tanh(observation) g = GreaterOrEqual(observation, p) q = Neg(p) x = Where(g, q, six) "
+    + END,
+    "Where of others": "p = Tanh(observation) g = LessOrEqual(half, observation) n = Not(g) "
+    "x = Where(n, p, observation) " + END,
+    "Where by a constant": "x = Where(some, observation, six) " + END,
+    "a comparison as a number": "g = Less(observation, six) p = Cast<to=1>(g) x = Mul(p, observation) " + END,
+    "Max of two": "p = Neg(observation) q = Max(observation, p) r = Min(q, p) x = Add(q, r) " + END,
+    "Abs": "p = Abs(observation) x = Mul(p, observation) " + END,
+    "ReduceMean": "m = ReduceMean<axes=[1]>(observation) x = Mul(observation, m) " + END,
+    "ReduceMean of a part": "p = Reshape(observation, cube) m = ReduceMean<axes=[1]>(p) q = Sub(p, m) "
+    "x = Reshape(q, row) " + END,
+    "ReduceSum": "p = Reshape(observation, cube) m = ReduceSum<keepdims=0>(p, last) "
+    "q = Concat<axis=1>(m, m, m) x = Reshape(q, row) " + END,
+    "a mean that is subtracted": "m = ReduceMean<axes=[-1]>(observation) x = Sub(observation, m) " + END,
     "Softsign in parts": "p = Abs(observation) q = Add(one, p) x = Div(observation, q) " + END,
     "HardTanh": "p = Neg(one) x = Clip(observation, p, one) " + END,
     "Clip below": "x = Clip(observation, zero) " + END,
     "Min and Max": "a = Gemm<transB=1>(observation, w, four) b = Max(a, zeros) action = Min(ones, b)",
     "LayerNormalization": "x = LayerNormalization(observation, positive, six) " + END,
     "LayerNormalization without offset": "x = LayerNormalization<epsilon=0.1>(observation, positive) " + END,
+    "RMSNormalization": "x = RMSNormalization(observation, positive) " + END,
+    "the RMS norm in parts": RMS.format(square="Pow(observation, two)", quotient="n = Div(observation, r)"),
+    "the RMS norm in other parts": RMS.format(
+        square="Mul(observation, observation)", quotient="i = Div(one, r) n = Mul(i, observation)"
+    ),
     "BatchNormalization": "x = BatchNormalization(observation, six, positive, six, positive) " + END,
     "Identity and Dropout": "p = Identity(observation) x, mask = Dropout(p, half) " + END,
     "Cast to float": "x = Cast<to=1>(observation) " + END,
@@ -110,6 +168,16 @@ ACCEPTED: dict[str, str] = {
     "the norm in other parts": NORM.format(
         square="q = Mul(d, d)", quotient="i = Reciprocal(r) n = Mul(i, d)"
     ),
+    "the norm as TensorFlow has it": TF_NORM.format(
+        end="k = Neg(m) l = Mul(k, j) o = Mul(observation, j) x = Add(o, l) "
+    ),
+    "the norm as TensorFlow has it, with an offset": TF_NORM.format(
+        end="l = Mul(m, j) k = Sub(six, l) o = Mul(observation, j) x = Add(o, k) "
+    ),
+    "the norm as Flax has it": "q = Mul(observation, observation) m = ReduceMean<axes=[-1]>(observation) "
+    "s = ReduceMean<axes=[-1]>(q) n = Mul(m, m) t = Sub(s, n) u = Max(zero, t) e = Add(u, epsilon) "
+    "r = Sqrt(e) i = Reciprocal(r) j = Mul(i, positive) d = Sub(observation, m) k = Mul(d, j) "
+    "x = Add(k, six) " + END,
     "a residual network": "p = Gemm(observation, square, six) q = Tanh(p) r = Add(observation, q) "
     "s = Gemm(r, square) t = Relu(s) x = Add(t, r) " + END,
     "a network that ends with Sigmoid": "y = Gemm(observation, v) action = Sigmoid(y)",
@@ -119,6 +187,10 @@ ACCEPTED: dict[str, str] = {
 NEWER = {  # operators that opset 16 does not have
     "LayerNormalization": 17,
     "LayerNormalization without offset": 17,
+    "Mish": 18,
+    "Gelu": 20,
+    "Gelu by tanh": 20,
+    "RMSNormalization": 23,
 }
 
 
@@ -145,6 +217,13 @@ def test_policy_computes_what_onnxruntime_does_when_its_operators_are_known(kit:
         ("Softsign in parts", Softsign, 3),
         ("the norm in parts", LayerNorm, 4),
         ("the norm in other parts", LayerNorm, 4),
+        ("the norm as TensorFlow has it", LayerNorm, 4),
+        ("the norm as TensorFlow has it, with an offset", LayerNorm, 4),
+        ("the norm as Flax has it", LayerNorm, 6),
+        ("the RMS norm in parts", RmsNorm, 6),
+        ("the RMS norm in other parts", RmsNorm, 6),
+        ("Softplus with its threshold", Softplus, 4),
+        ("GELU in parts", Erf, 7),
         ("BatchNormalization", Affine, 3),
     ],
 )

@@ -9,6 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
 import pytest
 from onnx import helper
 
@@ -17,15 +18,21 @@ from toolchain.ir.network import OBSERVATION, Network
 from toolchain.ir.onnx_export import to_model
 from toolchain.ir.operations import (
     Add,
+    Affine,
     Clip,
     Concat,
     Elu,
+    Erf,
     LeakyRelu,
     Multiply,
     Relu,
+    RmsNorm,
+    Select,
     Sigmoid,
     Silu,
     Slice,
+    Softmax,
+    Softplus,
     Softsign,
     Tanh,
 )
@@ -100,6 +107,18 @@ def everything() -> Network:
     return make.clipped()
 
 
+def smooth() -> Network:
+    """Error function, softplus, an RMS norm, shares of a softmax that choose between two values."""
+    make = Maker(6, 13)
+    seen = make.add(Erf(), make.linear(17))
+    soft = make.add(Softplus(), make.linear(17, seen))
+    shares = make.add(Softmax(), make.add(Tanh(), make.linear(17, soft)))
+    normed = make.add(RmsNorm(1e-5, 1 + 0.1 * make.weights(17), make.weights(17)), soft)
+    larger = make.add(Add(), normed, make.add(Affine(np.full(17, -1.0), np.zeros(17)), seen))
+    make.add(Multiply(), make.add(Select(), larger, normed, seen), shares)
+    return make.clipped()
+
+
 NETWORKS: dict[str, Callable[[], Network]] = {
     "6-4": lambda: perceptron(6, seed=1),
     "6-3-4 softsign": lambda: perceptron(6, 3, Softsign(), seed=2),
@@ -112,6 +131,7 @@ NETWORKS: dict[str, Callable[[], Network]] = {
     "6-128-128-4 sigmoid hardtanh": lambda: perceptron(6, 128, Sigmoid(), 128, Clip(-1.0, 1.0), seed=7),
     "layer norm": normed,
     "branches": branched,
+    "erf softplus softmax, rms norm": smooth,
     "gru": gated,
     "lstm": remembering,
     "gru, lstm, norm, skip": everything,

@@ -1,0 +1,22 @@
+"""Functions in float64 that numpy lacks: references of tables, and ends of intervals."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+Float64 = NDArray[np.float64]
+
+_ERF = np.frompyfunc(math.erf, 1, 1)  # libm's, value by value: scipy's is not in what an image needs
+
+
+def erf(x: Float64) -> Float64:
+    """Return the error function of each value."""
+    return np.asarray(_ERF(x), np.float64)
+
+
+def softplus(x: Float64) -> Float64:
+    """Return log(1 + e^x) of each value."""
+    return np.asarray(np.logaddexp(x, 0.0))

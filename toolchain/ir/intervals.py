@@ -1,0 +1,162 @@
+"""Between which bounds each value of a network lies: interval arithmetic, exact in real arithmetic."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import assert_never
+
+import numpy as np
+
+from toolchain.ir.float64_functions import Float64, erf, softplus
+from toolchain.ir.network import Network
+from toolchain.ir.operations import (
+    Add,
+    Affine,
+    Clip,
+    Concat,
+    Elu,
+    Erf,
+    Gru,
+    LayerNorm,
+    LeakyRelu,
+    Linear,
+    Lstm,
+    Multiply,
+    Operation,
+    Relu,
+    RmsNorm,
+    Select,
+    Sigmoid,
+    Silu,
+    Slice,
+    Softmax,
+    Softplus,
+    Softsign,
+    Tanh,
+)
+
+Interval = tuple[Float64, Float64]  # lowest and highest value, each (n,)
+
+SILU_LOWEST = -0.2784645427610739  # at x = -1.2784645
+
+
+def value_intervals(network: Network, *, by_weights: bool = True) -> list[Interval]:
+    """Return the bounds of each value, whatever the observation and the observations before.
+
+    by_weights: what a layer gives of bounded values is bounded; otherwise only activations and maps of single
+    values tell bounds, which are then those that a designer had in mind: -1 to 1 of a Tanh.
+    """
+    unbounded = np.full(network.inputs, np.inf)
+    intervals: list[Interval] = [(-unbounded, unbounded)]
+    with np.errstate(all="ignore"):
+        for node, width in zip(network.nodes, network.widths[1:], strict=True):
+            low, high = _interval(node.operation, [intervals[value] for value in node.inputs], width)
+            if not by_weights and isinstance(node.operation, Linear | LayerNorm | RmsNorm):
+                low, high = np.full(width, -np.inf), np.full(width, np.inf)
+            # Infinity times nothing: nothing is known.
+            intervals.append(
+                (
+                    np.nan_to_num(low, nan=-np.inf, neginf=-np.inf, posinf=np.inf),
+                    np.nan_to_num(high, nan=np.inf, neginf=-np.inf, posinf=np.inf),
+                )
+            )
+    return intervals
+
+
+def _interval(operation: Operation, taken: Sequence[Interval], width: int) -> Interval:
+    low, high = taken[0]
+    one = np.ones(width)
+    match operation:
+        case Linear(weight, bias):
+            ends = [np.where(weight == 0, 0, weight * end) for end in (low, high)]
+            return np.minimum(*ends).sum(axis=1) + bias, np.maximum(*ends).sum(axis=1) + bias
+        case Affine(scale, offset):
+            ends = [np.where(scale == 0, 0, scale * end) for end in (low, high)]
+            return np.minimum(*ends) + offset, np.maximum(*ends) + offset
+        case Tanh():
+            return np.tanh(low), np.tanh(high)
+        case Sigmoid():
+            return _sigmoid(low), _sigmoid(high)
+        case Softsign():
+            return _softsign(low), _softsign(high)
+        case Erf():
+            return erf(low), erf(high)
+        case Softplus():
+            return softplus(low), softplus(high)
+        case Silu():
+            return np.where(low < 0, SILU_LOWEST, _silu(low)), np.maximum(0, _silu(high))
+        case Relu() | Clip():
+            bounds = clip_bounds(operation)
+            return np.clip(low, *bounds), np.clip(high, *bounds)
+        case LeakyRelu(slope):
+            return _bent(lambda x: np.where(x < 0, slope * x if slope else 0, x), low, high)
+        case Elu(alpha):
+            return _bent(lambda x: np.where(x < 0, alpha * np.expm1(x), x), low, high)
+        case LayerNorm(_, scale, offset):  # one value as far from the mean as it can be
+            reach = np.abs(scale) * np.sqrt(width - 1)
+            return offset - reach, offset + reach
+        case RmsNorm(_, scale, offset):  # one value alone
+            reach = np.abs(scale) * np.sqrt(width)
+            return offset - reach, offset + reach
+        case Softmax():
+            return 0 * one, one
+        case Gru() | Lstm():
+            return -one, one
+        case Add():
+            return low + taken[1][0], high + taken[1][1]
+        case Multiply():
+            ends = [np.where((a == 0) | (b == 0), 0, a * b) for a in taken[0] for b in taken[1]]
+            return np.minimum.reduce(ends), np.maximum.reduce(ends)
+        case Select():
+            (first_low, first_high), (second_low, second_high) = taken[1:]
+            always, never_taken = low > 0, high <= 0
+            return (
+                np.where(
+                    always, first_low, np.where(never_taken, second_low, np.minimum(first_low, second_low))
+                ),
+                np.where(
+                    always,
+                    first_high,
+                    np.where(never_taken, second_high, np.maximum(first_high, second_high)),
+                ),
+            )
+        case Concat():
+            return np.concatenate([low for low, _ in taken]), np.concatenate([high for _, high in taken])
+        case Slice(start, count, step):
+            places = start + step * np.arange(count)
+            return low[places], high[places]
+        case never:
+            assert_never(never)
+
+
+def _bent(
+    function: Callable[[Float64], Float64],
+    low: Float64,
+    high: Float64,
+) -> Interval:
+    """The range of a function that is monotone on either side of f(0) = 0."""
+    ends = [function(low), function(high), np.where((low < 0) & (high > 0), 0, function(low))]
+    return np.minimum.reduce(ends), np.maximum.reduce(ends)
+
+
+def _sigmoid(x: Float64) -> Float64:
+    result: Float64 = 0.5 + 0.5 * np.tanh(0.5 * x)
+    return result
+
+
+def _silu(x: Float64) -> Float64:
+    return np.where(np.isinf(x), np.maximum(x, 0), x * _sigmoid(x))
+
+
+def _softsign(x: Float64) -> Float64:
+    return np.where(np.isinf(x), np.sign(x), x / (1 + np.abs(x)))
+
+
+def clip_bounds(operation: Operation) -> tuple[float, float]:
+    """Return the bounds of a Relu or Clip, infinite where it has none."""
+    match operation:
+        case Relu():
+            return 0.0, np.inf
+        case Clip(low, high):
+            return -np.inf if low is None else low, np.inf if high is None else high
+    raise TypeError(f"{operation} has no bounds")

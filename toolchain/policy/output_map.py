@@ -1,0 +1,86 @@
+"""The last step of an imported policy: from the range that its outputs had in training to motor fractions."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from toolchain.errors import PolicyError
+from toolchain.ir.float64_reference import reference
+from toolchain.ir.network import Network, Node
+from toolchain.ir.operations import Affine, Clip
+from toolchain.reader.output_range import meant_range, shown_range
+
+SAMPLES = 400  # observations of unit scale, on which the Clip's work is counted
+HELD = 0.05  # share of outputs that a Clip may hold before freeze warns
+
+
+@dataclass(frozen=True)
+class OutputRange:
+    """Outputs from low to high mean motor fractions 0 to 1."""
+
+    low: float
+    high: float
+
+    def __post_init__(self) -> None:
+        """Raise PolicyError unless it is a range."""
+        if not (math.isfinite(self.low) and math.isfinite(self.high) and self.low < self.high):
+            raise PolicyError(
+                f"--output-range {self.low:g},{self.high:g}: expected two finite numbers, the lower one first"
+            )
+
+    @staticmethod
+    def of(text: str) -> OutputRange:
+        """Read `LO,HI`. Raises PolicyError, one line."""
+        try:
+            low, high = map(float, text.split(","))
+        except ValueError as error:
+            raise PolicyError(f"--output-range {text[:40]!r}: expected LO,HI, such as -1,1") from error
+        return OutputRange(low, high)
+
+
+def map_output(network: Network, asked: OutputRange) -> tuple[Network, list[str]]:
+    """Return the network with its output mapped to motor fractions, and what that changed, in words."""
+    low, high = meant_range(network)
+    if 0 <= low <= high <= 1 and asked.low < 0:
+        raise PolicyError(
+            f"its outputs stay within {shown_range(low, high)} by themselves, which --output-range "
+            f"{asked.low:g},{asked.high:g} would map to a part of 0 to 1; leave it out"
+        )
+    words = [f"mapped outputs from {asked.low:g} to {asked.high:g} to motor fractions from 0 to 1"]
+    if low < asked.low or high > asked.high:
+        beyond = (
+            f"may lie in {shown_range(low, high)}"
+            if low > -math.inf and high < math.inf
+            else "may lie beyond"
+        )
+        words.append(f"appended a Clip to [0, 1]: outputs {beyond}")
+    scale = 1 / (asked.high - asked.low)
+    factors, offsets = np.full(network.outputs, scale), np.full(network.outputs, -asked.low * scale)
+    return _then(network, Affine(factors, offsets)), words
+
+
+def clip_output(network: Network) -> tuple[Network, list[str]]:
+    """Return the network with a Clip to [0, 1] at its end, and in words what that changes and holds."""
+    words = ["appended a Clip to [0, 1]"]
+    low, high = meant_range(network)
+    observation = np.random.default_rng(0).normal(size=(1, SAMPLES, network.inputs)).astype(np.float32)
+    outputs = reference(network, observation)
+    below, above = float((outputs < 0).mean()), float((outputs > 1).mean())
+    known = low > -math.inf and high < math.inf and (low < 0 or high > 1)
+    if known or below + above > HELD:
+        cause = f"its outputs lie in {shown_range(low, high)}" if known else "its outputs leave 0 to 1"
+        asked = f"{low:g},{high:g}" if known else "-1,1"
+        words.append(
+            f"warning: {cause}, so the Clip holds motors at 0 or full: on observations of unit scale "
+            f"{below:.0%} of the outputs are below 0 and {above:.0%} above 1; if they mean 0 to full power, "
+            f"use --output-range {asked} instead of --clip"
+        )
+    return _then(network, Clip(0.0, 1.0)), words
+
+
+def _then(network: Network, operation: Affine | Clip) -> Network:
+    node = Node(operation, (len(network.nodes),), type(operation).__name__.lower())
+    return Network(network.inputs, (*network.nodes, node))

@@ -1,0 +1,150 @@
+"""Readers of activations that are put together from operations the compiler has.
+
+    GELU        x / 2 (1 + erf(x / sqrt 2)), or x / 2 (1 + tanh(sqrt(2 / pi) (x + 0.044715 x^3)))
+    Mish        x tanh(log(1 + e^x))
+    SELU        gamma ELU(x)
+    CELU        alpha ELU(x / alpha), with an ELU of alpha 1
+    PReLU       LeakyReLU, or max(x, 0) + slope min(x, 0) where each value has a slope of its own
+    HardSwish   x HardSigmoid(x)
+    Swish       x sigmoid(alpha x)
+
+What an exporter writes in parts comes to the same nodes without being known for what it is.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from toolchain.ir.operations import (
+    Add,
+    Clip,
+    Elu,
+    Erf,
+    LeakyRelu,
+    Multiply,
+    Operation,
+    Relu,
+    Select,
+    Sigmoid,
+    Silu,
+    Softplus,
+    Tanh,
+)
+from toolchain.reader.arithmetic import mapped
+from toolchain.reader.values import Builder, Call, Row, joint_shape
+
+GELU_CUBE = 0.044715  # of GELU's tanh form, in ONNX as in torch and JAX
+# ONNX's defaults, the float32 nearest to Klambauer et al.'s numbers.
+SELU_ALPHA, SELU_GAMMA = 1.67326319217681884765625, 1.05070102214813232421875
+POWERS = (2, 3)
+
+
+def read_gelu(build: Builder, call: Call) -> Row:
+    """Read Gelu, of either form."""
+    row, form = call.row(), call.attributes.get("approximate", b"none")
+    if form == b"none":
+        inner = _then(build, call, Erf(), _scaled(build, call, row, math.sqrt(0.5)))
+    elif form == b"tanh":
+        # sqrt(2 / pi) x (1 + 0.044715 x^2) is beyond tanh's limits long before x is 10: it stays there, so
+        # that no square leaves float32.
+        near = _then(build, call, Clip(-10.0, 10.0), row)
+        factor = math.sqrt(2 / math.pi)
+        square = _then(build, call, Multiply(), near, near)
+        cubic = mapped(build, call, square, GELU_CUBE * factor, factor, row.shape)
+        inner = _then(build, call, Tanh(), _then(build, call, Multiply(), near, cubic))
+    else:
+        raise call.error(f"has approximate {form!r}, expected none or tanh")
+    return _then(build, call, Multiply(), row, mapped(build, call, inner, 0.5, 0.5, row.shape))
+
+
+def read_mish(build: Builder, call: Call) -> Row:
+    """Read Mish."""
+    gate = _then(build, call, Tanh(), _then(build, call, Softplus(), call.row()))
+    return _then(build, call, Multiply(), call.row(), gate)
+
+
+def read_selu(build: Builder, call: Call) -> Row:
+    """Read Selu."""
+    alpha, gamma = _attribute(call, "alpha", SELU_ALPHA), _attribute(call, "gamma", SELU_GAMMA)
+    return _scaled(build, call, _then(build, call, Elu(alpha), call.row()), gamma)
+
+
+def read_celu(build: Builder, call: Call) -> Row:
+    """Read Celu."""
+    if (alpha := _attribute(call, "alpha", 1.0)) <= 0:
+        raise call.error(f"has alpha {alpha:g}, expected more than 0")
+    row = call.row()
+    if alpha == 1:
+        return _then(build, call, Elu(1.0), row)
+    return _scaled(build, call, _then(build, call, Elu(1.0), _scaled(build, call, row, 1 / alpha)), alpha)
+
+
+def read_prelu(build: Builder, call: Call) -> Row:
+    """Read PRelu, of one slope or one for each value."""
+    row, slope = call.row(), call.floats(1)
+    if slope is None or joint_shape(call, slope.shape, row.shape) != row.shape:
+        raise call.error(f"has slopes that do not fit a value of shape {list(row.shape)}")
+    slopes = np.broadcast_to(slope, row.shape).ravel().astype(np.float64)
+    if (slopes == slopes[0]).all():
+        return _then(build, call, LeakyRelu(float(slopes[0])), row)
+    below = mapped(build, call, _then(build, call, Clip(None, 0.0), row), slopes, 0.0, row.shape)
+    return _then(build, call, Add(), _then(build, call, Relu(), row), below)
+
+
+def read_hard_sigmoid(build: Builder, call: Call) -> Row:
+    """Read HardSigmoid: alpha x + beta, between 0 and 1."""
+    return _hard_sigmoid(build, call, _attribute(call, "alpha", 0.2), _attribute(call, "beta", 0.5))
+
+
+def read_hard_swish(build: Builder, call: Call) -> Row:
+    """Read HardSwish."""
+    return _then(build, call, Multiply(), call.row(), _hard_sigmoid(build, call, 1 / 6, 0.5))
+
+
+def read_swish(build: Builder, call: Call) -> Row:
+    """Read Swish."""
+    row = call.row()
+    if (alpha := _attribute(call, "alpha", 1.0)) == 1:
+        return _then(build, call, Silu(), row)
+    gate = _then(build, call, Sigmoid(), _scaled(build, call, row, alpha))
+    return _then(build, call, Multiply(), row, gate)
+
+
+def read_thresholded(build: Builder, call: Call) -> Row:
+    """Read ThresholdedRelu: x where it is above alpha, else 0."""
+    row, alpha = call.row(), _attribute(call, "alpha", 1.0)
+    if alpha == 0:
+        return _then(build, call, Relu(), row)
+    above = mapped(build, call, row, 1.0, -alpha, row.shape)
+    return _then(build, call, Select(), above, row, _scaled(build, call, row, 0.0))
+
+
+def read_power(build: Builder, call: Call) -> Row:
+    """Read Pow of a value to the second or third."""
+    row, power = call.row(), call.constant(1)
+    if power is None or power.size != 1 or power.flat[0] not in POWERS:
+        raise call.error("raises to another power than 2 or 3, expected one of these")
+    square = _then(build, call, Multiply(), row, row)
+    return square if power.flat[0] == 2 else _then(build, call, Multiply(), square, row)
+
+
+def _hard_sigmoid(build: Builder, call: Call, alpha: float, beta: float) -> Row:
+    row = call.row()
+    return _then(build, call, Clip(0.0, 1.0), mapped(build, call, row, alpha, beta, row.shape))
+
+
+def _then(build: Builder, call: Call, operation: Operation, *rows: Row) -> Row:
+    return build.append(call, operation, *rows, shape=rows[0].shape)
+
+
+def _scaled(build: Builder, call: Call, row: Row, factor: float) -> Row:
+    return mapped(build, call, row, factor, 0.0, row.shape)
+
+
+def _attribute(call: Call, name: str, default: float) -> float:
+    value = float(call.attributes.get(name, default))
+    if not math.isfinite(value):
+        raise call.error(f"has {name} {value}, expected a finite number")
+    return value

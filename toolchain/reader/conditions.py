@@ -1,0 +1,149 @@
+"""Readers of comparisons and of Where, which takes one of two values by them.
+
+A comparison is kept as the value that is above 0 where it holds, or, negated, where it does not.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from toolchain.ir.operations import Add, Affine, Operation, Select, Softplus
+from toolchain.reader.arithmetic import mapped
+from toolchain.reader.values import Array, Builder, Call, Condition, Row, Value, joint_shape
+
+# Above it the log(1 + e^x) that exporters take for x is x: e^-16 is 1 / 9 of a float32's last place at 16.
+SOFTPLUS_STRAIGHT = 16.0
+
+
+def read_where(build: Builder, call: Call) -> Row:
+    """Read Where on a comparison."""
+    condition = call.input(0)
+    if isinstance(condition, np.ndarray) and condition.dtype == np.bool_:
+        return _mixed(build, call, condition)
+    if not isinstance(condition, Condition):
+        raise call.error("chooses by what is no comparison of values, which is not supported")
+    chosen = [call.input(1), call.input(2)]
+    first, second = reversed(chosen) if condition.negated else chosen
+    if (row := _softplus(build, condition, first, second)) is not None:
+        return row
+    shapes = [value.shape for value in (first, second) if isinstance(value, Row | np.ndarray)]
+    shape = joint_shape(call, condition.row.shape, *shapes)
+    rows = [build.broadcast(call, condition.row, shape)]
+    rows += [_row(build, call, value, rows[0], shape) for value in (first, second)]
+    return build.append(call, Select(), *rows, shape=shape)
+
+
+def _mixed(build: Builder, call: Call, chosen: Array) -> Row:
+    """Where a constant chooses: each value times 1 or 0, and the other's constants or values added."""
+    values = (call.input(1), call.input(2))
+    like = next(value for value in values if isinstance(value, Row))
+    shape = joint_shape(call, chosen.shape, *(v.shape for v in values if isinstance(v, Row | np.ndarray)))
+    like = build.broadcast(call, like, shape)
+    taken = np.broadcast_to(chosen, shape).ravel().astype(np.float64)
+    first, second = (_row(build, call, value, like, shape) for value in values)
+    parts = (
+        mapped(build, call, row, kept, 0.0, shape) for row, kept in ((first, taken), (second, 1 - taken))
+    )
+    return build.append(call, Add(), *parts, shape=shape)
+
+
+def read_mask(build: Builder, call: Call, condition: Condition) -> Row:
+    """Read a Cast of a comparison to float32: 1 where it holds, else 0."""
+    row = condition.row
+    first, second = (0.0, 1.0) if condition.negated else (1.0, 0.0)
+    constants = (mapped(build, call, row, 0.0, value, row.shape) for value in (first, second))
+    return build.append(call, Select(), row, *constants, shape=row.shape)
+
+
+def _row(build: Builder, call: Call, value: Value | None, like: Row, shape: tuple[int, ...]) -> Row:
+    """Return a value or constant that Where takes, as a value of `shape`."""
+    if isinstance(value, Row):
+        return build.broadcast(call, value, shape)
+    if not isinstance(value, np.ndarray) or value.dtype.kind != "f" or not np.isfinite(value).all():
+        raise call.error("chooses between others than values and finite float32 constants")
+    constant = np.broadcast_to(value, shape).ravel().astype(np.float64)
+    return mapped(build, call, like, 0.0, constant, shape)
+
+
+def _softplus(build: Builder, condition: Condition, first: Value | None, second: Value | None) -> Row | None:
+    """Return log(1 + e^x) of `x where x > 20, else log(1 + e^x)`, as torch's exporter writes it."""
+    match first, second:
+        case Row() as x, Row() as soft if (node := build.operation(soft)) is not None:
+            compared = build.operation(condition.row)
+            straight = (
+                node.operation == Softplus()
+                and node.inputs == (x.number,)
+                and compared is not None
+                and compared.inputs == (x.number,)
+                and _least(compared.operation) >= SOFTPLUS_STRAIGHT
+            )
+            return soft if straight and x.shape == soft.shape else None
+    return None
+
+
+def _least(operation: Operation) -> float:
+    """The smallest x above which `operation`, x - bound, is above 0; -inf for another one."""
+    match operation:
+        case Affine(scale, offset) if (scale == 1).all():
+            return float(-offset.max())
+    return -np.inf
+
+
+def _above(build: Builder, call: Call, places: tuple[int, int], negated: bool) -> Condition:
+    """Whether the first of two inputs is above the second: their difference."""
+    first, second = (call.input(place) for place in places)
+    match first, second:
+        case Row(), Row():
+            shape = joint_shape(call, first.shape, second.shape)
+            rows = [build.broadcast(call, row, shape) for row in (first, second)]
+            less = mapped(build, call, rows[1], -1.0, 0.0, shape)
+            return Condition(build.append(call, Add(), rows[0], less, shape=shape), negated)
+        case Row() as row, np.ndarray():
+            return Condition(_moved(build, call, row, places[1], 1.0), negated)
+        case np.ndarray(), Row() as row:
+            return Condition(_moved(build, call, row, places[0], -1.0), negated)
+    raise call.error("compares others than values and constants")
+
+
+def _moved(build: Builder, call: Call, row: Row, place: int, sign: float) -> Row:
+    """`sign` (row - the constant at `place`)."""
+    bound: Array | None = call.floats(place)
+    assert bound is not None
+    shape = joint_shape(call, row.shape, bound.shape)
+    row = build.broadcast(call, row, shape)
+    if sign == 1 and not bound.any():
+        return row
+    offset = -sign * np.broadcast_to(bound, shape).ravel().astype(np.float64)
+    return mapped(build, call, row, sign, offset, shape)
+
+
+def _read_greater(build: Builder, call: Call) -> Condition:
+    return _above(build, call, (0, 1), negated=False)
+
+
+def _read_less(build: Builder, call: Call) -> Condition:
+    return _above(build, call, (1, 0), negated=False)
+
+
+def _read_greater_or_equal(build: Builder, call: Call) -> Condition:
+    return _above(build, call, (1, 0), negated=True)
+
+
+def _read_less_or_equal(build: Builder, call: Call) -> Condition:
+    return _above(build, call, (0, 1), negated=True)
+
+
+def _read_not(_: Builder, call: Call) -> Condition:
+    condition = call.input(0)
+    if not isinstance(condition, Condition):
+        raise call.error("negates what is no comparison of values, which is not supported")
+    return Condition(condition.row, not condition.negated)
+
+
+CONDITIONS = {
+    "Greater": _read_greater,
+    "GreaterOrEqual": _read_greater_or_equal,
+    "Less": _read_less,
+    "LessOrEqual": _read_less_or_equal,
+    "Not": _read_not,
+}
