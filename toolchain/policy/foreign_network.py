@@ -59,7 +59,14 @@ def read_foreign(model: onnx.ModelProto, ends: Ends) -> Adopted:
     dropped = f"kept the output {shown(name)}, dropped {outputs} other(s) and {nodes} node(s)"
     changes = [*([dropped] if outputs or nodes else []), *fixed]
     reading = _read(model, shapes, MULTIPLY_ADDS_MAX)
-    action = computed(reading.values, name)
+    try:
+        action = computed(reading.values, name)
+    except PolicyError as error:
+        if batches := [line for line in fixed if line.endswith(tuple(f"{digit})" for digit in range(10)))]:
+            raise PolicyError(
+                f"{error} ({'; '.join(batches)}: export it for one observation, [1, n])"
+            ) from error
+        raise
     after = {reading.inputs[s].number: computed(reading.values, states[s]).number for s in states}
     found, failed = find_cells(reading.build.nodes, reading.build.widths, set(reading.names), after)
     needed = _needed(reading.build.nodes, action.number, found)

@@ -220,6 +220,15 @@ def taken_name(graph: onnx.GraphProto) -> None:
     graph.node[0].output[0] = graph.node[1].input[0] = "action"
 
 
+def fixed_batch(graph: onnx.GraphProto) -> None:
+    """A model for 64 observations that says so inside, too."""
+    graph.input[0].type.tensor_type.shape.dim[0].dim_value = 64
+    shape = onnx.numpy_helper.from_array(np.array([64, 6], np.int64), "shape")
+    graph.initializer.append(shape)
+    graph.node.insert(0, onnx.helper.make_node("Reshape", ["obs", "shape"], ["rows"], name="rows"))
+    graph.node[1].input[0] = "rows"
+
+
 def dynamic_width(graph: onnx.GraphProto) -> None:
     graph.input[0].type.tensor_type.shape.dim[1].dim_param = "n"
 
@@ -317,6 +326,11 @@ def test_critic_is_dropped_when_the_output_is_chosen(kit: Kit) -> None:
         (
             two_actions,
             "outputs are 'act' (4 values), 'actions' (4 values), expected one of 4 values, one a motor",
+        ),
+        (
+            fixed_batch,
+            "values it takes: cannot reshape array of size 6 into shape (64,6) (fixed axis 0 of 'obs' to 1 "
+            "(was 64): export it for one observation, [1, n])",
         ),
         (two_widths, "the input 'obs' has the dynamic shape [batch, n], and its size cannot be told"),
     ],
