@@ -125,9 +125,9 @@ def _read_inputs(graph: onnx.GraphProto) -> set[str]:
 
 
 def _sizes(value: onnx.ValueInfoProto) -> Sizes:
-    """Sizes of a value's axes."""
-    tensor = value.type.tensor_type
-    return [d.dim_value if d.HasField("dim_value") else d.dim_param or "?" for d in tensor.shape.dim]
+    """Sizes of a value's axes; exporters also write 0 and -1 for an open one."""
+    dims = value.type.tensor_type.shape.dim
+    return [dim.dim_value if dim.dim_value > 0 else dim.dim_param or "?" for dim in dims]
 
 
 def _floats(value: onnx.ValueInfoProto) -> bool:

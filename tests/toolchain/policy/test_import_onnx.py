@@ -343,7 +343,11 @@ def test_model_is_refused_when_its_ends_are_not_one_row(
     assert words in str(caught.value)
 
 
-@pytest.mark.parametrize("edit", [taken_name, dynamic_width])
+def negative_batch(graph: onnx.GraphProto) -> None:
+    graph.input[0].type.tensor_type.shape.dim[0].dim_value = -1
+
+
+@pytest.mark.parametrize("edit", [taken_name, dynamic_width, negative_batch])
 def test_model_is_adopted_when_a_value_has_the_actions_name_or_the_width_is_open(
     kit: Kit, edit: Callable[[onnx.GraphProto], object]
 ) -> None:
