@@ -98,7 +98,10 @@ def input_shapes(model: onnx.ModelProto, ends: Ends) -> tuple[dict[str, tuple[in
                 "export it for one observation, [1, n]"
             )
     if not shapes:
-        raise PolicyError("the model has no input of floats, expected an observation [1, n]")
+        names = listed([value.name for value in model.graph.input if value.name not in given])
+        raise PolicyError(
+            f"the model's inputs are {names}, expected an observation of floats, float32 [1, n]; export it so"
+        )
     return shapes, changes
 
 

@@ -343,6 +343,17 @@ def test_model_is_refused_when_its_ends_are_not_one_row(
     assert words in str(caught.value)
 
 
+def whole_numbers(graph: onnx.GraphProto) -> None:
+    graph.input[0].type.tensor_type.elem_type = onnx.TensorProto.INT64
+    graph.node.insert(0, onnx.helper.make_node("Cast", ["obs"], ["floats"], to=1))
+    graph.node[1].input[0] = "floats"
+
+
+def test_model_is_refused_when_it_observes_whole_numbers(kit: Kit) -> None:
+    with pytest.raises(PolicyError, match="the model's inputs are 'obs', expected an observation of floats"):
+        imported_model(foreign(kit.mlp((6, 8, 4)), whole_numbers), CLAIMS, clip=True)
+
+
 def negative_batch(graph: onnx.GraphProto) -> None:
     graph.input[0].type.tensor_type.shape.dim[0].dim_value = -1
 
