@@ -6,7 +6,7 @@ What is left of the inputs is state: one that an output gives anew, as recurrent
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import onnx
@@ -22,10 +22,14 @@ ACTIONS = (  # names that exporters give the action beside a critic or a standar
     "actions",
     "mu",
     "mean",
+    "action_mean",
+    "mean_action",
     "mean_actions",
     "motors",
     "output",
     "continuous_actions",
+    "deterministic_action",
+    "deterministic_actions",
     "deterministic_continuous_actions",
 )
 LISTED_MAX = 8  # outputs that a message lists
@@ -58,18 +62,17 @@ def input_shapes(model: onnx.ModelProto, ends: Ends) -> tuple[dict[str, tuple[in
     inputs = {v.name: _sizes(v) for v in model.graph.input if v.name not in given and _floats(v)}
     read = _read_inputs(model.graph)
     declared = [_sizes(value) for value in model.graph.output]
-    alone = sum(name in read and sizes not in declared for name, sizes in inputs.items()) <= 1
+    observed = [s for name, s in inputs.items() if name in read and s not in declared]
+    batched = _batches(observed, ends.observation_count)
     batches = {sizes[0] for name, sizes in inputs.items() if len(sizes) > 1 and name in read}
     fixed = dict[str, Sizes]()
     for name, sizes in inputs.items():
         fixed[name], last = list(sizes), len(sizes) - 1
-        whole = math.prod(size for size in sizes if isinstance(size, int))
         for axis, size in enumerate(sizes):
             if isinstance(size, str):
                 batch = axis < last or name not in read or (last == 0 and len(inputs) > 1 and size in batches)
-            else:  # a first axis of two is a batch unless all of it is the observation, a history
-                history = alone and whole == ends.observation_count
-                batch = axis == 0 and last == 1 and size > 1 and not history
+            else:  # states have it behind their layers
+                batch = size in batched and axis < last and (axis == 0 or sizes not in observed)
             if batch:
                 changes.append(f"fixed axis {axis} of {shown(name)} to 1 (was {size})")
                 fixed[name][axis] = 1
@@ -95,8 +98,21 @@ def input_shapes(model: onnx.ModelProto, ends: Ends) -> tuple[dict[str, tuple[in
                 "export it for one observation, [1, n]"
             )
     if not shapes:
-        raise PolicyError("the model has no input of floats, expected an observation [1, n]")
+        names = listed([value.name for value in model.graph.input if value.name not in given])
+        raise PolicyError(
+            f"the model's inputs are {names}, expected an observation of floats, float32 [1, n]; export it so"
+        )
     return shapes, changes
+
+
+def _batches(observed: Sequence[Sizes], count: int | None) -> set[int]:
+    """The batches that the exporter fixed: first axes above 1.
+
+    Where the inputs have as many values as the observation, such an axis is a history, [steps, n].
+    """
+    values = sum(math.prod(size for size in sizes if isinstance(size, int)) for sizes in observed)
+    firsts = {sizes[0] for sizes in observed if len(sizes) > 1}
+    return set() if values == count else {size for size in firsts if isinstance(size, int) and size > 1}
 
 
 def _read_inputs(graph: onnx.GraphProto) -> set[str]:
@@ -112,9 +128,9 @@ def _read_inputs(graph: onnx.GraphProto) -> set[str]:
 
 
 def _sizes(value: onnx.ValueInfoProto) -> Sizes:
-    """Sizes of a value's axes."""
-    tensor = value.type.tensor_type
-    return [d.dim_value if d.HasField("dim_value") else d.dim_param or "?" for d in tensor.shape.dim]
+    """Sizes of a value's axes; exporters also write 0 and -1 for an open one."""
+    dims = value.type.tensor_type.shape.dim
+    return [dim.dim_value if dim.dim_value > 0 else dim.dim_param or "?" for dim in dims]
 
 
 def _floats(value: onnx.ValueInfoProto) -> bool:

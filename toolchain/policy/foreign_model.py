@@ -92,7 +92,7 @@ def fix_inputs(graph: onnx.GraphProto, constants: Mapping[str, float]) -> list[s
             raise PolicyError(f"--constant: the model has no input {name!r}, its inputs are {listed(names)}")
         value = graph.input[names.index(name)]
         tensor = value.type.tensor_type
-        sizes = [dim.dim_value or 1 for dim in tensor.shape.dim]
+        sizes = [max(dim.dim_value, 1) for dim in tensor.shape.dim]
         if tensor.elem_type not in TYPES or not 0 < math.prod(sizes) <= WIDTH_MAX:
             raise PolicyError(f"--constant: the input {name!r} is no tensor of up to {WIDTH_MAX} numbers")
         array = np.full(sizes, number, TYPES[tensor.elem_type])

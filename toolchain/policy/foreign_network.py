@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -49,44 +50,73 @@ class _Reading:
         return {row.number: name for name, row in self.inputs.items()}
 
 
+@dataclass(frozen=True)
+class _Action:
+    """The action and what it is computed from."""
+
+    row: Row
+    cells: tuple[Cell, ...]  # that it needs
+    failed: Mapping[str, str]  # states that no cell carries, and why
+    needed: frozenset[int]  # numbers of the values that it is computed from, itself included
+
+
 def read_foreign(model: onnx.ModelProto, ends: Ends) -> Adopted:
     """Read a checked model; drops from it what the action does not need. Raises PolicyError."""
     shapes, fixed = input_shapes(model, ends)
     reading = _read(model, shapes, CRITICS * MULTIPLY_ADDS_MAX)
     name = find_action(model, reading.values, ends)
     states = find_states(model, reading.values, reading.inputs, name)
+    with contextlib.suppress(PolicyError):  # which the second reading raises again
+        states = _needed_states(reading, _action(reading, name, states), states)
     outputs, nodes = keep_outputs(model.graph, {name, *states.values()})
     dropped = f"kept the output {shown(name)}, dropped {outputs} other(s) and {nodes} node(s)"
     changes = [*([dropped] if outputs or nodes else []), *fixed]
     reading = _read(model, shapes, MULTIPLY_ADDS_MAX)
-    action = computed(reading.values, name)
-    after = {reading.inputs[s].number: computed(reading.values, states[s]).number for s in states}
-    found, failed = find_cells(reading.build.nodes, reading.build.widths, set(reading.names), after)
-    needed = _needed(reading.build.nodes, action.number, found)
-    cells = [cell for cell in found if cell.result in needed]  # no critic's
-    changes += _told(cells, reading, states)
-    for node in (reading.build.nodes[number - 1] for number in sorted(needed)):
-        if isinstance(node.operation, Recurrent):
-            kind = _kind(node.operation)
-            changes.append(
-                f"node {shown(node.name)}: the policy carries its state, from zero at its start: {kind}"
-            )
-    names, more = _observed(reading, needed, cells, name)
+    try:
+        action = _action(reading, name, states)
+    except PolicyError as error:
+        raise _of_one_observation(error, fixed) from error
+    changes += _told(reading, action, states)
+    names, more = _observed(reading, action, name)
     changes += more
-    _check_failed(reading, names, failed, states, ends)
+    _check_failed(reading, names, action, states, ends)
     names, more = _ordered(reading, names, ends)
     changes += more
     if name != POLICY_OUTPUT:
         changes.append(f"renamed the output {shown(name)} to {POLICY_OUTPUT!r}")
-    carried = {reading.names[number] for cell in cells for number in cell.states}
+    carried = {reading.names[number] for cell in action.cells for number in cell.states}
     return Adopted(
-        network=_assembled(reading, names, action, needed, cells),
+        network=_assembled(reading, names, action),
         changes=tuple(changes),
         action=name,
         inputs={name: shapes[name] for name in names},
         states={name: states[name] for name in reading.inputs if name in carried},
-        forgetful=any(isinstance(reading.build.nodes[n - 1].operation, Recurrent) for n in needed),
+        forgetful=bool(_forgetful(reading, action)),
     )
+
+
+def _action(reading: _Reading, name: str, states: Mapping[str, str]) -> _Action:
+    """The action `name`. Raises PolicyError where it could not be read."""
+    row, nodes = computed(reading.values, name), reading.build.nodes
+    after = {reading.inputs[s].number: computed(reading.values, states[s]).number for s in states}
+    found, failed = find_cells(nodes, reading.build.widths, set(reading.names), after)
+    needed = _needed(nodes, row.number, found)
+    reasons = {reading.names[number]: why for number, why in failed.items() if number in needed}
+    return _Action(row, tuple(cell for cell in found if cell.result in needed), reasons, frozenset(needed))
+
+
+def _needed_states(reading: _Reading, action: _Action, states: Mapping[str, str]) -> dict[str, str]:
+    """Those of `states` that the action has to do with: no critic's."""
+    carried = {reading.names[number] for cell in action.cells for number in cell.states}
+    return {name: after for name, after in states.items() if name in carried or name in action.failed}
+
+
+def _of_one_observation(error: PolicyError, fixed: Sequence[str]) -> PolicyError:
+    """The error, with a hint where the model was exported for more than one observation."""
+    batches = [line for line in fixed if line[-2].isdigit()]
+    if not batches:
+        return error
+    return PolicyError(f"{error} ({'; '.join(batches)}: export it for one observation, [1, n])")
 
 
 def _read(model: onnx.ModelProto, shapes: dict[str, tuple[int, ...]], multiply_adds_max: int) -> _Reading:
@@ -111,16 +141,26 @@ def _read(model: onnx.ModelProto, shapes: dict[str, tuple[int, ...]], multiply_a
     return _Reading(build, read_nodes(model, build, values), inputs)
 
 
-def _told(cells: Sequence[Cell], reading: _Reading, states: Mapping[str, str]) -> list[str]:
+def _told(reading: _Reading, action: _Action, states: Mapping[str, str]) -> list[str]:
     """A line for each cell."""
     lines = []
-    for cell in cells:
+    for cell in action.cells:
         names = dict.fromkeys(reading.names[number] for number in cell.states)
         pairs = " and ".join(f"{shown(name)} -> {shown(states[name])}" for name in names)
         lines.append(
             f"{pairs}: a state that the policy carries, from zero at its start: {_kind(cell.operation)}"
         )
+    for node in _forgetful(reading, action):
+        assert isinstance(node.operation, Recurrent)
+        kind = _kind(node.operation)
+        lines.append(f"node {shown(node.name)}: the policy carries its state, from zero at its start: {kind}")
     return lines
+
+
+def _forgetful(reading: _Reading, action: _Action) -> list[Node]:
+    """The cells inside the model that start from zero at every run of it."""
+    nodes = (reading.build.nodes[number - 1] for number in sorted(action.needed))
+    return [node for node in nodes if isinstance(node.operation, Recurrent)]
 
 
 def _kind(operation: Recurrent) -> str:
@@ -144,38 +184,35 @@ def _needed(nodes: Sequence[Node], action: int, cells: Sequence[Cell]) -> set[in
     return needed - {OBSERVATION}
 
 
-def _observed(
-    reading: _Reading, needed: set[int], cells: Sequence[Cell], action: str
-) -> tuple[list[str], list[str]]:
+def _observed(reading: _Reading, action: _Action, output: str) -> tuple[list[str], list[str]]:
     """The inputs that are the observation, and a line for each that nothing reads."""
-    carried = {number for cell in cells for number in cell.states}
+    carried = {number for cell in action.cells for number in cell.states}
     names, dropped = list[str](), list[str]()
     for name, row in reading.inputs.items():
-        if row.number in needed and row.number in carried:
+        if row.number in action.needed and row.number in carried:
             raise PolicyError(
-                f"the output {shown(action)} depends on the state {shown(name)} beside the cell that carries "
+                f"the output {shown(output)} depends on the state {shown(name)} beside the cell that carries "
                 "it, which is not supported; export the action as a function of the cell's output alone"
             )
-        if row.number in needed:
+        if row.number in action.needed:
             names.append(name)
         elif row.number not in carried:
             dropped.append(f"dropped the input {shown(name)}: the action does not depend on it")
     if not names:
         raise PolicyError(
-            f"the output {shown(action)} is no function of the inputs {listed(list(reading.inputs))}; "
+            f"the output {shown(output)} is no function of the inputs {listed(list(reading.inputs))}; "
             "is the export right?"
         )
     return names, dropped
 
 
 def _check_failed(
-    reading: _Reading, names: Sequence[str], failed: Mapping[int, str], states: Mapping[str, str], ends: Ends
+    reading: _Reading, names: Sequence[str], action: _Action, states: Mapping[str, str], ends: Ends
 ) -> None:
     """Raise PolicyError where an input is neither observation, by its width, nor the state of a cell."""
     if ends.observation_count in (None, sum(reading.inputs[name].width for name in names)):
         return
-    for number, why in failed.items():
-        name = reading.names[number]
+    for name, why in action.failed.items():
         if name in names:
             others = [shown(other) for other in names[1:] if other not in states]
             hint = f", or set {' or '.join(others)} with --constant NAME=VALUE" if others else ""
@@ -224,11 +261,9 @@ def _ordered(reading: _Reading, names: list[str], ends: Ends) -> tuple[list[str]
     return order, [f"joined the inputs {' and '.join(joined)} ({how}): {'; '.join(parts)}"]
 
 
-def _assembled(
-    reading: _Reading, names: Sequence[str], action: Row, needed: set[int], cells: Sequence[Cell]
-) -> Network:
+def _assembled(reading: _Reading, names: Sequence[str], action: _Action) -> Network:
     """The network of the observation alone: its inputs in their order, cells in the place of their nodes."""
-    replaced, start = {cell.result: cell for cell in cells}, 0
+    replaced, start = {cell.result: cell for cell in action.cells}, 0
     nodes, renamed = list[Node](), {OBSERVATION: OBSERVATION}
     for name in names:
         row = reading.inputs[name]
@@ -236,7 +271,7 @@ def _assembled(
             nodes.append(Node(Slice(start, row.width), (OBSERVATION,), printable(name)))
         renamed[row.number] = len(nodes)
         start += row.width
-    for number in sorted(needed - renamed.keys()):
+    for number in sorted(action.needed - renamed.keys()):
         node, cell = reading.build.nodes[number - 1], replaced.get(number)
         operation = node.operation if cell is None else cell.operation
         takes = [renamed[value] for value in (node.inputs if cell is None else cell.takes)]
@@ -245,4 +280,4 @@ def _assembled(
             takes = [len(nodes)]
         nodes.append(Node(operation, tuple(takes), node.name))
         renamed[number] = len(nodes)
-    return sweep(Network(start, tuple(nodes[: renamed[action.number]])))
+    return sweep(Network(start, tuple(nodes[: renamed[action.row.number]])))

@@ -101,7 +101,7 @@ def _actions(run: Run, model: onnx.ModelProto, adopted: Adopted, observation: Fl
         shape = adopted.inputs.get(value.name, (1,) * len(tensor.shape.dim))
         axes = tensor.shape.dim if tensor.HasField("shape") else [None] * len(shape)
         sizes[value.name] = [
-            axis.dim_value if axis is not None and axis.HasField("dim_value") else one
+            axis.dim_value if axis is not None and axis.dim_value > 0 else one
             for axis, one in zip(axes, shape, strict=True)
         ]
         kinds[value.name] = np.float64 if tensor.elem_type == TensorProto.DOUBLE else np.float32

@@ -297,6 +297,16 @@ def test_state_is_carried_when_the_input_that_clears_it_is_a_constant() -> None:
     assert parse_policy(imported).network.text == "6-lstm5-4 sigmoid"
 
 
+def test_batch_is_taken_from_observation_and_state_when_it_is_fixed() -> None:
+    model = onnx.load_from_string(export(Sequence_(nn.GRU, 2)))
+    for value in (*model.graph.input, *model.graph.output):
+        axis = 1 if "state" in value.name else 0
+        value.type.tensor_type.shape.dim[axis].dim_value = 3
+    _, changes = imported_model(model.SerializeToString(), CLAIMS, clip=False)
+    fixed = [line for line in changes if line.startswith("fixed")]
+    assert fixed == ["fixed axis 0 of 'obs' to 1 (was 3)", "fixed axis 1 of 'state_0' to 1 (was 3)"]
+
+
 def test_search_ends_when_a_graph_has_no_end_of_branches() -> None:
     """x + x, doubled forty times: as many ways back to the state as there are lines in a library."""
     data = onnx.load_from_string(export(Filter()))

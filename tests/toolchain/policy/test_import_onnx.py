@@ -361,6 +361,15 @@ def taken_name(graph: onnx.GraphProto) -> None:
     graph.node[0].output[0] = graph.node[1].input[0] = "action"
 
 
+def fixed_batch(graph: onnx.GraphProto) -> None:
+    """A model for 64 observations that says so inside, too."""
+    graph.input[0].type.tensor_type.shape.dim[0].dim_value = 64
+    shape = onnx.numpy_helper.from_array(np.array([64, 6], np.int64), "shape")
+    graph.initializer.append(shape)
+    graph.node.insert(0, onnx.helper.make_node("Reshape", ["obs", "shape"], ["rows"], name="rows"))
+    graph.node[1].input[0] = "rows"
+
+
 def dynamic_width(graph: onnx.GraphProto) -> None:
     graph.input[0].type.tensor_type.shape.dim[1].dim_param = "n"
 
@@ -459,6 +468,11 @@ def test_critic_is_dropped_when_the_output_is_chosen(kit: Kit) -> None:
             two_actions,
             "outputs are 'act' (4 values), 'actions' (4 values), expected one of 4 values, one a motor",
         ),
+        (
+            fixed_batch,
+            "values it takes: cannot reshape array of size 6 into shape (64,6) (fixed axis 0 of 'obs' to 1 "
+            "(was 64): export it for one observation, [1, n])",
+        ),
         (two_widths, "the input 'obs' has the dynamic shape [batch, n], and its size cannot be told"),
     ],
 )
@@ -470,7 +484,22 @@ def test_model_is_refused_when_its_ends_are_not_one_row(
     assert words in str(caught.value)
 
 
-@pytest.mark.parametrize("edit", [taken_name, dynamic_width])
+def whole_numbers(graph: onnx.GraphProto) -> None:
+    graph.input[0].type.tensor_type.elem_type = onnx.TensorProto.INT64
+    graph.node.insert(0, onnx.helper.make_node("Cast", ["obs"], ["floats"], to=1))
+    graph.node[1].input[0] = "floats"
+
+
+def test_model_is_refused_when_it_observes_whole_numbers(kit: Kit) -> None:
+    with pytest.raises(PolicyError, match="the model's inputs are 'obs', expected an observation of floats"):
+        imported_model(foreign(kit.mlp((6, 8, 4)), whole_numbers), CLAIMS, clip=True)
+
+
+def negative_batch(graph: onnx.GraphProto) -> None:
+    graph.input[0].type.tensor_type.shape.dim[0].dim_value = -1
+
+
+@pytest.mark.parametrize("edit", [taken_name, dynamic_width, negative_batch])
 def test_model_is_adopted_when_a_value_has_the_actions_name_or_the_width_is_open(
     kit: Kit, edit: Callable[[onnx.GraphProto], object]
 ) -> None:
