@@ -65,6 +65,7 @@ class Headers:
     values: dict[str, str]  # name to value, both printable ASCII
     fields: dict[str, tuple[FieldDefinition, ...]]  # of I, P, S, G and H frames, as far as they are whole
     notes: tuple[str, ...]  # what is wrong with them, a line each
+    told: frozenset[str] = frozenset()  # names of values that the user tells, not the file
 
     def integer(self, name: str, default: int) -> int:
         """The number in header `name`, or `default` where there is none."""

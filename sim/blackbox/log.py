@@ -260,7 +260,8 @@ def read_log(
 
 def _told(one: Listed, lines: Mapping[str, str]) -> Listed:
     """A log as if its header had these lines."""
-    return replace(one, headers=replace(one.headers, values={**one.headers.values, **lines}))
+    values = {**one.headers.values, **lines}
+    return replace(one, headers=replace(one.headers, values=values, told=frozenset(lines)))
 
 
 def decode_log(path: Path, data: bytes, one: Listed, progress: Progress = lambda _: None) -> Log:

@@ -67,11 +67,14 @@ def choose(
     gyro: Array | None,
     rows: NDArray[np.bool_],
     rate_hz: float,
+    *,
+    told: bool = False,
 ) -> tuple[Reading, str]:
     """The reading that the gyro follows, and what is to be told of it ("" for nothing).
 
-    sticks (N, 3): rcCommand; rows (N,): in flight and in rate mode. Raises RatesError where the gyro follows
-    none, or several that differ.
+    sticks (N, 3): rcCommand; rows (N,): in flight and in rate mode; told: the rates are the user's word, so
+    that the only reading there is is taken even if the gyro does otherwise. Raises RatesError where the gyro
+    follows none, or several that differ.
     """
     if gyro is None or not rows.any() or not rate_hz:
         return _unproven(readings, sticks, "no row of it is a flight by rates with a gyro")
@@ -85,10 +88,13 @@ def choose(
     if not followed:
         nearest, reading = min(zip(fits, readings, strict=True), key=lambda pair: pair[0].error)
         slopes = ", ".join("-" if one is None else f"{one:.2f}" for one in nearest.slope)
-        raise RatesError(
+        words = (
             f"the gyro does not follow the sticks by {reading.name}: on roll, pitch, yaw it turns {slopes} "
             f"times what they ask for, expected {SLOPE[0]:g} to {SLOPE[1]:g}"
         )
+        if told and len(readings) == 1:
+            return reading, words
+        raise RatesError(words)
     error, best = followed[0]
     for other_error, other in followed[1:]:
         if other_error < CLEARER * error and _differ(best, other, sticks[rows]):

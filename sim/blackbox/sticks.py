@@ -28,6 +28,7 @@ SLACK = 0.115  # of a stick beyond its ends: receivers give, and Betaflight take
 THROTTLE_COUNTS = 1000.0  # of setpoint[3] at full thrust
 ROUNDED_DEG_S = 0.51  # beyond, that a limit is in a log of whole deg/s, or in float32
 AIRBORNE = 0.1  # throttle from which a flight is taken to follow its commands
+TELL_RATES = frozenset(("rates_type", "rates", "pidController"))  # a user who gives one chose the rates
 ANGLE_BITS, ANGLE_FLAGS = 0b110, 0b11  # ANGLE and HORIZON, as boxes and as flags of modes
 
 
@@ -68,13 +69,15 @@ def pilot(log: Log, firmware: Firmware, gyro: Array | None, armed: Rows) -> Pilo
     if throttle is not None:
         steady &= (throttle >= AIRBORNE) & is_stick(throttle)
     try:
-        chosen, note = choose(readings(log.header, firmware), sticks / parts, gyro, steady, log.rate_hz)
+        every = readings(log.header, firmware)
+        told = not TELL_RATES.isdisjoint(log.headers.told)
+        chosen, note = choose(every, sticks / parts, gyro, steady, log.rate_hz, told=told)
     except RatesError as error:
         return Pilot(throttle=throttle, lacks=f"no setpoint[0..3], and {ask_rates(str(error))}")
     rates = chosen.curve(sticks / parts)
     rates[level] = np.nan
-    told = f"no setpoint was logged: rcCommand is flown by {chosen.name} of the header"
-    return Pilot(rates, throttle, f"rcCommand by {chosen.name}", level, f"{told}{note and ', '}{note}")
+    words = f"no setpoint was logged: rcCommand is flown by {chosen.name} of the header"
+    return Pilot(rates, throttle, f"rcCommand by {chosen.name}", level, f"{words}{note and ', '}{note}")
 
 
 def ask_rates(why: str) -> str:

@@ -119,6 +119,8 @@ def _exact(log: Log) -> tuple[Floats, Floats, Floats] | None:
 def _rates(log: Log, name: str, count: float | None, parts: float) -> Floats | None:
     """A gyro's field [rad/s]; count: rad/s of one of its counts, `parts` of which it has."""
     values = log.matrix(name, 3)
+    if values is None and name == "gyroADC":
+        values = log.matrix("gyroData", 3)  # as it was called at first
     return None if values is None or count is None else (values * (count / parts)).astype(np.float32)
 
 

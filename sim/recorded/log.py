@@ -12,6 +12,7 @@ from sim.blackbox.flight import WHOLE, Part, armed_rows, check_sticks
 from sim.blackbox.log import list_logs, read_log
 from sim.blackbox.units import channels
 from sim.recorded.commands import Commands
+from toolchain.contract import RATE_FULL_STICK_DEG_S
 from toolchain.errors import ScenarioError, TraceError
 
 SUFFIXES = (".bbl", ".bfl", ".txt")
@@ -44,7 +45,7 @@ def read_commands(
         asked = flown.pilot
         if asked.rates is None:
             raise TraceError(f"{path}: log {log.number} has {asked.lacks}")
-        check_sticks(log, flown, rows)
+        check_sticks(log, flown, rows, RATE_FULL_STICK_DEG_S)
     except TraceError as error:
         raise ScenarioError(f"recording {error}") from error
     first = int(np.flatnonzero(flown.armed)[0])

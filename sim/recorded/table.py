@@ -31,7 +31,7 @@ from sim.blackbox.flight import WHOLE, Part
 from sim.blackbox.proof import choose
 from sim.blackbox.rates import RatesError, readings
 from sim.blackbox.scales import fine, gyro_count
-from sim.blackbox.sticks import AIRBORNE, ANGLE_BITS, ANGLE_FLAGS, ask_rates
+from sim.blackbox.sticks import AIRBORNE, ANGLE_BITS, ANGLE_FLAGS, TELL_RATES, ask_rates
 from sim.recorded.commands import ROWS_MAX, Commands, Recording, part_of
 from toolchain.contract import CHANNEL_MAX_US, CHANNEL_MIN_US
 from toolchain.errors import ScenarioError
@@ -105,7 +105,9 @@ def parse_table(
         ) / span
     if columns.rates == STICKS:
         gyro = values[:, -3:] / parts if columns.gyro else None
-        rates, note = _by_rates(rates, gyro, throttle >= AIRBORNE, time, columns.settings, level, where)
+        chosen = not TELL_RATES.isdisjoint(told or {})
+        flown = throttle >= AIRBORNE
+        rates, note = _by_rates(rates, gyro, flown, time, columns.settings, level, where, told=chosen)
         notes = (f"{where}: {note}",)
     return part_of(Recording(name, where, time, rates, throttle, notes), part)
 
@@ -118,10 +120,13 @@ def _by_rates(
     settings: Mapping[str, str],
     level: Rows,
     where: str,
+    *,
+    told: bool,
 ) -> tuple[Array, str]:
     """Rates (N, 3) [deg/s] of the sticks by the settings, and what is to be told. Raises ScenarioError.
 
-    gyro (N, 3): its counts; flown (N,): whether there is thrust; level (N,): whether an angle is commanded.
+    gyro (N, 3): its counts; flown (N,): whether there is thrust; level (N,): whether an angle is commanded;
+    told: the user gave the rates.
     """
     whose = firmware(settings)
     count = gyro_count(settings, whose)
@@ -135,11 +140,11 @@ def _by_rates(
     apart = np.diff(time)
     rate_hz = 1.0 / float(np.median(apart)) if (apart > 0).all() else 0.0
     try:
-        chosen, note = choose(readings(settings, whose), sticks, turning, flown, rate_hz)
+        chosen, note = choose(readings(settings, whose), sticks, turning, flown, rate_hz, told=told)
     except RatesError as error:
         raise ScenarioError(f"{where}: no column setpoint[0], and {ask_rates(str(error))}") from error
-    told = f"no column setpoint[0]: rcCommand is flown by {chosen.name}"
-    return chosen.curve(sticks), f"{told}{note and ', '}{note}"
+    words = f"no column setpoint[0]: rcCommand is flown by {chosen.name}"
+    return chosen.curve(sticks), f"{words}{note and ', '}{note}"
 
 
 def _heading(rows: Reader, where: str, told: Mapping[str, str]) -> tuple[list[str], _Columns]:

@@ -94,9 +94,12 @@ def test_maker_and_version_are_those_of_the_header(
         ({"Firmware type": "Cleanflight"}, None),
     ],
 )
-def test_gyro_is_in_its_makers_unit(lines: dict[str, object], deg_s: float | None, tmp_path: Path) -> None:
+@pytest.mark.parametrize("name", ["gyroADC", "gyroData"])
+def test_gyro_is_in_its_makers_unit(
+    name: str, lines: dict[str, object], deg_s: float | None, tmp_path: Path
+) -> None:
     rows = np.column_stack([np.arange(-40, 40) * 41, np.arange(80), np.full(80, -820)])
-    told = units(tmp_path, rows.tolist(), [f"gyroADC[{axis}]" for axis in range(3)], lines)
+    told = units(tmp_path, rows.tolist(), [f"{name}[{axis}]" for axis in range(3)], lines)
     if deg_s is None:
         assert told.gyro is None
         return

@@ -118,10 +118,13 @@ def test_rates_are_held_against_the_gyro_of_the_flight(factor: float, tmp_path: 
             "old.bfl: no setpoint was logged: rcCommand is flown by Betaflight rates of the header",
         )
         return
-    with pytest.raises(
-        ScenarioError, match=r"the gyro does not follow the sticks by Betaflight rates: on roll"
-    ):
+    words = "the gyro does not follow the sticks by Betaflight rates: on roll, pitch, yaw it turns 0.3"
+    with pytest.raises(ScenarioError, match=words):
         load_commands(path)
+    # The user's word counts, and is told to be odd.
+    commands = load_commands(path, told={"rates_type": "0"})
+    assert np.abs(commands.setpoint - rates[10:]).max() < 1e-9
+    assert words in commands.warnings()[0]
 
 
 @pytest.mark.parametrize("mode", [2, 4])
@@ -199,3 +202,46 @@ def test_a_log_that_cannot_be_flown_is_rejected_in_one_line(
         load_commands(path)
     assert message in str(error.value)
     assert "\n" not in str(error.value)
+
+
+def wild(rng: np.random.Generator) -> tuple[bytes, int | None, str]:
+    """A log of any maker whose values may be no sticks', the first armed row that is none, and its word."""
+    rows = int(rng.integers(40, 90))
+    rates, power = rng.integers(-900, 901, (rows, 3)), rng.integers(0, 1001, rows)
+    bad = rng.random(rows) < 0.03
+    fast = bad & (rng.random(rows) < 0.4)
+    far = rng.integers(1400, 1 << 30, rows) * rng.choice([-1, 1], rows)
+    rates[fast, 1], power[bad & ~fast] = far[fast], far[bad & ~fast]
+    kind = int(rng.integers(3))
+    if kind == 0:
+        columns, lines, values = SETPOINTS, BETAFLIGHT, np.column_stack([rates, power])
+    elif kind == 1:  # INAV: targets, and the throttle of the stick
+        columns = [*(Column(f"axisRate[{axis}]") for axis in range(3)), Column("rcCommand[3]")]
+        lines = {"Firmware revision": "INAV 7.1.2 (a) X", "minthrottle": 1000, "maxthrottle": 2000}
+        values = np.column_stack([rates, 1000 + power])
+    else:  # sticks: their rates end at 955 deg/s, so that only the throttle can be none
+        columns, lines = STICKS, OLD
+        values = np.column_stack([np.clip(rates, -500, 500), 1000 + power])
+        fast, bad = np.zeros(rows, bool), (power < 0) | (power > 1000)
+    first = fast[10:] if fast[10:].any() else bad[10:]
+    row = 10 + int(first.argmax()) if first.any() else None
+    return log(columns, values.tolist(), **lines), row, "turn at" if fast[10:].any() else "the throttle is"
+
+
+@pytest.mark.parametrize("count", [60, pytest.param(1000, marks=pytest.mark.slow)])
+def test_no_log_is_flown_from_a_value_that_is_no_stick(count: int, tmp_path: Path) -> None:
+    rng = np.random.default_rng(20260928)
+    path = tmp_path / "LOG00001.BFL"
+    refused = 0
+    for _ in range(count):
+        data, row, word = wild(rng)
+        path.write_bytes(data)
+        if row is None:
+            scenario, _ = load_flight(str(path), seed=1, count=1)
+            assert max(abs(rate) for one in scenario.segments for rate in one.setpoint_deg_s) <= 1000
+            continue
+        refused += 1
+        with pytest.raises(ScenarioError) as error:
+            load_flight(str(path), seed=1, count=1)
+        assert f"in row {row} ({(row - 10) / 1000:.3f} s)" in str(error.value) and word in str(error.value)
+    assert count / 4 < refused < count
