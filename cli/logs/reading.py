@@ -46,6 +46,17 @@ def add_header_argument(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_recording_arguments(parser: argparse.ArgumentParser) -> None:
+    """--from, --to, --header and --cut-rates, of recorded commands."""
+    add_part_arguments(parser, "the first command, of recorded ones")
+    add_header_argument(parser)
+    parser.add_argument(
+        "--cut-rates",
+        action="store_true",
+        help="fly recorded rates beyond full stick (1000 deg/s) as full stick, rather than refuse them",
+    )
+
+
 def header_lines(args: argparse.Namespace) -> dict[str, str]:
     """What --header tells, by name. Raises NeuroflightError where it is no header line."""
     found = {}

@@ -9,7 +9,7 @@ from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cli.logs.reading import add_header_argument, add_part_arguments, header_lines, part
+from cli.logs.reading import add_recording_arguments, header_lines, part
 from cli.sim.fly_blackbox import add_blackbox_argument, check_blackbox
 from cli.sim.fly_emulator import (
     add_emulator_arguments,
@@ -75,8 +75,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "(.npz), a table (.csv), a blackbox log (.bbl, .bfl, .txt; FILE:N for its log N); of several only "
         "the firmware's flights, a row each",
     )
-    add_part_arguments(parser, "the first command, of recorded ones")
-    add_header_argument(parser)
+    add_recording_arguments(parser)
     parser.add_argument("--seed", type=int, default=1, metavar="S", help="of commands, noise and bias")
     parser.add_argument(
         "--count",
@@ -199,7 +198,7 @@ def _scenarios(args: argparse.Namespace) -> list[Scenario]:
     taken, told = part(args), header_lines(args)
     scenarios = []
     for name in args.scenario:
-        scenario, warnings = load_flight(name, args.seed, count, mount, taken, told)
+        scenario, warnings = load_flight(name, args.seed, count, mount, taken, told, cut=args.cut_rates)
         scenarios.append(scenario)
         for words in warnings:
             say(words)

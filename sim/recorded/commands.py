@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.blackbox.flight import WHOLE, Part, part_rows
-from sim.blackbox.sticks import check
+from sim.blackbox.sticks import RATE_MOST_DEG_S, beyond, check
 from sim.control import sticks
 from sim.flight.scenario import Scenario, Segment
 from sim.physics.world import Mount
@@ -28,7 +28,7 @@ class Commands:
     """N commands; each holds from its time to the next, the last for the median of these times.
 
     What no stick gives, or only one that turns faster than ours at its end, is refused: nothing is flown that
-    the pilot did not ask for.
+    the pilot did not ask for. The latter may be cut to full stick, if the user asks for that.
     """
 
     name: str  # of the file, without its suffix
@@ -38,6 +38,7 @@ class Commands:
     notes: tuple[str, ...] = ()  # what the user must know of how they were read, a sentence each
     first_row: int = 0  # of the recording, that they begin with
     since_s: float = 0.0  # seconds of the recording before them
+    cut: bool = False  # rates beyond full stick to full stick
 
     def __post_init__(self) -> None:
         """Raises ScenarioError, beginning with the name, on commands that cannot be flown."""
@@ -62,10 +63,19 @@ class Commands:
                 f"{self.name}: {self.length_s:g} s of commands, expected at most {LENGTH_MAX_S:g}; cut it"
             )
         full, seconds = float(RATE_FULL_STICK_DEG_S), self.time - self.time[0] + self.since_s
+        most = RATE_MOST_DEG_S if self.cut else full
         try:
-            check(self.name, self.setpoint, self.throttle, seconds, self.first_row, full)
+            check(self.name, self.setpoint, self.throttle, seconds, self.first_row, most)
         except TraceError as error:
-            raise ScenarioError(str(error)) from error
+            cut = (
+                ""
+                if self.cut or "is asked to turn" not in str(error)
+                else ", or fly full stick by --cut-rates"
+            )
+            raise ScenarioError(f"{error}{cut}") from error
+        if count := int(beyond(self.setpoint, full).sum()):
+            words = f"{self.name}: {count} of {rows} commands ask for more than full stick: flown as {full:g} deg/s"
+            object.__setattr__(self, "notes", (*self.notes, words))
         object.__setattr__(self, "setpoint", self.setpoint.clip(-full, full))
         object.__setattr__(self, "throttle", self.throttle.clip(0.0, 1.0))
 
@@ -106,8 +116,11 @@ class Recording:
     notes: tuple[str, ...] = ()
 
 
-def part_of(whole: Recording, part: Part) -> Commands:
-    """The commands of a part of a recording, seconds since its first row. Raises ScenarioError."""
+def part_of(whole: Recording, part: Part, *, cut: bool = False) -> Commands:
+    """The commands of a part of a recording, seconds since its first row; cut: see Commands.
+
+    Raises ScenarioError.
+    """
     rows = slice(0, len(whole.time))
     try:
         if part != WHOLE and len(whole.time):
@@ -121,6 +134,7 @@ def part_of(whole: Recording, part: Part) -> Commands:
             whole.notes,
             rows.start,
             since_s,
+            cut,
         )
     except (ScenarioError, TraceError) as error:
         raise ScenarioError(f"{whole.where}: {str(error).removeprefix(f'{whole.name}: ')}") from error

@@ -33,11 +33,14 @@ def is_recording(name: str) -> bool:
     return split_number(Path(name))[0].suffix.lower() in SUFFIXES
 
 
-def load_commands(path: Path, part: Part = WHOLE, told: Mapping[str, str] | None = None) -> Commands:
+def load_commands(
+    path: Path, part: Part = WHOLE, told: Mapping[str, str] | None = None, *, cut: bool = False
+) -> Commands:
     """The commands of an archive, a table or a log; FILE:N is log N of the file, from 1.
 
-    part: that is taken; told: header lines of a log that the user tells, by name. Raises ScenarioError on a
-    file that is missing, damaged or none of these, or asks for what no stick gives.
+    part: that is taken; told: header lines of a log that the user tells, by name; cut: rates beyond full
+    stick to full stick. Raises ScenarioError on a file that is missing, damaged or none of these, or asks for
+    what no stick gives.
     """
     path, number = split_number(path)
     where = f"recording {path}"
@@ -46,14 +49,14 @@ def load_commands(path: Path, part: Part = WHOLE, told: Mapping[str, str] | None
         if "\0" in str(path) or not path.is_file():
             raise ScenarioError(f"{where}: no such file; give the path of a file of {', '.join(SUFFIXES)}")
         if suffix in LOG_SUFFIXES:
-            return read_commands(path, number, part, told)
+            return read_commands(path, number, part, told, cut=cut)
         if suffix not in BYTES_MAX:
             raise ScenarioError(f"{where}: expected a file of {', '.join(SUFFIXES)}")
         if (size := file_size(path)) > BYTES_MAX[suffix]:
             raise ScenarioError(f"{where}: {size} bytes, expected at most {BYTES_MAX[suffix]}; cut it")
         if suffix == NPZ:
-            return _from_arrays(path, where, part)
-        return parse_table(path.read_bytes(), where, path.stem, part, told)
+            return _from_arrays(path, where, part, cut=cut)
+        return parse_table(path.read_bytes(), where, path.stem, part, told, cut=cut)
     except OSError as error:
         raise ScenarioError(f"{where}: cannot be read: {error}") from error
 
@@ -65,22 +68,26 @@ def load_flight(
     mount: Mount | None = None,
     part: Part = WHOLE,
     told: Mapping[str, str] | None = None,
+    *,
+    cut: bool = False,
 ) -> tuple[Scenario, tuple[str, ...]]:
     """A scenario by name, from its file, or of recorded commands, and what the user must know of it.
 
-    part, told: of recorded commands, as `load_commands` takes them.
+    part, told, cut: of recorded commands, as `load_commands` takes them.
 
     Raises ScenarioError as `load_scenario` and `load_commands` do.
     """
     if not is_recording(name):
-        if part != WHOLE or told:
-            raise ScenarioError(f"--from, --to and --header: of recorded commands, got the scenario {name}")
+        if part != WHOLE or told or cut:
+            raise ScenarioError(
+                f"--from, --to, --header and --cut-rates: of recorded commands, got the scenario {name}"
+            )
         return load_scenario(name, seed, count, mount), ()
-    commands = load_commands(Path(name), part, told)
+    commands = load_commands(Path(name), part, told, cut=cut)
     return commands.scenario(mount), commands.warnings()
 
 
-def _from_arrays(path: Path, where: str, part: Part) -> Commands:
+def _from_arrays(path: Path, where: str, part: Part, *, cut: bool) -> Commands:
     """A trace, or an archive with t [s], setpoint [rad/s] or setpoint_deg_s, and throttle if it has it."""
     try:
         with zipfile.ZipFile(path):
@@ -99,7 +106,7 @@ def _from_arrays(path: Path, where: str, part: Part) -> Commands:
     except _DAMAGED as error:
         reason = " ".join(str(error).split())
         raise ScenarioError(f"{where}: damaged or no .npz file ({reason}); record it anew") from error
-    return part_of(Recording(path.stem, where, time, setpoint, throttle), part)
+    return part_of(Recording(path.stem, where, time, setpoint, throttle), part, cut=cut)
 
 
 def _array(archive: np.lib.npyio.NpzFile, name: str, where: str) -> NDArray[np.float64]:

@@ -12,7 +12,6 @@ from sim.blackbox.flight import WHOLE, Part, armed_rows, check_sticks
 from sim.blackbox.log import list_logs, read_log
 from sim.blackbox.units import channels
 from sim.recorded.commands import Commands
-from toolchain.contract import RATE_FULL_STICK_DEG_S
 from toolchain.errors import ScenarioError, TraceError
 
 SUFFIXES = (".bbl", ".bfl", ".txt")
@@ -28,11 +27,17 @@ def split_number(path: Path) -> tuple[Path, int | None]:
 
 
 def read_commands(
-    path: Path, number: int | None, part: Part = WHOLE, told: Mapping[str, str] | None = None
+    path: Path,
+    number: int | None,
+    part: Part = WHOLE,
+    told: Mapping[str, str] | None = None,
+    *,
+    cut: bool = False,
 ) -> Commands:
     """The commands of log `number` of a file; None: the last that has frames. Raises ScenarioError.
 
-    They are the setpoints of its armed rows, of `part` of them. told: header lines that the user tells.
+    They are the setpoints of its armed rows, of `part` of them. told: header lines that the user tells; cut:
+    see Commands.
     """
     where = f"recording {path}"
     try:
@@ -45,7 +50,8 @@ def read_commands(
         asked = flown.pilot
         if asked.rates is None:
             raise TraceError(f"{path}: log {log.number} has {asked.lacks}")
-        check_sticks(log, flown, rows, RATE_FULL_STICK_DEG_S)
+        if np.isnan(asked.rates[rows]).any():
+            check_sticks(log, flown, rows)
     except TraceError as error:
         raise ScenarioError(f"recording {error}") from error
     first = int(np.flatnonzero(flown.armed)[0])
@@ -64,7 +70,7 @@ def read_commands(
     name, since_s = path.stem, float(seconds[0])
     try:
         return Commands(
-            name, seconds - since_s, asked.rates[rows], throttle[rows], tuple(notes), rows.start, since_s
+            name, seconds - since_s, asked.rates[rows], throttle[rows], tuple(notes), rows.start, since_s, cut
         )
     except ScenarioError as error:
         raise ScenarioError(f"{where}: log {log.number}: {str(error).removeprefix(f'{name}: ')}") from error

@@ -81,11 +81,17 @@ class _Columns:
 
 
 def parse_table(
-    data: bytes, where: str, name: str, part: Part = WHOLE, told: Mapping[str, str] | None = None
+    data: bytes,
+    where: str,
+    name: str,
+    part: Part = WHOLE,
+    told: Mapping[str, str] | None = None,
+    *,
+    cut: bool = False,
 ) -> Commands:
     """Commands of the bytes of a CSV file; `where` names it in messages. Raises ScenarioError.
 
-    part: that is taken; told: settings of the log that the user tells, by name.
+    part: that is taken; told: settings of the log that the user tells, by name; cut: see Commands.
     """
     try:
         rows = csv.reader(io.StringIO(data.decode("utf-8-sig"), newline=""), strict=True)
@@ -109,7 +115,7 @@ def parse_table(
         flown = throttle >= AIRBORNE
         rates, note = _by_rates(rates, gyro, flown, time, columns.settings, level, where, told=chosen)
         notes = (f"{where}: {note}",)
-    return part_of(Recording(name, where, time, rates, throttle, notes), part)
+    return part_of(Recording(name, where, time, rates, throttle, notes), part, cut=cut)
 
 
 def _by_rates(

@@ -62,7 +62,10 @@ def test_compare_flies_the_recording_with_every_controller(recording: Path, caps
         (["--commands", "{}", "--piece", "0.01"], "--piece 0.01, expected 0.1 to 3600"),
         (["--commands", "{}.nothing"], "recording {}.nothing: no such file"),
         (["--piece", "3"], "--piece: cuts recorded commands; give them with --commands"),
-        (["--from", "1"], "--from, --to, --header: of recorded commands; give them with --commands"),
+        (
+            ["--from", "1"],
+            "--from, --to, --header, --cut-rates: of recorded commands; give them with --commands",
+        ),
         (["--commands", "{}", "--from", "9"], "pilot has no row from 9 s to its end; it is 3.000 s long"),
         (["--commands", "{}", "--header", "rates"], "--header: got 'rates', expected NAME=VALUE"),
     ],
@@ -94,4 +97,7 @@ def test_a_flight_is_refused_with_its_row_and_flown_around_it(recording: Path, c
     assert main([*words, "--from", "1.51"]) == 0
     capsys.readouterr()
     assert main(["fly", "--scenario", "roll", "--from", "1"]) == 1
-    assert "--from, --to and --header: of recorded commands, got the scenario roll" in capsys.readouterr().err
+    assert (
+        "--from, --to, --header and --cut-rates: of recorded commands, got the scenario roll"
+        in capsys.readouterr().err
+    )

@@ -10,6 +10,7 @@ from sim.flight.trace import save_trace
 from sim.ports.library import ReferencePort
 from sim.recorded.files import load_flight
 from tests.flights.conftest import Flown
+from toolchain.errors import ScenarioError
 
 # Changes that come faster than SBUS can send them, and throttle from the first segment on.
 SCENARIO = Scenario(
@@ -40,7 +41,9 @@ def test_a_flight_does_not_end_when_a_command_is_beyond_full_stick(
 ) -> None:
     path = tmp_path / "fast.npz"
     np.savez(path, t=[0.0, 0.02], setpoint_deg_s=np.array([[0, 0, 0], [rate, 0, 0]]))
-    scenario, [words] = load_flight(str(path), seed=1, count=1)
+    with pytest.raises(ScenarioError, match=r"expected at most 1000; .* or fly full stick by --cut-rates"):
+        load_flight(str(path), seed=1, count=1)
+    scenario, [words] = load_flight(str(path), seed=1, count=1, cut=True)
     trace = flown(ReferencePort(reference_library, 4000), scenario)
     assert np.rad2deg(trace.setpoint[-1, 0]) == pytest.approx(np.sign(rate) * 1000.0)
     assert "more than full stick" in words

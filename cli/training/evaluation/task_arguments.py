@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cli.logs.reading import add_header_argument, add_part_arguments, header_lines, part
+from cli.logs.reading import add_recording_arguments, header_lines, part
 from cli.training.evaluation.ranges import check_ranges
 
 if TYPE_CHECKING:
@@ -63,8 +63,7 @@ def add_task_arguments(parser: argparse.ArgumentParser, episodes: int) -> None:
         help="fly these recorded commands instead: a trace (.npz), a table (.csv), a blackbox log (.bbl, "
         ".bfl, .txt; FILE:N for its log N)",
     )
-    add_part_arguments(parser, "the first command, of recorded ones")
-    add_header_argument(parser)
+    add_recording_arguments(parser)
     parser.add_argument(
         "--piece",
         type=float,
@@ -83,8 +82,10 @@ def task_of(args: argparse.Namespace) -> tuple[Task, int]:
     if args.commands is None:
         if args.piece is not None:
             raise TrainingError("--piece: cuts recorded commands; give them with --commands")
-        if args.header or args.start or args.stop is not None:
-            raise TrainingError("--from, --to, --header: of recorded commands; give them with --commands")
+        if args.header or args.start or args.stop is not None or args.cut_rates:
+            raise TrainingError(
+                "--from, --to, --header, --cut-rates: of recorded commands; give them with --commands"
+            )
         task = _commanded(args)
         episodes = args.episodes_default
         if args.named_command is not None:
@@ -153,7 +154,7 @@ def _pieces(args: argparse.Namespace) -> RecordedPieces:
     from sim.recorded.files import load_commands
     from training.tasks.pieces import RecordedPieces
 
-    recorded = load_commands(args.commands, part(args), header_lines(args))
+    recorded = load_commands(args.commands, part(args), header_lines(args), cut=args.cut_rates)
     for words in recorded.warnings():
         print(words, file=sys.stderr)
     piece_s = PIECE_S if args.piece is None else args.piece
