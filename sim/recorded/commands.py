@@ -63,19 +63,16 @@ class Commands:
                 f"{self.name}: {self.length_s:g} s of commands, expected at most {LENGTH_MAX_S:g}; cut it"
             )
         full, seconds = float(RATE_FULL_STICK_DEG_S), self.time - self.time[0] + self.since_s
+        fast = int(beyond(self.setpoint, full).sum())
         most = RATE_MOST_DEG_S if self.cut else full
         try:
             check(self.name, self.setpoint, self.throttle, seconds, self.first_row, most)
         except TraceError as error:
-            cut = (
-                ""
-                if self.cut or "is asked to turn" not in str(error)
-                else ", or fly full stick by --cut-rates"
-            )
-            raise ScenarioError(f"{error}{cut}") from error
-        if count := int(beyond(self.setpoint, full).sum()):
-            words = f"{self.name}: {count} of {rows} commands ask for more than full stick: flown as {full:g} deg/s"
-            object.__setattr__(self, "notes", (*self.notes, words))
+            mend = ", or fly full stick by --cut-rates" if fast and not self.cut else ""
+            raise ScenarioError(f"{error}{mend}") from error
+        if fast:
+            words = f"{fast} of {rows} commands ask for more than full stick: flown as {full:g} deg/s"
+            object.__setattr__(self, "notes", (*self.notes, f"{self.name}: {words}"))
         object.__setattr__(self, "setpoint", self.setpoint.clip(-full, full))
         object.__setattr__(self, "throttle", self.throttle.clip(0.0, 1.0))
 
