@@ -76,7 +76,7 @@ class Log:
         Where the log has none it is that of steps of `looptime`, or of 1 ms where that is not told either.
         """
         if (time := self.columns.get("time")) is not None:
-            return time
+            return _spread(time)
         steps = self.columns.get("loopIteration", np.arange(len(self), dtype=np.int64))
         return steps * max(1, self.headers.integer("looptime", 1000))
 
@@ -146,6 +146,17 @@ class Log:
             return None
         index = np.searchsorted(self.slow_row, np.arange(len(self)), side="right") - 1
         return values[np.maximum(index, 0)]
+
+
+def _spread(time: Integers) -> Integers:
+    """Return `time`, rows of a coarse clock that have the same spread evenly up to the next."""
+    moves = np.flatnonzero(np.diff(time, prepend=time[:1] - 1))
+    if len(moves) == len(time) or len(moves) < 2:
+        return time
+    told, rows = time[moves], [*moves, len(time)]
+    usual = np.median(np.diff(told) / np.diff(moves))
+    clock = [*told, told[-1] + usual * (len(time) - moves[-1])]
+    return np.asarray(np.interp(np.arange(len(time)), rows, clock), np.int64)
 
 
 def words(column: Integers) -> NDArray[np.uint32]:

@@ -119,6 +119,16 @@ def test_time_is_the_logs_own_clock_in_every_command_when_rows_come_unevenly(
         assert flown.time[-1] - flown.time[0] == pytest.approx(length)
 
 
+def test_rows_of_a_coarse_clock_lie_between_its_ticks(tmp_path: Path) -> None:
+    """Four rows each millisecond, of a clock that counts milliseconds."""
+    rows = STEPS + 2 * LEAD
+    clock = 5_000_000 + np.arange(rows) // 4 * 1000
+    log = read_log(save(tmp_path, log_of(trace(STEPS, rate_hz=4000), clock=clock.tolist())))
+    assert log.columns["time"].tolist() == clock.tolist()
+    assert (log.time_us == 5_000_000 + np.arange(rows) * 250).all()
+    assert log_trace(log).control_rate_hz == 4000
+
+
 def test_one_line_names_what_lacks_when_a_log_has_no_figures(tmp_path: Path) -> None:
     data = log_of(trace(100), exact=False).replace(b"gyroADC[", b"gyroXYZ[")
     log = read_log(save(tmp_path, data))
