@@ -19,7 +19,7 @@ from toolchain.policy.foreign_model import keep_outputs, listed
 from toolchain.reader.cells import Cell, find_cells
 from toolchain.reader.graph import read_nodes
 from toolchain.reader.recurrent import GATE_OPEN
-from toolchain.reader.values import MULTIPLY_ADDS_MAX, Builder, Row, Unread, Value, printable, shown
+from toolchain.reader.values import MULTIPLY_ADDS_MAX, Builder, Row, Unread, Value, label, printable, shown
 
 CRITICS = 8  # times as large as a policy may be what is read before it is known which output is the action
 
@@ -76,6 +76,7 @@ def read_foreign(model: onnx.ModelProto, ends: Ends) -> Adopted:
         action = _action(reading, name, states)
     except PolicyError as error:
         raise _of_one_observation(error, fixed) from error
+    changes += _left_out(model, reading)
     changes += _told(reading, action, states)
     names, more = _observed(reading, action, name)
     changes += more
@@ -109,6 +110,17 @@ def _needed_states(reading: _Reading, action: _Action, states: Mapping[str, str]
     """Those of `states` that the action has to do with: no critic's."""
     carried = {reading.names[number] for cell in action.cells for number in cell.states}
     return {name: after for name, after in states.items() if name in carried or name in action.failed}
+
+
+def _left_out(model: onnx.ModelProto, reading: _Reading) -> list[str]:
+    """A line about the nodes whose values could not be read, and need not be."""
+    nodes = []
+    for node in model.graph.node:
+        values = [reading.values.get(name) for name in node.output]
+        if any(isinstance(value, Unread) and value.error is not None for value in values):
+            nodes.append(label(node))
+    more = f" and {len(nodes) - 1} more" if len(nodes) > 1 else ""
+    return [f"left out {nodes[0]}{more}: nothing but a shape is read of what they compute"] if nodes else []
 
 
 def _of_one_observation(error: PolicyError, fixed: Sequence[str]) -> PolicyError:

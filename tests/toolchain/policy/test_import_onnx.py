@@ -616,6 +616,15 @@ def unread_state(graph: onnx.GraphProto) -> None:
     graph.node.append(onnx.helper.make_node("Identity", ["state_ins"], ["state_outs"]))
 
 
+def shape_of_a_spread(graph: onnx.GraphProto) -> None:
+    """The shape of e^x, which no policy computes: as Stable-Baselines3's SAC is exported."""
+    helper, name = onnx.helper, graph.node[-2].output[0]
+    graph.node.insert(-1, helper.make_node("Exp", [name], ["spread"], name="exp"))
+    graph.node.insert(-1, helper.make_node("Shape", ["spread"], ["shape"]))
+    graph.node.insert(-1, helper.make_node("Expand", [name, "shape"], ["wide"]))
+    graph.node[-1].input[0] = "wide"
+
+
 def foreign_branch(graph: onnx.GraphProto) -> None:
     """A node of an operator that nobody knows, without a taker."""
     graph.node.append(onnx.helper.make_node("Unheard", [graph.node[0].output[0]], ["lost"], domain="else"))
@@ -625,6 +634,7 @@ def foreign_branch(graph: onnx.GraphProto) -> None:
     ("edit", "words"),
     [
         (unread_state, "dropped the input 'state_ins': the action does not depend on it"),
+        (shape_of_a_spread, "left out node 'exp' (Exp): nothing but a shape is read of what they compute"),
         (foreign_branch, "dropped 1 node(s) that no output needs"),
     ],
 )
