@@ -119,6 +119,8 @@ ACCEPTED: dict[str, str] = {
     "Softmax of groups": "p = Reshape(observation, cube) q = Softmax(p) x = Reshape(q, row) " + END,
     "Softmax of groups that lie apart": "p = Reshape(observation, cube) q = Softmax<axis=1>(p) "
     "x = Reshape(q, row) " + END,
+    "the RMS norm of what is part of another pattern": "p = Abs(observation) q = Mul(p, p) "
+    "s = ReduceMean<axes=[-1]>(q) e = Add(s, epsilon) r = Sqrt(e) x = Div(p, r) " + END,
     "LogSigmoid": "p = Sigmoid(observation) x = Log(p) " + END,
     "Where of zero": "g = Greater(observation, half) x = Where(g, observation, zero) " + END,
     "Where": "p = Tanh(observation) g = GreaterOrEqual(observation, p) q = Neg(p) x = Where(g, q, six) "
