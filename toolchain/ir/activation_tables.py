@@ -11,7 +11,7 @@ prove`):
           bytes   worst ulp         worst absolute   at the limits                falls by
     TANH  2288    2.33 (x = 1.874)  1.39e-7          1 from 8.875 on, exactly     3 ulp
     EXPM1 2160    2.23 (x = -3.63)  1.33e-7          -1 from -16.75 on, exactly   3 ulp
-    ERF   1008    2.21 (x = 3.557)  1.32e-7          1 from 3.875 on, exactly     3 ulp
+    ERF   1008    2.46 (x = 0.0017) 1.33e-7          1 from 3.875 on, exactly     3 ulp
     SOFTPLUS 2576 2.05 (x = 14.63)  5.03e-8          2.1e-9 from 20 on            (an even one)
 
 No result lies beyond 1. As |x| grows, a result may lie below the largest so far by as much as the last column

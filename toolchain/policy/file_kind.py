@@ -28,6 +28,7 @@ STARTS = (
     (b"\xfd7zXZ", "compressed with xz; unpack it first"),
     (b"BZh", "compressed with bzip2; unpack it first"),
     (b"\x28\xb5\x2f\xfd", "compressed with zstd; unpack it first"),
+    (b"Rar!", "a RAR archive; unpack it first"),
     (b"7z\xbc\xaf", "a 7-Zip archive; unpack it first"),
     (b"\x7fELF", "a compiled program or library; freeze the ONNX model that it was made from"),
     (b"ftrt", "a TensorRT engine; freeze the ONNX model that it was built from"),
@@ -41,6 +42,10 @@ IDENTIFIERS = {  # of flatbuffers, at byte 4
 }
 ARCHIVES = (  # an entry's name, or its end, and what the archive is then
     ("/constants.pkl", "a TorchScript archive; load it with torch.jit.load and " + TORCH_EXPORT),
+    (
+        "models/model.json",
+        "a program of torch.export (.pt2); load it with torch.export.load and give it to torch.onnx.export",
+    ),
     (
         "policy.pth",
         "a model of Stable-Baselines3 (.zip); export its actor as ONNX: docs/policies.md has the lines",
@@ -64,6 +69,8 @@ def foreign_kind(data: bytes) -> str | None:
         return IDENTIFIERS[data[4:8]]
     if data.startswith(b"PK"):
         return _archive(data)
+    if data[257:262] == b"ustar":
+        return "a tar archive; unpack it first"
     if (
         len(data) > 8
         and data[8:9] == b"{"

@@ -7,6 +7,7 @@
     PReLU       LeakyReLU, or max(x, 0) + slope min(x, 0) where each value has a slope of its own
     HardSwish   x HardSigmoid(x)
     Swish       x sigmoid(alpha x)
+    LogSigmoid  -log(1 + e^-x)
 
 What an exporter writes in parts comes to the same nodes without being known for what it is.
 """
@@ -32,7 +33,7 @@ from toolchain.ir.operations import (
     Softplus,
     Tanh,
 )
-from toolchain.reader.arithmetic import mapped
+from toolchain.reader.arithmetic import constant_row, mapped
 from toolchain.reader.values import Builder, Call, Row, joint_shape
 
 GELU_CUBE = 0.044715  # of GELU's tanh form, in ONNX as in torch and JAX
@@ -118,7 +119,7 @@ def read_thresholded(build: Builder, call: Call) -> Row:
     if alpha == 0:
         return _then(build, call, Relu(), row)
     above = mapped(build, call, row, 1.0, -alpha, row.shape)
-    return _then(build, call, Select(), above, row, _scaled(build, call, row, 0.0))
+    return _then(build, call, Select(), above, row, constant_row(build, call, row, np.zeros(row.width)))
 
 
 def read_power(build: Builder, call: Call) -> Row:
@@ -128,6 +129,16 @@ def read_power(build: Builder, call: Call) -> Row:
         raise call.error("raises to another power than 2 or 3, expected one of these")
     square = _then(build, call, Multiply(), row, row)
     return square if power.flat[0] == 2 else _then(build, call, Multiply(), square, row)
+
+
+def read_log(build: Builder, call: Call) -> Row:
+    """Read Log of a sigmoid: -log(1 + e^-x)."""
+    row = call.row()
+    node = build.operation(row)
+    if node is None or node.operation != Sigmoid():
+        raise call.error("takes the logarithm of what is no Sigmoid, which is not supported")
+    inner = _scaled(build, call, Row(node.inputs[0], row.shape), -1.0)
+    return _scaled(build, call, _then(build, call, Softplus(), inner), -1.0)
 
 
 def _hard_sigmoid(build: Builder, call: Call, alpha: float, beta: float) -> Row:

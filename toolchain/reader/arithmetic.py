@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from toolchain.ir.operations import Add, Affine, Linear, Multiply, Sigmoid, Silu, Tanh
+from toolchain.ir.operations import Add, Affine, Clip, Linear, Multiply, Sigmoid, Silu, Tanh
 from toolchain.reader.constants import CONSTANT_STATE
 from toolchain.reader.values import Array, Builder, Call, Row, joint_shape
 
@@ -169,6 +169,17 @@ def reduced_axes(call: Call, row: Row) -> list[int]:
     if not all(-len(row.shape) <= axis < len(row.shape) for axis in axes):
         raise call.error(f"reduces axes {list(axes)} of a value of shape {list(row.shape)}")
     return sorted({axis % len(row.shape) for axis in axes})
+
+
+def constant_row(build: Builder, call: Call, like: Row, values: Float64) -> Row:
+    """Values that nothing changes, in the shape of `like`: bounds that leave one, and what differs added.
+
+    Not as a product with zeros, which is what a recurrent cell leaves whose state became a constant.
+    """
+    same = bool((values == values[0]).all())
+    bound = float(np.float32(values[0])) if same else 0.0
+    row = build.append(call, Clip(bound, bound), like, shape=like.shape)
+    return row if same else mapped(build, call, row, 1.0, values, like.shape)
 
 
 def read_negative(build: Builder, call: Call) -> Row:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from toolchain.ir.operations import Add, Affine, Operation, Select, Softplus
-from toolchain.reader.arithmetic import mapped
+from toolchain.reader.arithmetic import constant_row, mapped
 from toolchain.reader.values import Array, Builder, Call, Condition, Row, Value, joint_shape
 
 # Above it the log(1 + e^x) that exporters take for x is x: e^-16 is 1 / 9 of a float32's last place at 16.
@@ -40,6 +40,8 @@ def _mixed(build: Builder, call: Call, chosen: Array) -> Row:
     shape = joint_shape(call, chosen.shape, *(v.shape for v in values if isinstance(v, Row | np.ndarray)))
     like = build.broadcast(call, like, shape)
     taken = np.broadcast_to(chosen, shape).ravel().astype(np.float64)
+    if (taken == taken[0]).all():
+        return _row(build, call, values[0] if taken[0] else values[1], like, shape)
     first, second = (_row(build, call, value, like, shape) for value in values)
     parts = (
         mapped(build, call, row, kept, 0.0, shape) for row, kept in ((first, taken), (second, 1 - taken))
@@ -51,7 +53,7 @@ def read_mask(build: Builder, call: Call, condition: Condition) -> Row:
     """Read a Cast of a comparison to float32: 1 where it holds, else 0."""
     row = condition.row
     first, second = (0.0, 1.0) if condition.negated else (1.0, 0.0)
-    constants = (mapped(build, call, row, 0.0, value, row.shape) for value in (first, second))
+    constants = (constant_row(build, call, row, np.full(row.width, value)) for value in (first, second))
     return build.append(call, Select(), row, *constants, shape=row.shape)
 
 
@@ -61,8 +63,7 @@ def _row(build: Builder, call: Call, value: Value | None, like: Row, shape: tupl
         return build.broadcast(call, value, shape)
     if not isinstance(value, np.ndarray) or value.dtype.kind != "f" or not np.isfinite(value).all():
         raise call.error("chooses between others than values and finite float32 constants")
-    constant = np.broadcast_to(value, shape).ravel().astype(np.float64)
-    return mapped(build, call, like, 0.0, constant, shape)
+    return constant_row(build, call, like, np.broadcast_to(value, shape).ravel().astype(np.float64))
 
 
 def _softplus(build: Builder, condition: Condition, first: Value | None, second: Value | None) -> Row | None:

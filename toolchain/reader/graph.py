@@ -16,7 +16,7 @@ from toolchain.reader.checks import action_width, check_model, observation_width
 from toolchain.reader.constants import array, fold
 from toolchain.reader.operators import KNOWN, OPERATORS
 from toolchain.reader.output_range import bounded
-from toolchain.reader.patterns import STARTS, computed, read_part
+from toolchain.reader.patterns import STARTS, computed, read_pattern
 from toolchain.reader.values import (
     WIDTH_MAX,
     Builder,
@@ -122,7 +122,7 @@ def _read(build: Builder, call: Call) -> tuple[Value, ...]:
         return (_constant(call),)
     if (call.operator == "Shape" and Part not in kinds) or not kinds & {Row, Part, Condition}:
         result = fold(call)
-    elif (Part in kinds or call.operator in STARTS) and (part := read_part(build, call)) is not None:
+    elif (Part in kinds or call.operator in STARTS) and (part := read_pattern(build, call)) is not None:
         result = part
     elif call.operator in OPERATORS:
         result = OPERATORS[call.operator](build, computed(build, call))

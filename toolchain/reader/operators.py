@@ -31,6 +31,7 @@ from toolchain.reader.activations import (
     read_gelu,
     read_hard_sigmoid,
     read_hard_swish,
+    read_log,
     read_mish,
     read_power,
     read_prelu,
@@ -107,12 +108,17 @@ def _clipped(build: Builder, call: Call, row: Row, low: float | None, high: floa
 
 
 def _softmax(build: Builder, call: Call) -> Row:
+    """Over all values, or over each of the groups that an axis makes of them."""
     row, axis = call.row(), call.attributes.get("axis", -1)
-    if not -len(row.shape) <= axis < len(row.shape) or row.shape[axis] != row.width:
-        raise call.error(
-            f"shares out axis {axis} of a value of shape {list(row.shape)}, expected all of its values"
-        )
-    return build.append(call, Softmax(), row, shape=row.shape)
+    if not -len(row.shape) <= axis < len(row.shape):
+        raise call.error(f"shares out axis {axis} of a value of shape {list(row.shape)}")
+    if row.shape[axis] == row.width:
+        return build.append(call, Softmax(), row, shape=row.shape)
+    groups = np.moveaxis(row.places, axis, -1).reshape(-1, row.shape[axis])
+    parts = [build.arranged(call, row, group) for group in groups]
+    shares = [build.append(call, Softmax(), part, shape=part.shape) for part in parts]
+    joined = build.append(call, Concat(), *shares, shape=(row.width,))
+    return build.arranged(call, joined, np.argsort(groups.ravel()).reshape(row.shape))
 
 
 def _norm(build: Builder, call: Call) -> tuple[Value, ...]:
@@ -219,6 +225,7 @@ OPERATORS: dict[str, Reader] = {
     "LSTM": read_lstm,
     "LayerNormalization": _norm,
     "LeakyRelu": _parameter(LeakyRelu, 0.01),
+    "Log": read_log,
     "MatMul": read_matmul,
     "Mish": read_mish,
     "Neg": read_negative,

@@ -11,7 +11,9 @@ from onnx import TensorProto
 from toolchain.errors import PolicyError
 from toolchain.reader.values import STANDARD_DOMAINS, label, shown
 
-QUANTIZED = re.compile(r".*Quantize.*|QLinear.*|QGemm|QAttention|.*Integer(ToFloat)?|.*NBits|.*BnB4")
+QUANTIZED = re.compile(
+    r".*Quantize.*|QLinear.*|QGemm|QAttention|.*Integer(ToFloat)?|.*NBits|.*BnB4|(Bipolar|Int)?Quant"
+)
 HALVES: dict[int, str] = {TensorProto.FLOAT16: "float16", TensorProto.BFLOAT16: "bfloat16"}
 FLOAT8 = {code for name, code in TensorProto.DataType.items() if name.startswith(("FLOAT8", "FLOAT4"))}
 FUSED_DOMAINS = ("com.microsoft", "com.ms.internal")  # operators of onnxruntime alone

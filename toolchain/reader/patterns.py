@@ -30,12 +30,34 @@ SCALED, MEAN_SCALED, SHIFT = "x / deviation", "mean / deviation", "-mean / devia
 WITH_EPSILON = {VARIANCE: VARIANCE_AND_EPSILON, MEAN_SQUARE: SQUARE_AND_EPSILON}
 ROOTS = {VARIANCE_AND_EPSILON: DEVIATION, SQUARE_AND_EPSILON: ROOT}
 INVERSES = {DEVIATION: INVERSE, ROOT: INVERSE_ROOT}
+COMPUTED = (ABSOLUTE, MEAN, DISTANCE, MEAN_SQUARE)  # parts that may be values of their own
 STARTS = ("Abs", "ReduceMean")  # operators that may begin a pattern
 ONLY_INSIDE = ("Sqrt", "Reciprocal")
 
 
-def read_part(build: Builder, call: Call) -> Value | None:
-    """The next part, or the operation that the pattern makes; None where no rule applies."""
+def read_pattern(build: Builder, call: Call) -> Value | None:
+    """The next part, or the operation that the pattern makes; None where no rule applies.
+
+    A part may be what another pattern works on, as the x of a norm of |x|: then it is computed first.
+    """
+    part = _next(build, call)
+    if part is None and any(isinstance(value, Part) and value.kind in COMPUTED for value in call.inputs):
+        part = _next(build, _with_values(build, call))
+    return part
+
+
+def computed(build: Builder, call: Call) -> Call:
+    """`call` with its parts as values. Raises PolicyError for one that is of no use outside its pattern."""
+    call = _with_values(build, call)
+    if any(isinstance(value, Part) for value in call.inputs):
+        raise call.error(
+            f"takes {_listed(call)}: parts of no pattern that is known, which are x / (1 + |x|), "
+            "(x - mean) / sqrt(variance + epsilon) and x / sqrt(mean(x^2) + epsilon) over all values of a row"
+        )
+    return call
+
+
+def _next(build: Builder, call: Call) -> Value | None:
     match call.operator, *call.inputs:
         case "Abs", Row() as row:
             return Part(ABSOLUTE, row, call.label)
@@ -124,29 +146,28 @@ def read_part(build: Builder, call: Call) -> Value | None:
     return None
 
 
-def computed(build: Builder, call: Call) -> Call:
-    """`call` with its parts as values. Raises PolicyError for one that is of no use outside its pattern."""
-    inputs = [_computed(build, call, v) if isinstance(v, Part) else v for v in call.inputs]
+def _with_values(build: Builder, call: Call) -> Call:
+    """`call` with those parts as values for which there are operations, each computed once."""
+    inputs = []
+    for value in call.inputs:
+        if isinstance(value, Part) and value.kind in COMPUTED:
+            if value not in build.computed:
+                build.computed[value] = _computed(build, call, value)
+            value = build.computed[value]
+        inputs.append(value)
     return replace(call, inputs=tuple(inputs))
 
 
 def _computed(build: Builder, call: Call, part: Part) -> Row:
     row, width = part.row, part.row.width
-    match part.kind:
-        case str(kind) if kind == ABSOLUTE:
-            negative = mapped(build, call, row, -1.0, 0.0, row.shape)
-            return build.append(call, Select(), row, row, negative, shape=row.shape)
-        case str(kind) if kind == MEAN:
-            return linear(build, call, row, np.full((1, width), 1 / width), np.zeros(1), part.shape)
-        case str(kind) if kind == DISTANCE:
-            return linear(build, call, row, np.eye(width) - 1 / width, np.zeros(width), row.shape)
-        case str(kind) if kind == MEAN_SQUARE:
-            square = build.append(call, Multiply(), row, row, shape=row.shape)
-            return linear(build, call, square, np.full((1, width), 1 / width), np.zeros(1), part.shape)
-    raise call.error(
-        f"takes {_listed(call)}: parts of no pattern that is known, which are x / (1 + |x|), "
-        "(x - mean) / sqrt(variance + epsilon) and x / sqrt(mean(x^2) + epsilon) over all values of a row"
-    )
+    if part.kind == ABSOLUTE:
+        negative = mapped(build, call, row, -1.0, 0.0, row.shape)
+        return build.append(call, Select(), row, row, negative, shape=row.shape)
+    if part.kind == DISTANCE:
+        return linear(build, call, row, np.eye(width) - 1 / width, np.zeros(width), row.shape)
+    if part.kind == MEAN_SQUARE:
+        row = build.append(call, Multiply(), row, row, shape=row.shape)
+    return linear(build, call, row, np.full((1, width), 1 / width), np.zeros(1), part.shape)
 
 
 def _of_row(build: Builder, call: Call, part: Part) -> Value | None:

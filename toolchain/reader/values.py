@@ -163,6 +163,7 @@ class Builder:
     multiply_adds: int = 0
     multiply_adds_max: int = MULTIPLY_ADDS_MAX
     absorbed: set[int] = field(default_factory=set)  # values that an operation read later contains
+    computed: dict[Part, Row] = field(default_factory=dict)  # parts that are of use outside a pattern
 
     def __post_init__(self) -> None:
         """The observation is value 0."""

@@ -128,6 +128,7 @@ SMOOTH: dict[str, Callable[[], nn.Module]] = {  # activations and norms that are
     "RMSNorm": lambda: nn.RMSNorm(8, eps=1e-5),
     "Softmax": lambda: nn.Softmax(dim=-1),
     "Threshold": lambda: nn.Threshold(0.2, -0.3),
+    "LogSigmoid": nn.LogSigmoid,
 }
 
 

@@ -116,6 +116,13 @@ ACCEPTED: dict[str, str] = {
     "ThresholdedRelu": "x = ThresholdedRelu<alpha=0.4>(observation) " + END,
     "ThresholdedRelu below 0": "x = ThresholdedRelu<alpha=-0.4>(observation) " + END,
     "Softmax": "x = Softmax(observation) " + END,
+    "Softmax of groups": "p = Reshape(observation, cube) q = Softmax(p) x = Reshape(q, row) " + END,
+    "Softmax of groups that lie apart": "p = Reshape(observation, cube) q = Softmax<axis=1>(p) "
+    "x = Reshape(q, row) " + END,
+    "the RMS norm of what is part of another pattern": "p = Abs(observation) q = Mul(p, p) "
+    "s = ReduceMean<axes=[-1]>(q) e = Add(s, epsilon) r = Sqrt(e) x = Div(p, r) " + END,
+    "LogSigmoid": "p = Sigmoid(observation) x = Log(p) " + END,
+    "Where of zero": "g = Greater(observation, half) x = Where(g, observation, zero) " + END,
     "Where": "p = Tanh(observation) g = GreaterOrEqual(observation, p) q = Neg(p) x = Where(g, q, six) "
     + END,
     "Where of others": "p = Tanh(observation) g = LessOrEqual(half, observation) n = Not(g) "

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import struct
+import tarfile
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
@@ -124,6 +125,19 @@ def weights() -> bytes:
     return file.getvalue()
 
 
+def program() -> bytes:
+    file = io.BytesIO()
+    torch.export.save(torch.export.export(torch.nn.Linear(2, 2), (torch.zeros(1, 2),)), file)
+    return file.getvalue()
+
+
+def tar() -> bytes:
+    file = io.BytesIO()
+    with tarfile.open(fileobj=file, mode="w") as made:
+        made.addfile(tarfile.TarInfo("model.onnx"))
+    return file.getvalue()
+
+
 def arrays() -> bytes:
     file = io.BytesIO()
     np.savez(file, a=np.zeros(3))
@@ -153,6 +167,8 @@ FILES: dict[str, tuple[Callable[[], bytes], str]] = {
     "sb3": (lambda: archive(data=b"{}", policy_DOT_pth=b"x"), "a model of Stable-Baselines3"),
     "torchscript": (script, "a TorchScript archive"),
     "state dict": (weights, "if it is of another trainer, export its actor"),
+    "pt2": (program, "a program of torch.export (.pt2)"),
+    "tar": (tar, "a tar archive; unpack it first"),
     "npz": (arrays, "an archive of numpy arrays (.npz)"),
     "zip": (lambda: archive(readme=b"x"), "a zip archive; unpack it first"),
     "gzip": (lambda: b"\x1f\x8b\x08\0" + bytes(20), "compressed with gzip"),
@@ -183,6 +199,13 @@ def test_file_is_called_what_it_is_when_it_is_no_model(
         told = capsys.readouterr().err
         assert words in told, arguments
         assert told.count("\n") == 1
+
+
+def test_model_is_called_quantized_when_its_operators_are_of_another_domain(kit: Kit) -> None:
+    model = onnx.load_from_string(kit.mlp().data())
+    model.graph.node[1].op_type, model.graph.node[1].domain = "Quant", "qonnx.custom_op.general"
+    with pytest.raises(PolicyError, match="the model is quantized: node 'Tanh_1'"):
+        parse_policy(model.SerializeToString())
 
 
 def test_policy_is_read_when_it_is_a_policy(kit: Kit) -> None:

@@ -115,7 +115,8 @@ REFUSED = [
     ("p = Celu<alpha=-1.0>(observation)  x = Neg(p)", "node 'p' (Celu) has alpha -1, expected more than 0"),
     ("x = Selu<gamma=inf>(observation)", "node 'x' (Selu) has gamma inf, expected a finite number"),
     ("x = PRelu(observation, w)", "node 'x' (PRelu) has slopes that do not fit a value of shape [1, 6]"),
-    ("x = Softmax<axis=0>(observation)", "node 'x' (Softmax) shares out axis 0 of a value of shape [1, 6]"),
+    ("x = Softmax<axis=2>(observation)", "node 'x' (Softmax) shares out axis 2 of a value of shape [1, 6]"),
+    ("x = Log(observation)", "node 'x' (Log) takes the logarithm of what is no Sigmoid"),
     ("x = LayerNormalization<epsilon=0.0>(observation, six)", "has epsilon 0.0, expected more than 0"),
     (
         "q = Reshape(observation, two_rows) p = LayerNormalization(q, three) x = Reshape(p, one_row)",
