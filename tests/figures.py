@@ -2,7 +2,7 @@
 
 In a page a figure stands between `<!-- NAME -->` and `<!-- / -->`; FIGURES says how each is made. Counts are
 those of this checkout's compiler, with COMPILER behind it; times are stored, for they are never twice the
-same: in the training.json of a shipped policy.
+same: in docs/durations.toml, and in the training.json of a shipped policy.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import io
 import json
 import re
 import tempfile
+import tomllib
 from collections.abc import Callable
 from contextlib import redirect_stdout
 from pathlib import Path
@@ -24,6 +25,7 @@ from toolchain.files import write_text_if_changed
 from toolchain.image.elf import read_image
 
 PAGES = (ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md")), ROOT / "training/policies/README.md")
+DURATIONS = ROOT / "docs" / "durations.toml"
 COMPILER = "arm-none-eabi-gcc 12.2"  # another one makes some instructions more or less
 MARKED = re.compile(r"(?<=<!-- )([\w -]+) -->(.*?)(?=<!-- / -->)", re.DOTALL)
 FEW = 12  # observations: all take one route, which tests/toolchain/cortex_m7 proves with many
@@ -67,10 +69,11 @@ def timing(_: str) -> str:
 
 def trained(name: str) -> str:
     """Return steps and time of the training of a shipped policy."""
-    run = json.loads(
-        (ROOT / "training/policies" / name.removeprefix("trained ") / "training.json").read_text()
-    )
-    return f"{run['steps'] / 1e6:.3g} M control steps in {run['seconds']:.0f} s"
+    name = name.removeprefix("trained ")
+    run = json.loads((ROOT / "training/policies" / name / "training.json").read_text())
+    kept = tomllib.loads(DURATIONS.read_text())["trained"]
+    steps, seconds = f"{run['steps'] / 1e6:.3g} M control steps", f"{run['seconds']:.0f} s"
+    return f"{steps} in {seconds} on {kept['cores']} cores ({kept[name]})"
 
 
 def swap(_: str) -> str:
@@ -82,6 +85,14 @@ def swap(_: str) -> str:
     return f"{blob.size / 1e3:.0f} kB instead of an image's {tens}"
 
 
+def reproduced(_: str) -> str:
+    """Return how long all rows of `neuroflight reproduce` took."""
+    kept = tomllib.loads(DURATIONS.read_text())["reproduce"]
+    processor, passed = (round(kept[each] / 60) for each in ("processor_seconds", "seconds"))
+    busy = f"{passed} minutes on {kept['cores']} busy cores, {kept['date']}"
+    return f"{processor} minutes of processor time ({busy})"
+
+
 NETWORKS = [bar.name for bar in compiler.BARS]
 FIGURES: dict[str, Callable[[str], str]] = {
     **dict.fromkeys(NETWORKS, ours),
@@ -89,6 +100,7 @@ FIGURES: dict[str, Callable[[str], str]] = {
     "timing": timing,
     **{f"trained {name}": trained for name in ("nf1", "nf1-six", "hexa")},
     "swap": swap,
+    "reproduce": reproduced,
 }
 
 

@@ -41,7 +41,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--budget",
         choices=("quick", "full"),
         default="quick",
-        help="quick: all rows within half an hour on two cores; full: as many steps as the dissertation",
+        help="quick: a fraction of the steps; full: as many as the dissertation",
     )
     parser.add_argument("--jobs", type=int, default=2, metavar="N", help="commands at a time; default: 2")
     parser.add_argument(
