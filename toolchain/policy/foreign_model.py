@@ -7,11 +7,12 @@ from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 import onnx
+from onnx import helper, numpy_helper
 
 from toolchain.errors import PolicyError
 from toolchain.reader.checks import FILE_NODES_MAX, OPSET_MIN, opset
 from toolchain.reader.constants import TYPES
-from toolchain.reader.values import STANDARD_DOMAINS, WIDTH_MAX, shown
+from toolchain.reader.values import STANDARD_DOMAINS, WIDTH_MAX, label, shown
 
 WORDS_MAX = 160  # characters of what onnx says
 FUNCTIONS_DEPTH_MAX = 32  # of functions that call functions
@@ -115,6 +116,31 @@ def give_shapes(graph: onnx.GraphProto) -> None:
                 tensor.shape.SetInParent()
                 for _ in range(axes):
                     tensor.shape.dim.add()
+
+
+def lower_scalers(graph: onnx.GraphProto) -> list[str]:
+    """Write scikit-learn's Scaler as a difference and a product; returns what was done."""
+    nodes, names = list[onnx.NodeProto](), list[str]()
+    for node in graph.node:
+        if (node.domain, node.op_type) != ("ai.onnx.ml", "Scaler"):
+            nodes.append(node)
+            continue
+        given = {attribute.name: attribute.floats for attribute in node.attribute}
+        if len(node.input) != 1 or len(node.output) != 1 or not {"offset", "scale"} <= given.keys():
+            raise PolicyError(f"{label(node)} lacks its input, offset or scale; is the file damaged?")
+        (source,), (result,) = node.input, node.output
+        steps = (("Sub", "offset", source, f"{result}_less"), ("Mul", "scale", f"{result}_less", result))
+        for operator, attribute, value, out in steps:
+            tensor = numpy_helper.from_array(np.array(given[attribute], np.float32), f"{out}_{attribute}")
+            graph.initializer.append(tensor)
+            nodes.append(
+                helper.make_node(operator, [value, tensor.name], [out], name=f"{node.name}_{operator}")
+            )
+        names.append(node.name)
+    if names:
+        _replace(graph.node, nodes)
+        return [f"wrote the Scaler {listed(names)} as a difference and a product"]
+    return []
 
 
 def convert_opset(model: onnx.ModelProto) -> list[str]:

@@ -139,6 +139,7 @@ def imported_model(
         give_shapes,
         inline_functions,
         keep_outputs,
+        lower_scalers,
     )
     from toolchain.policy.foreign_network import read_foreign
     from toolchain.policy.output_map import clip_output, map_output
@@ -155,6 +156,7 @@ def imported_model(
     _, dead = keep_outputs(model.graph, {value.name for value in model.graph.output})
     if dead:
         changes.append(f"dropped {dead} node(s) that no output needs")
+    changes += lower_scalers(model.graph)
     changes += convert_opset(model)
     check_model(model, float64=True)
     order = None if input_order is None else tuple(input_order)
