@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import onnx
 import onnxruntime
@@ -19,7 +21,7 @@ TOLERANCE = 1e-6
 
 def scaled(rng: np.random.Generator, count: int, kind: int = TensorProto.FLOAT) -> onnx.ModelProto:
     """A layer behind a Scaler of so many offsets and scales, which takes values of `kind`."""
-    attributes = {"offset": rng.normal(size=count), "scale": rng.uniform(0.1, 3.0, count)}
+    attributes: dict[str, Any] = {"offset": rng.normal(size=count), "scale": rng.uniform(0.1, 3.0, count)}
     weight = numpy_helper.from_array(rng.normal(0, 0.4, (6, 4)).astype(np.float32), "weight")
     nodes = [
         helper.make_node("Cast", ["x"], ["cast"], to=kind),
