@@ -30,7 +30,14 @@ SCALED, MEAN_SCALED, SHIFT = "x / deviation", "mean / deviation", "-mean / devia
 WITH_EPSILON = {VARIANCE: VARIANCE_AND_EPSILON, MEAN_SQUARE: SQUARE_AND_EPSILON}
 ROOTS = {VARIANCE_AND_EPSILON: DEVIATION, SQUARE_AND_EPSILON: ROOT}
 INVERSES = {DEVIATION: INVERSE, ROOT: INVERSE_ROOT}
-COMPUTED = (ABSOLUTE, MEAN, DISTANCE, MEAN_SQUARE)  # parts that may be values of their own
+COMPUTED = (
+    ABSOLUTE,
+    MEAN,
+    DISTANCE,
+    MEAN_SQUARE,
+    MEAN_SQUARED,
+    NEGATIVE_MEAN,
+)  # parts that may be values of their own
 STARTS = ("Abs", "ReduceMean")  # operators that may begin a pattern
 ONLY_INSIDE = ("Sqrt", "Reciprocal")
 
@@ -89,7 +96,7 @@ def _next(build: Builder, call: Call) -> Value | None:
             return Part(DISTANCE, row, call.label)
         case "Pow", Part(kind=kind, row=row) as part, np.ndarray() as power:
             if kind in (DISTANCE, MEAN) and _scalar(power) == 2:
-                return Part(SQUARE if kind == DISTANCE else MEAN_SQUARED, row, call.label)
+                return replace(part, kind=SQUARE if kind == DISTANCE else MEAN_SQUARED, label=call.label)
             if kind in ROOTS and _scalar(power) in (0.5, -0.5):
                 root = ROOTS[kind] if _scalar(power) == 0.5 else INVERSES[ROOTS[kind]]
                 return Part(root, row, call.label, part.epsilon)
@@ -113,14 +120,16 @@ def _next(build: Builder, call: Call) -> Value | None:
                     part, label=call.label, scale=values if part.scale is None else part.scale * values
                 )
         case "Neg", Part(kind=kind) as part if kind == MEAN:
-            return Part(NEGATIVE_MEAN, part.row, call.label)
+            return replace(part, kind=NEGATIVE_MEAN, label=call.label)
         case "Sub", np.ndarray() as values, Part(kind=kind) as part if kind == MEAN_SCALED and _fits(
             part, values
         ):
             return replace(part, kind=SHIFT, label=call.label, offset=values)
-        case "Max", np.ndarray() as bound, Part(kind=kind) as part if (
-            kind == VARIANCE and _scalar(bound) == 0
-        ):
+        case ("Max", Part(kind=kind) as part, np.ndarray() as bound) | (
+            "Max",
+            np.ndarray() as bound,
+            Part(kind=kind) as part,
+        ) if kind == VARIANCE and _scalar(bound) == 0:
             return part
         case ("Add" | "Sub") as operator, Part() as first, Part() as second if first.row == second.row:
             order = first.kind, second.kind
@@ -135,7 +144,7 @@ def _next(build: Builder, call: Call) -> Value | None:
             if operator == "Mul" and kinds == {DISTANCE}:
                 return Part(SQUARE, first.row, call.label)
             if operator == "Mul" and kinds == {MEAN}:
-                return Part(MEAN_SQUARED, first.row, call.label)
+                return replace(first, kind=MEAN_SQUARED, label=call.label)
             inner, outer = (first, second) if second.kind in (DEVIATION, INVERSE) else (second, first)
             if (operator, inner.kind, second.kind) == ("Div", DISTANCE, DEVIATION) or (
                 operator == "Mul" and kinds == {DISTANCE, INVERSE}
@@ -167,7 +176,11 @@ def _computed(build: Builder, call: Call, part: Part) -> Row:
         return linear(build, call, row, np.eye(width) - 1 / width, np.zeros(width), row.shape)
     if part.kind == MEAN_SQUARE:
         row = build.append(call, Multiply(), row, row, shape=row.shape)
-    return linear(build, call, row, np.full((1, width), 1 / width), np.zeros(1), part.shape)
+    weight = np.full((1, width), (-1 if part.kind == NEGATIVE_MEAN else 1) / width)
+    mean = linear(build, call, row, weight, np.zeros(1), part.shape)
+    if part.kind == MEAN_SQUARED:
+        return build.append(call, Multiply(), mean, mean, shape=part.shape)
+    return mean
 
 
 def _of_row(build: Builder, call: Call, part: Part) -> Value | None:

@@ -59,6 +59,16 @@ NORM = (
     "e = Add(s, epsilon) r = Sqrt(e) {quotient} x = Add(n, six) " + END
 )
 
+KERAS = (  # x g + (offset - mean g), g: scale over the deviation
+    "m = ReduceMean<axes=[-1]>(observation) d = Sub(observation, m) q = Mul(d, d) "
+    "s = ReduceMean<axes=[-1]>(q) e = Add(s, epsilon) r = Sqrt(e) i = Reciprocal(r) {gain} "
+    "l = Mul(observation, g) {shift} " + END
+)
+FLAX = (  # mean of x^2 less the mean's square, at least 0
+    "m = ReduceMean<axes=[-1]>(observation) d = Sub(observation, m) p = Mul(observation, observation) "
+    "q = ReduceMean<axes=[-1]>(p) s = Mul(m, m) j = Sub(q, s) {least} e = Add(u, epsilon) r = Sqrt(e) "
+    "{norm} " + END
+)
 RMS = (
     "q = {square} s = ReduceMean<axes=[-1]>(q) e = Add(epsilon, s) r = Sqrt(e) {quotient} "
     "m = Mul(n, positive) x = Add(m, six) " + END
@@ -115,6 +125,33 @@ ACCEPTED: dict[str, str] = {
     "HardSwish": "x = HardSwish(observation) " + END,
     "ThresholdedRelu": "x = ThresholdedRelu<alpha=0.4>(observation) " + END,
     "ThresholdedRelu below 0": "x = ThresholdedRelu<alpha=-0.4>(observation) " + END,
+    "layer norm of Keras": KERAS.format(
+        gain="g = Mul(i, positive)", shift="n = Neg(m) k = Mul(n, g) h = Add(six, k) x = Add(l, h)"
+    ),
+    "layer norm of Keras without offset": KERAS.format(
+        gain="g = Mul(positive, i)", shift="n = Neg(m) k = Mul(g, n) x = Add(k, l)"
+    ),
+    "layer norm of Keras without scale": KERAS.format(
+        gain="g = Div(one, r)", shift="k = Mul(m, g) h = Sub(half, k) x = Add(h, l)"
+    ),
+    "layer norm of a shift that is subtracted": KERAS.format(
+        gain="g = Mul(i, positive)", shift="k = Mul(m, g) x = Sub(l, k)"
+    ),
+    "layer norm of flax": FLAX.format(
+        least="u = Max(j, zero)", norm="n = Div(d, r) k = Mul(n, positive) x = Add(k, six)"
+    ),
+    "layer norm of flax with its gain": FLAX.format(
+        least="u = Max(zero, j)", norm="i = Reciprocal(r) g = Mul(i, positive) n = Mul(d, g) x = Add(n, six)"
+    ),
+    "layer norm of flax without bound": FLAX.replace("Add(u,", "Add(j,").format(
+        least="", norm="x = Div(d, r)"
+    ),
+    "RMS norm with its gain": "q = Mul(observation, observation) s = ReduceMean<axes=[-1]>(q) "
+    "e = Add(s, epsilon) r = Sqrt(e) i = Reciprocal(r) g = Mul(i, positive) x = Mul(g, observation) " + END,
+    "the power of a mean": "m = ReduceMean<axes=[-1]>(observation) s = Pow(m, two) x = Add(s, observation) "
+    + END,
+    "the square of a mean": "m = ReduceMean<axes=[-1]>(observation) s = Mul(m, m) n = Neg(m) "
+    "k = Add(s, n) x = Mul(observation, k) " + END,
     "Softmax": "x = Softmax(observation) " + END,
     "Softmax of groups": "p = Reshape(observation, cube) q = Softmax(p) x = Reshape(q, row) " + END,
     "Softmax of groups that lie apart": "p = Reshape(observation, cube) q = Softmax<axis=1>(p) "
