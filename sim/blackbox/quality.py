@@ -88,7 +88,7 @@ def replay_obstacles(log: Log) -> list[str]:
     if log.matrix("gyroRaw") is None:
         found.append("it has no raw counts (group REPLAY of blackbox_disabled_mask)")
     if log.stride != 1:
-        found.append(f"it holds each {log.stride}th control step only (blackbox_divider)")
+        found.append(f"it holds one control step of {log.stride} only (blackbox_divider)")
     if log.lost:
         found.append(f"{log.lost} rows are lost")
     if log.matrix("motor") is None:
@@ -201,7 +201,7 @@ def _spectrum(log: Log) -> Question:
     )
     if log.stride > 1:
         words += (
-            f"; each {log.stride}th control step is logged, without a filter: what lies between "
+            f"; one control step of {log.stride} is logged, without a filter: what lies between "
             f"{rate / 2:,.0f} and {control / 2:,.0f} Hz appears below that"
         )
         return Question("vibration", Answer.PARTLY, words)

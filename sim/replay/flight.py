@@ -91,7 +91,7 @@ def _check_kind(log: Log) -> None:
             what = f"it lacks {', '.join(missing)} of the group REPLAY"
             _refuse(log, what, _mask(log, LogGroup.REPLAY))
     if log.stride != 1:
-        what = f"it has every {log.stride}th control step, expected each"
+        what = f"it has one control step of {log.stride}, expected each"
         _refuse(log, what, "fly again with blackbox_divider = 1")
     first = int(log.columns["loopIteration"][0])
     if first != 0:

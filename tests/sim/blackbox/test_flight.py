@@ -85,7 +85,7 @@ def test_time_goes_by_control_steps_when_only_some_are_logged(tmp_path: Path) ->
     log = read_log(save(tmp_path, log_of(trace(STEPS), divider=4)))
     told = log_trace(log)
     assert told.control_rate_hz == 250 and log.stride == 4 and log.lost == 0
-    assert "it holds each 4th control step only (blackbox_divider)" in replay_obstacles(log)
+    assert "it holds one control step of 4 only (blackbox_divider)" in replay_obstacles(log)
     assert answers(log.path)["vibration"] is Answer.PARTLY
 
 

@@ -128,7 +128,7 @@ def test_a_log_is_refused_in_a_line_when_it_lacks_what_a_replay_needs(
     cases: dict[str, tuple[dict[str, float], str]] = {
         "divided": (
             {"blackbox_divider": 4},
-            "it has every 4th control step, expected each; .*blackbox_divider = 1",
+            "it has one control step of 4, expected each; .*blackbox_divider = 1",
         ),
         "masked": ({"blackbox_disabled_mask": 1 << LogGroup.REPLAY}, "the group REPLAY; .*bit 17 is off"),
     }
