@@ -30,8 +30,8 @@ def tcp_line(port: int) -> Line:
 
 
 @pytest.fixture
-def betaflight_line() -> Iterator[Line]:
-    """A line to Betaflight's SITL, whose time goes on in a thread of its own."""
+def betaflight_port() -> Iterator[int]:
+    """Run a new SITL of Betaflight, whose time goes on in a thread of its own; give its MSP port."""
     ended = threading.Event()
     with BetaflightProcess(build_betaflight(BETAFLIGHT, print)) as process:
 
@@ -42,11 +42,17 @@ def betaflight_line() -> Iterator[Line]:
         life = threading.Thread(target=live)
         life.start()
         try:
-            with tcp_line(process.ports[MSP_TCP_PORT]) as line:
-                yield line
+            yield process.ports[MSP_TCP_PORT]
         finally:
             ended.set()
             life.join()
+
+
+@pytest.fixture
+def betaflight_line(betaflight_port: int) -> Iterator[Line]:
+    """Connect to that SITL."""
+    with tcp_line(betaflight_port) as line:
+        yield line
 
 
 @pytest.fixture

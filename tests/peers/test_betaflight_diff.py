@@ -7,8 +7,7 @@ from __future__ import annotations
 
 import random
 import struct
-import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -16,34 +15,12 @@ import pytest
 from cli.main import main
 from flash.client import Client
 from flash.transport import Transport, open_transport
-from sim.ports.betaflight.build import build_betaflight
-from sim.ports.betaflight.process import STEP_NS, BetaflightProcess
 from tests.firmware.conftest import Program
-from tests.peers.conftest import BETAFLIGHT
-from toolchain.contract import MSP_TCP_PORT, Mode, Msp
+from toolchain.contract import Mode, Msp
 
 CRAFT = 2  # a kind of GET_TEXT and SET_TEXT; SITL does not print the pilot's
 RATES_TYPES = {0: "BETAFLIGHT", 3: "ACTUAL"}
 WAIT_S = 20.0
-
-
-@pytest.fixture
-def betaflight_port() -> Iterator[int]:
-    """The MSP port of a new SITL, whose time goes on in a thread of its own."""
-    ended = threading.Event()
-    with BetaflightProcess(build_betaflight(BETAFLIGHT, print)) as process:
-
-        def live() -> None:
-            while not ended.is_set():
-                process.run(STEP_NS)
-
-        life = threading.Thread(target=live)
-        life.start()
-        try:
-            yield process.ports[MSP_TCP_PORT]
-        finally:
-            ended.set()
-            life.join()
 
 
 def tell(client: Client, rng: random.Random) -> None:
@@ -94,7 +71,7 @@ def tell(client: Client, rng: random.Random) -> None:
 
 
 def heard(client: Client, seconds_of_descent: float) -> dict[str, object]:
-    """What a firmware tells of it. seconds_of_descent: of the field's unit, which API 1.47 changed."""
+    """Read those settings from a firmware. seconds_of_descent: the field's unit, which API 1.47 changed."""
     rates = client.request(Msp.RC_TUNING)
     modes = client.request(Msp.MODE_RANGES)
     shared = {Mode.ARM, Mode.BEEPER, Mode.BLACKBOX}
@@ -119,9 +96,9 @@ def heard(client: Client, seconds_of_descent: float) -> dict[str, object]:
 
 
 def printed(line: Transport, command: str) -> str:
-    """What Betaflight's command line prints for `command`."""
+    """Return what Betaflight's command line prints for `command`."""
     end = "# end the command batch\r\n" if command == "dump" else "# save configuration\r\nsave"
-    line.write(b"#")  # alone: it takes no characters for 100 ms behind it
+    line.write(b"#")  # sent alone: it drops characters that come within 100 ms
     _read(line, "# ")
     line.write(f"{command}\r\n".encode())
     return _read(line, end)
