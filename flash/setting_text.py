@@ -120,7 +120,7 @@ def parse_value(name: str, text: str) -> Value:
 
 
 def _is_percent(setting: Setting, text: str) -> bool:
-    """Whether `text` is a bare 1 of a setting from 0 to 1: Betaflight has percents under the same names."""
+    """Return True for a bare 1 of a setting from 0 to 1: in Betaflight's units it may be 1 percent."""
     return setting.kind == "float" and (setting.low, setting.high) == (0.0, 1.0) and text == "1"
 
 
@@ -189,7 +189,7 @@ def value_text(name: str, value: Value) -> str:
 
 
 def _tops(setting: Setting) -> tuple[float, ...]:
-    """Its upper limits, of either style of rates."""
+    """Return the setting's upper limits, of both styles of rates where these differ."""
     return (setting.high,) if setting.betaflight is None else (setting.high, setting.betaflight.high)
 
 

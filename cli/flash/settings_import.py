@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 def import_(args: argparse.Namespace) -> int:
-    """Show what of a file has a counterpart, ask, set and store it: all or nothing."""
+    """Show which settings of a file have a counterpart, ask, then set and store all of them or none."""
     from flash import messages
     from flash.betaflight.diff_file import read_diff
     from flash.betaflight.plan import fitted, needed
@@ -47,7 +47,7 @@ def import_(args: argparse.Namespace) -> int:
 
 
 def _show(diff: Diff, plan: Plan, present: dict[str, Value], changes: dict[str, Value]) -> None:
-    """Print what is left and why, then what changes, and what the pilot has to look at."""
+    """Print what is left out and why, then what changes, and what the pilot has to check."""
     from flash.setting_text import value_text
 
     brought = sum(len(group.lines) for group in plan.groups)
@@ -75,7 +75,7 @@ def _show(diff: Diff, plan: Plan, present: dict[str, Value], changes: dict[str, 
 
 
 def _spans(numbers: list[int]) -> str:
-    """Whole numbers as people write many of them: 3, 5-9."""
+    """Write whole numbers as text, neighbours as a range: 3, 5-9."""
     spans: list[list[int]] = []
     for number in sorted(set(numbers)):
         if spans and number == spans[-1][1] + 1:

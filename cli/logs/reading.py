@@ -35,7 +35,7 @@ def add_choice_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def add_header_argument(parser: argparse.ArgumentParser) -> None:
-    """--header."""
+    """Add the option --header."""
     parser.add_argument(
         "--header",
         action="append",
@@ -47,7 +47,7 @@ def add_header_argument(parser: argparse.ArgumentParser) -> None:
 
 
 def add_recording_arguments(parser: argparse.ArgumentParser) -> None:
-    """--from, --to, --header and --cut-rates, of recorded commands."""
+    """Add --from, --to, --header and --cut-rates, for commands that come from a recording."""
     add_part_arguments(parser, "the first command, of recorded ones")
     add_header_argument(parser)
     parser.add_argument(
@@ -58,7 +58,7 @@ def add_recording_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def header_lines(args: argparse.Namespace) -> dict[str, str]:
-    """What --header tells, by name. Raises NeuroflightError where it is no header line."""
+    """Return the lines of --header, by name. Raises NeuroflightError for text that is no header line."""
     found = {}
     for text in args.header:
         name, equals, value = text.partition("=")

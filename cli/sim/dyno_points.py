@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 def estimate(item: Estimate | None, scale: float = 1.0) -> dict[str, float | None] | None:
-    """A fitted number as JSON has it."""
+    """Return a fitted number in the form for JSON."""
     if item is None:
         return None
     error = item.error * scale
@@ -22,7 +22,7 @@ def estimate(item: Estimate | None, scale: float = 1.0) -> dict[str, float | Non
 
 
 def static_parameters(fit: Fit | PointsFit) -> list[tuple[str, Estimate, float, str]]:
-    """Label, estimate, scale and unit of speed curve and coefficients, as far as they are known."""
+    """Return label, estimate, scale and unit of each fitted term of the speed curve and the coefficients."""
     from sim.aircraft.model import RPM
 
     rows = [
@@ -40,7 +40,7 @@ def static_parameters(fit: Fit | PointsFit) -> list[tuple[str, Estimate, float, 
 
 
 def points_document(data: Sequence[Path], fit: PointsFit, written: Path | None) -> dict[str, Any]:
-    """The figures under the names that a fit to a recording has; what points do not show is null."""
+    """Return the fit under the names that `dyno fit` gives it for a recording; null: not shown by points."""
     from sim.aircraft.model import RPM
 
     return {
@@ -64,7 +64,7 @@ def points_document(data: Sequence[Path], fit: PointsFit, written: Path | None) 
 
 
 def print_points(title: str, fit: PointsFit, written: Path | None) -> None:
-    """A row a number, then what was taken how."""
+    """Print a table with a row for each number, then how the log's columns were read."""
     from rich.console import Console
     from rich.text import Text
 

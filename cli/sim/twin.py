@@ -95,7 +95,7 @@ def run_noise(args: argparse.Namespace) -> int:
 
 
 def _part_at_rest(rest: tuple[float, float] | None, args: argparse.Namespace) -> str:
-    """What to choose of a log that has more in it than rest; empty where there is nothing to choose."""
+    """Return how to choose the part at rest of a log that also has flight; "" if no part is at rest."""
     if rest is None:
         return ""
     first, end = (args.start + second for second in rest)

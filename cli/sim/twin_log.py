@@ -20,7 +20,7 @@ FORMS = (
 
 
 def add_choice(parser: argparse.ArgumentParser) -> None:
-    """--log, --from, --to and --gyro-unit."""
+    """Add the options --log, --from, --to and --gyro-unit."""
     parser.add_argument(
         "--log",
         dest="number",
@@ -39,7 +39,7 @@ def add_choice(parser: argparse.ArgumentParser) -> None:
 
 
 def choice(args: argparse.Namespace) -> Choice:
-    """What the options say. Raises NeuroflightError where that is nothing."""
+    """Return the choice that the options make. Raises NeuroflightError for a unit that is not above 0."""
     from sim.identification.recording import Choice
 
     unit = args.gyro_unit

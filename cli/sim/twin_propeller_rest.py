@@ -64,7 +64,7 @@ def run_rest(args: argparse.Namespace, tables: Tables) -> int:
 
 
 def _diameter(args: argparse.Namespace) -> float | None:
-    """The propeller's diameter [m]: the option's, or that of the aircraft that is named or written to."""
+    """Return the propeller's diameter [m]: of --diameter, else of the aircraft named or written to."""
     from sim.aircraft.model import load_aircraft
 
     if args.diameter is not None:
@@ -78,7 +78,7 @@ def _diameter(args: argparse.Namespace) -> float | None:
 
 
 def _write(args: argparse.Namespace, found: Coefficients) -> None:
-    """Put the coefficients into the aircraft file, in the form in which it has them."""
+    """Write the coefficients into the aircraft file, in the form that it already uses."""
     import tomllib
 
     from sim.aircraft.edit import edit_aircraft
@@ -120,5 +120,5 @@ def _print(args: argparse.Namespace, tables: Tables, found: Coefficients) -> Non
 
 
 def _rounded(value: float) -> float:
-    """Four significant digits."""
+    """Round to four significant digits."""
     return float(f"{value:.{3 - math.floor(math.log10(abs(value)))}f}")

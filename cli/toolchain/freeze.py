@@ -136,7 +136,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _at_rest(policy: PolicyModel) -> list[float]:
-    """What a policy gives for an observation of zeros, its first."""
+    """Return the policy's outputs for an observation of zeros, from its initial state."""
     import numpy as np
 
     from toolchain.ir.interpreter import evaluate
@@ -146,7 +146,7 @@ def _at_rest(policy: PolicyModel) -> list[float]:
 
 
 def _rest_words(policy: PolicyModel, outputs: Sequence[float]) -> str:
-    """Idle and outputs at rest, and which mix they would be wrong with."""
+    """Describe idle and the outputs at rest, with a warning where they do not suit the mix."""
     listed = " ".join(f"{output:.3f}" for output in outputs)
     words = f"idle {policy.idle:g}; at a zero observation its outputs are {listed}"
     if policy.mix is Mix.ATTITUDE_FIRST and min(outputs) > RESTING:

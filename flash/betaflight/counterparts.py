@@ -84,7 +84,7 @@ def _direction(text: str) -> Changes:
 
 
 def _cell_volts(name: str) -> Convert:
-    """Tenths of a volt up to 3.5, hundredths from 4.0 on: no cell has 10 V, or 0.5."""
+    """Read a cell's voltage: tenths of a volt up to 50, else hundredths; no cell has 0.5 V or 10 V."""
 
     def convert(text: str) -> Changes:
         read = number(text)

@@ -81,9 +81,9 @@ class Diff:
 
 
 def read_diff(path: Path, release: str | None = None) -> Diff:
-    """Read the file `path`. Raises LinkError, one line, where it is none of Betaflight's.
+    """Read the file `path`. Raises LinkError, one line, if it is not a file of Betaflight's.
 
-    release: the version of Betaflight that wrote it, for a file without a line that tells it.
+    release: the version of Betaflight that wrote it, for a file that does not name it.
     """
     texts = [text.strip() for text in re.split(r"\r\n|\n|\r", _read(path))]
     target, told = _written_by(path, texts)
@@ -129,7 +129,7 @@ def _read(path: Path) -> str:
 
 
 def _written_by(path: Path, texts: list[str]) -> tuple[str, str | None]:
-    """The target and the version that comments of the file tell; "" and None: none does."""
+    """Return target and version from the comments in the file; "" and None where none names them."""
     target, release = "", None
     for number, text in enumerate(texts, start=1):
         if _OURS.match(text):
@@ -157,7 +157,7 @@ def _written_by(path: Path, texts: list[str]) -> tuple[str, str | None]:
 
 
 def _without_comment(text: str) -> str:
-    """`text` without a comment behind it; names keep everything."""
+    """Return `text` without a comment at its end. Names and other free text are kept whole."""
     line = Line(0, text)
     if line.words[0] in WITH_TEXT or (line.assigned is not None and line.assigned[0] in TEXT_SETTINGS):
         return text

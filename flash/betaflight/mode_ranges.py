@@ -62,7 +62,7 @@ def read_aux(numbers: list[int]) -> ModeRange | None:
 
 
 def _on_grid(us: int) -> int:
-    """As Betaflight stores it: within 900 to 2100, in whole steps of 25."""
+    """Round as Betaflight stores it: within 900 to 2100 us, down to a whole step of 25."""
     held = min(max(us, MODE_LOW_US), HIGH_US)
     return held - (held - MODE_LOW_US) % MODE_STEP_US
 

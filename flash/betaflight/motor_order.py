@@ -14,9 +14,9 @@ NO_PIN = "NONE"
 
 
 def motor_outputs(board: str, pins: Mapping[int, str], order: Sequence[int]) -> list[int]:
-    """Return the output of each motor. Raises ValueError, one line, where they are not the first four.
+    """Return the output of each motor. Raises ValueError, one line, unless they are the first four.
 
-    pins: what `resource MOTOR` lines say, by motor from 1. order: Betaflight's motor_output_reordering.
+    pins: from the `resource MOTOR` lines, by motor from 1. order: Betaflight's motor_output_reordering.
     """
     own = OUTPUT_PINS[board]
     wired = [pins.get(motor, own[motor - 1]) for motor in range(1, MOTORS + 1)]
@@ -34,7 +34,7 @@ def motor_outputs(board: str, pins: Mapping[int, str], order: Sequence[int]) -> 
 
 
 def read_pin(word: str) -> str:
-    """Return a pin as Betaflight writes it: C09, also of PC9."""
+    """Return a pin as Betaflight writes it: C09, also if given as PC9."""
     word = word.upper()
     if word == NO_PIN:
         return word

@@ -44,7 +44,7 @@ class Plan:
 
 
 def fitted(plan: Plan, settings: Settings) -> Plan:
-    """Leave the groups that the firmware behind `settings` would not take. Raises LinkError: it is gone."""
+    """Drop the groups that the firmware behind `settings` would refuse. Raises LinkError if it is gone."""
     kept: list[Group] = []
     left, notes, changes = list(plan.left), list(plan.notes), dict[str, Value]()
     for group in plan.groups:
@@ -63,7 +63,7 @@ def fitted(plan: Plan, settings: Settings) -> Plan:
 
 
 def needed(plan: Plan, present: Mapping[str, Value]) -> dict[str, Value]:
-    """Return the changes of `plan` that are any: a new style sets all rates, so all of them belong to it."""
+    """Return the settings whose values change. A new style of rates sets all rates, so these are kept."""
     changes = plan.changes
     turned = STYLE in changes and not same(STYLE, changes[STYLE], present[STYLE])
     return {

@@ -46,9 +46,9 @@ DIVIDER_DEFAULT, MULTIPLIER_DEFAULT = 10, 1
 
 
 def make_plan(diff: Diff, board: str, present: Mapping[str, Value], rate_profile: int | None = None) -> Plan:
-    """Read what `diff` asks of a firmware for `board` whose settings are `present`.
+    """Plan which settings `diff` changes in a firmware for `board` whose settings are `present`.
 
-    rate_profile: instead of the one that was active. Raises LinkError where the file has none of that number.
+    rate_profile: instead of the active one. Raises LinkError if the file has none of that number.
     """
     return _Planner(diff, board, present, rate_profile).plan()
 
@@ -96,7 +96,7 @@ class _Planner:
 
     # --- One line --------------------------------------------------------------------------------
     def _counting_lines(self) -> Iterator[Line]:
-        """The lines, without those that a later one undoes."""
+        """Yield the lines that take effect; note as left out those that a later line overwrites."""
         keyed = [(line, _key(line)) for line in self._diff.lines]
         last = {key: line for line, key in keyed if key}
         for line, key in keyed:
@@ -350,7 +350,7 @@ _COMMANDS = {
 
 
 def _key(line: Line) -> tuple[str, ...]:
-    """What a later line of the same key undoes; (): nothing."""
+    """Return a key that is the same for lines which overwrite each other; (): no line overwrites this one."""
     words = line.words
     if line.assigned is not None:
         name = line.assigned[0]
@@ -365,7 +365,7 @@ def _key(line: Line) -> tuple[str, ...]:
 
 
 def _uart(word: str) -> str:
-    """What a serial line's first word names."""
+    """Return the name of the port that the first word of a serial line stands for."""
     if not word.isdecimal():
         return word.upper()
     at = int(word)

@@ -59,7 +59,7 @@ class Style:
 
 
 def nearest_style(profile: Profile) -> Style:
-    """Return the style that is `profile`, or comes nearest. Raises ValueError where none may."""
+    """Return the style equal or nearest to `profile`. Raises ValueError for rates beyond this firmware's."""
     for axis, rates in profile.axes.items():
         if rates.rc_rate <= 0:
             raise ValueError(f"an RC rate of 0 turns nothing on {axis}")
@@ -77,7 +77,7 @@ def nearest_style(profile: Profile) -> Style:
 
 
 def curve(profile: Profile, rates: AxisRates) -> Floats:
-    """Return what the upper half of a stick asks for [deg/s], at each of STICK."""
+    """Return the commanded rate [deg/s] at each of STICK, positions in the stick's upper half."""
     x, expo, top = STICK, rates.expo / 100, rates.super_rate / 100
     cubic = x**3 * expo + x * (1 - expo)
     if profile.kind == "BETAFLIGHT":
@@ -111,7 +111,7 @@ def _steep(rate: float) -> float:
 
 
 def _unsteep(counted: float) -> float:
-    """The RC rate that counts `counted`."""
+    """Return the RC rate whose effective rate is `counted`, the inverse of `_steep`."""
     return (
         counted
         if counted <= RC_RATE_STEEP
@@ -128,7 +128,7 @@ def _actual(x: Floats, centre: float, full: float, expo: float) -> Floats:
 
 
 def _exact(profile: Profile, rates: AxisRates) -> tuple[str, tuple[float, float, float]] | None:
-    """The style and numbers of this firmware whose curve is the same; None: there is none."""
+    """Return style and numbers of this firmware that give exactly the same curve; None if there are none."""
     kind, expo, top = profile.kind, rates.expo / 100, rates.super_rate / 100
     numbers: dict[str, tuple[str, tuple[float, float, float]]] = {
         "BETAFLIGHT": ("betaflight", (rates.rc_rate / 100, top, expo)),
@@ -146,7 +146,7 @@ def _exact(profile: Profile, rates: AxisRates) -> tuple[str, tuple[float, float,
 
 
 def _own(name: str, numbers: tuple[float, float, float]) -> Floats:
-    """The curve of this firmware."""
+    """Return the curve of this firmware for these numbers."""
     rate, top, expo = numbers
     return (
         _betaflight(STICK, _steep(rate), top, expo)
@@ -164,7 +164,7 @@ def _settings(axes: Mapping[str, tuple[float, float, float]]) -> dict[str, float
 
 
 def _fitted(profile: Profile, name: str) -> Style:
-    """The numbers of the style `name` with the same rate at full stick, and elsewhere the nearest."""
+    """Fit the style `name`: the same rate at full stick, elsewhere the smallest difference."""
     found, worst = {}, (-1.0, "", 0.0)
     for axis, rates in profile.axes.items():
         found[axis] = _fit(curve(profile, rates), name)
@@ -174,7 +174,7 @@ def _fitted(profile: Profile, name: str) -> Style:
 
 
 def _fit(wanted: Floats, name: str) -> tuple[float, float, float]:
-    """Try a grid of expo and of super rate or centre rate; the largest difference counts."""
+    """Search a grid of expo and of super rate or centre rate for the smallest largest difference."""
     full = float(wanted[-1])
     best = (np.inf, (0.0, 0.0, 0.0))
     for share in STEPS[:-1]:

@@ -44,7 +44,7 @@ class Selection:
     told: list[int] = field(default_factory=list)
 
     def select(self, number: int) -> None:
-        """Take a line `profile N` or `rateprofile N`."""
+        """Process a line `profile N` or `rateprofile N`."""
         self.told.append(number)
 
     @property
@@ -84,7 +84,7 @@ class RateProfiles:
         self._structure: list[Line] = []
 
     def take(self, line: Line) -> bool:
-        """Take a line that selects a profile or sets a rate; False: it is another one. Raises ValueError."""
+        """Process a line that selects a profile or sets a rate; False for other lines. Raises ValueError."""
         words = line.words
         if words[0] in ("profile", "rateprofile") and len(words) == 2 and words[1].isdecimal():
             self._structure.append(line)
@@ -112,7 +112,7 @@ class RateProfiles:
         return self.profile.current if self._nested else 0
 
     def result(self) -> Result:
-        """Return what the profile that was flown is here. Raises LinkError: that is not there."""
+        """Return the flown profile's settings in this firmware. Raises LinkError if the file lacks it."""
         found = Result(left=[(line, "of the file or its board, no setting") for line in self._structure])
         found.left += [(old, f"line {new.number} says it again") for old, new in self._again]
         place = self._chosen()
@@ -174,7 +174,7 @@ class RateProfiles:
         return told
 
     def _absent(self, lines: dict[str, Line]) -> list[str]:
-        """What the file leaves out."""
+        """Return the names of rate settings that the file does not give."""
         told = {(axis, _NAMES[name][1]) for name in lines if name in _NAMES for axis in _NAMES[name][0]}
         names = [
             f"{axis}_{name}" for axis in AXES for what, name in _NUMBERS.items() if (axis, what) not in told
