@@ -86,7 +86,7 @@ def rotation_matrix(rotation: Vector) -> NDArray[np.float64]:
 
 
 def rotation_angles(turn: NDArray[np.float64]) -> Vector:
-    """Roll, pitch, yaw [rad] of a rotation matrix: the inverse of `rotation_matrix`."""
+    """Return roll, pitch and yaw [rad] of a rotation matrix: the inverse of `rotation_matrix`."""
     pitch = float(np.arcsin(np.clip(-turn[2, 0], -1.0, 1.0)))
     if abs(turn[2, 0]) < 1.0 - 1e-9:
         return float(np.arctan2(turn[2, 1], turn[2, 2])), pitch, float(np.arctan2(turn[1, 0], turn[0, 0]))

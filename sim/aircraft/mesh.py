@@ -73,7 +73,7 @@ def read_solid(data: bytes, unit: float) -> Solid:
 
 
 def placed(solid: Solid, pose: MeshPose) -> Solid:
-    """`solid` turned about the origin of its frame, then moved."""
+    """Return `solid` turned about the origin of its frame, then moved."""
     x, y, z = np.deg2rad(pose.rotation_deg).tolist()
     turn, offset = rotation_matrix((x, y, z)), np.array(pose.offset)
     centre = turn @ np.array(solid.centre) + offset

@@ -87,12 +87,12 @@ class _DamageError(Exception):
 
 
 def decode(data: bytes, headers: Headers, progress: Progress = lambda _: None) -> Decoded:
-    """Decode the frames in `data`, what follows the header lines. The result tells damage."""
+    """Decode the frames in `data`, which follows the header lines. The result reports damage."""
     return _Decoder(data, headers).run(progress)
 
 
 def field_bytes(data: bytes, headers: Headers) -> dict[str, int]:
-    """Bytes that each field takes in the frames of `data`, by name; those of a group are its first's."""
+    """Return the bytes that each field takes in the frames of `data`; a group counts for its first field."""
     decoder = _Decoder(data, headers)
     decoder.weights = {}
     decoder.run(lambda _: None)
@@ -261,7 +261,7 @@ class _Decoder:
         return values, end
 
     def _prediction(self, kind: int, values: Sequence[int], last: int) -> int:
-        """Return a rarer prediction of the field behind `values`; last: its value in the frame before."""
+        """Return a less common prediction of the field that follows `values`; last: its previous value."""
         if kind == _MOTOR:
             return values[self._motor]
         if kind == _STEPS:
@@ -271,7 +271,7 @@ class _Decoder:
         return 0 if self._home is None else self._home[kind - _HOME_0]
 
     def _skipped(self, step: int) -> int:
-        """Count the steps after `step` that are not logged, until the next that is."""
+        """Count the steps between `step` and the next one that is logged."""
         if self._last is None or self._of == self._logged:
             return 0
         place = step % self._intra
@@ -364,7 +364,7 @@ class _Decoder:
             self._continue_time(result.main[:, self._time])
 
     def _continue_time(self, time: Array) -> None:
-        """Continue the clock's 32 bits, anew every 71.6 minutes, in `time` (N,), events and GPS frames."""
+        """Undo the 32-bit clock's wraps, every 71.6 minutes, in `time` (N,), events and GPS frames."""
         time[1:] = time[0] + np.cumsum(np.diff(time) % WORD)
 
         def near(row: int, told: int) -> int:
@@ -434,7 +434,7 @@ def _plan(fields: Sequence[FieldDefinition], headers: Headers) -> Plan:
 
 
 def _event_values(kind: int, data: bytes, at: int) -> tuple[str, dict[str, int], int]:
-    """Read name and content of event `kind`, and where it ends. Raises ValueError for one not known."""
+    """Read name, content and end of an event `kind`. Raises ValueError for an unknown kind."""
     if kind not in _EVENTS:
         raise ValueError("no such event")
     name, parts = _EVENTS[kind]

@@ -61,7 +61,7 @@ def _nothing(_: bytes, at: int, count: int) -> tuple[Sequence[int], int]:
 
 
 def _tag8_8svb(data: bytes, at: int, count: int) -> tuple[Sequence[int], int]:
-    """Read a bit for each field that is not 0, then those; a single field stands alone."""
+    """Read a byte of bits that mark fields other than 0, then these; a single field has no such byte."""
     if count == 1:
         return _signed_vb(data, at, 1)
     tags = data[at]
@@ -121,7 +121,7 @@ def _tag8_4s16(data: bytes, at: int, _: int) -> tuple[Sequence[int], int]:
 
 
 def read_tag8_4s16_1(data: bytes, at: int, _: int) -> tuple[Sequence[int], int]:
-    """Read them as data version 1 has them: two fields of 4 bits share a byte, the lower half first."""
+    """Read four fields of data version 1: two of 4 bits share a byte, the lower half first."""
     tags = data[at]
     at += 1
     values: list[int] = []

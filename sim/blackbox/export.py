@@ -28,7 +28,7 @@ def save_csv(path: Path, log: Log) -> None:
 
 
 def save_gps_csv(path: Path, log: Log) -> None:
-    """Write a row each GPS frame, numbers of the format, the time as in `save_csv`."""
+    """Write a row for each GPS frame, as logged; the time is that of `save_csv`."""
     _write(path, {_heading(name): column for name, column in log.gps.items()})
 
 
@@ -46,7 +46,7 @@ def _write(path: Path, columns: dict[str, Integers]) -> None:
 
 
 def save_npz(path: Path, log: Log) -> None:
-    """Write columns as the format has them, and in units.
+    """Write columns as logged, and in physical units.
 
     `field/NAME` (N,), `slow/NAME` (K,), `slow_row` (K,) and `gps/NAME` (G,) are the format's numbers; `t`,
     `setpoint`, `gyro`, `throttle`, `motors`, `dshot`, `rpm`, `voltage`, `current` have units
@@ -71,7 +71,7 @@ def save_npz(path: Path, log: Log) -> None:
 def save_headers(path: Path, log: Log) -> Path:
     """Write the header lines beside the CSV file at `path`, as blackbox_decode --save-headers does.
 
-    Without them nothing tells what a count of the gyro is. Returns the path of the file.
+    Without them the gyro's scale is unknown. Returns the path of the file.
     """
     beside = path.with_suffix(".headers.csv")
     with replacing(beside) as aside, aside.open("w", encoding="ascii", newline="") as file:

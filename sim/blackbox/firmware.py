@@ -33,11 +33,11 @@ class Firmware:
     version: tuple[int, ...] = ()
 
     def since(self, maker: Maker, *version: int) -> bool:
-        """Whether this is `maker`'s firmware, of `version` or newer."""
+        """Return True if this is `maker`'s firmware, of `version` or newer."""
         return self.maker is maker and self.version >= version
 
     def __str__(self) -> str:
-        """The name and version that a message gives."""
+        """Return name and version for messages."""
         return " ".join((self.maker.value, ".".join(map(str, self.version)))).strip()
 
 
@@ -68,7 +68,7 @@ def firmware(headers: Mapping[str, str]) -> Firmware:
 
 
 def has_box_mask(told: Firmware) -> bool:
-    """Whether bit 0 of flightModeFlags is the arm switch, bit 1 ANGLE, bit 2 HORIZON.
+    """Return True if bit 0 of flightModeFlags is the arm switch, bit 1 ANGLE and bit 2 HORIZON.
 
     Cleanflight before 2.0, Betaflight before 2.7 and Baseflight log the modes that are on instead, ANGLE and
     HORIZON in bits 0 and 1; these log only while the motors are armed.

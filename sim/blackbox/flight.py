@@ -104,7 +104,7 @@ def log_trace(log: Log, part: Part = WHOLE, told: Channels | None = None) -> Tra
 
 
 def check_sticks(log: Log, told: Channels, rows: slice, most_deg_s: float = RATE_MOST_DEG_S) -> None:
-    """Refuse armed rows with a command that no stick gives, naming the first. Raises TraceError."""
+    """Raise TraceError, naming the first, for armed rows with a command that no stick gives."""
     asked = told.pilot
     assert asked.rates is not None
     throttle = None if asked.throttle is None else asked.throttle[rows]
@@ -113,7 +113,7 @@ def check_sticks(log: Log, told: Channels, rows: slice, most_deg_s: float = RATE
 
 
 def check_motors(log: Log, told: Channels, rows: slice) -> None:
-    """Refuse armed rows with a motor value that no motor is given, naming the first. Raises TraceError."""
+    """Raise TraceError, naming the first, for armed rows with a motor value that no motor is given."""
     assert told.motors is not None
     bad = np.isnan(told.motors[rows])
     if bad.any():
@@ -127,13 +127,13 @@ def check_motors(log: Log, told: Channels, rows: slice) -> None:
 
 
 def _seconds(told: Channels, rows: slice) -> NDArray[np.float64]:
-    """Times of armed rows since the first of them [s]."""
+    """Return the times of the armed rows `rows` [s], from the first armed row."""
     first = int(np.flatnonzero(told.armed)[0])
     return told.time(first)[rows.start - first : rows.stop - first]
 
 
 def _lacking(log: Log, told: Channels) -> str:
-    """What a trace needs that a log does not have, and what mends it."""
+    """Return what a trace needs and this log does not have, and what the user can do about it."""
     found = []
     if told.setpoint is None:
         found.append(told.pilot.lacks)

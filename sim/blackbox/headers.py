@@ -73,7 +73,7 @@ class Headers:
         return default if found is None else found
 
     def lost(self) -> dict[str, str]:
-        """Return header lines that are not there though the fields depend on them, each with what follows.
+        """Return missing header lines that the fields depend on, each with the consequence.
 
         They are those that predictors and encodings of the fields name, and of a known firmware those that it
         always writes.
@@ -206,7 +206,7 @@ def _definitions(kind: str, named: Sequence[str], values: dict[str, str]) -> tup
 
 
 def _signs(kind: str, values: dict[str, str], count: int) -> list[bool] | None:
-    """Return whether each field has a sign, in P frames as in I frames; None where that line is lost."""
+    """Return whether each field is signed, in P and I frames alike; None where that line is lost."""
     numbers = [
         _integer(text) for text in values.get(f"Field {'I' if kind == 'P' else kind} signed", "").split(",")
     ]
@@ -214,7 +214,7 @@ def _signs(kind: str, values: dict[str, str], count: int) -> list[bool] | None:
 
 
 def intervals(headers: Headers) -> tuple[int, int, int]:
-    """Return every how many steps there is an I frame, and that P of Q steps are logged: I, P, Q.
+    """Return I, P, Q: an I frame comes every I steps, and P of Q steps are logged.
 
     They are within limits that let every search for the next step end.
     """
@@ -227,7 +227,7 @@ def intervals(headers: Headers) -> tuple[int, int, int]:
 
 
 def _lost(headers: Headers) -> dict[str, str]:
-    """See Headers.lost."""
+    """Return lost header lines and what follows from each: the value of `Headers.lost`."""
     told, fields = headers.values, headers.fields
     predictors = {one.predictor for kind in fields.values() for one in kind}
     names = {one.name for kind in fields.values() for one in kind}

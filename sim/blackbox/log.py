@@ -149,7 +149,7 @@ class Log:
 
 
 def _spread(time: Integers) -> Integers:
-    """Return `time`, rows of a coarse clock that have the same spread evenly up to the next."""
+    """Return `time` with rows of the same tick of a coarse clock spread evenly up to the next tick."""
     moves = np.flatnonzero(np.diff(time, prepend=time[:1] - 1))
     if len(moves) == len(time) or len(moves) < 2:
         return time
@@ -222,7 +222,7 @@ def is_blank(path: Path) -> bool:
 
 
 def choose(path: Path, listed: Sequence[Listed], number: int) -> Listed:
-    """The log `number`, from 1. Raises TraceError."""
+    """Return the log `number`, from 1. Raises TraceError if there is none."""
     if not 1 <= number <= len(listed):
         beyond = " (the most that is looked for)" if len(listed) == LOGS_MAX else ""
         raise TraceError(
@@ -270,7 +270,7 @@ def read_log(
 
 
 def _told(one: Listed, lines: Mapping[str, str]) -> Listed:
-    """A log as if its header had these lines."""
+    """Return the log with these lines in its header, in place of its own of the same names."""
     values = {**one.headers.values, **lines}
     return replace(one, headers=replace(one.headers, values=values, told=frozenset(lines)))
 

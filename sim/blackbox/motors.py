@@ -37,7 +37,7 @@ class Motors:
     note: str = ""  # what is to be told of the values, or keeps them from being read
 
     def impossible(self) -> NDArray[np.bool_]:
-        """(N,) whether a row has a value that no motor can be given."""
+        """Return for each row (N,) whether it has a value that no motor can be given."""
         assert self.fractions is not None
         return np.asarray(np.isnan(self.fractions).any(axis=1))
 
@@ -65,7 +65,7 @@ def motors(log: Log, firmware: Firmware) -> Motors:
 
 
 def motor_idle(log: Log) -> float | None:
-    """Return the fraction at zero thrust that a header line motorOutput tells; None where it tells none."""
+    """Return the motor fraction at zero thrust from the header line motorOutput; None if it has none."""
     output = log.headers.integers("motorOutput")
     if len(output) != 2:
         return None
@@ -91,7 +91,7 @@ def _analog(values: NDArray[np.int64], stop: float, full: float, least: float, m
 
 
 def _lost_base(log: Log) -> str:
-    """Say which header line is lost that motor values are counted from; "" where none is."""
+    """Return a note on the lost header line that motor values are measured from; "" if none is lost."""
     field = next((one for one in log.headers.fields.get("I", ()) if one.name == "motor[0]"), None)
     name = BASE.get(field.predictor, "") if field else ""
     if not name or header_number({name: log.header.get(name, "").split(",")[0]}, name) is not None:
@@ -108,9 +108,9 @@ def _lost_base(log: Log) -> str:
 
 
 def _protocol(log: Log, values: NDArray[np.int64]) -> tuple[bool | None, str]:
-    """Whether the values are DShot's, and what is to be told of it.
+    """Return whether the values are DShot's (None: unknown), and a note for the user.
 
-    By the header, else by what only one protocol has: DShot idles below 750, pulses do not. None: not told.
+    The header decides, else values that only one protocol has: DShot idles below 750, pulses do not.
     """
     output = log.headers.integers("motorOutput")
     if len(output) == 2:

@@ -50,7 +50,7 @@ class Fit:
 
 
 def fit(commands: Array, gyro: Array, rows: NDArray[np.bool_], rate_hz: float) -> Fit:
-    """Fit gyro (N, 3) to commands (N, 3), both [deg/s], on these rows (N,), `rate_hz` of them a second."""
+    """Fit gyro (N, 3) to commands (N, 3), both [deg/s], on these rows (N,), logged at `rate_hz`."""
     slopes: list[float | None] = []
     left = asked = 0.0
     for axis in range(3):
@@ -70,11 +70,11 @@ def choose(
     *,
     told: bool = False,
 ) -> tuple[Reading, str]:
-    """The reading that the gyro follows, and what is to be told of it ("" for nothing).
+    """Return the reading that the gyro follows, and a note for the user ("": none).
 
-    sticks (N, 3): rcCommand; rows (N,): in flight and in rate mode; told: the rates are the user's word, so
-    that the only reading there is is taken even if the gyro does otherwise. Raises RatesError where the gyro
-    follows none, or several that differ.
+    sticks (N, 3): rcCommand; rows (N,): True in flight and in rate mode; told: the user gave the rates, so a
+    single reading is taken even if the gyro does not follow it. Raises RatesError where the gyro follows no
+    reading, or several that differ.
     """
     if gyro is None or not rows.any() or not rate_hz:
         return _unproven(readings, sticks, "no row of it is a flight by rates with a gyro")
@@ -103,7 +103,7 @@ def choose(
 
 
 def _unproven(readings: Sequence[Reading], sticks: Array, why: str) -> tuple[Reading, str]:
-    """The only reading there is, or one of several that say the same. Raises RatesError."""
+    """Return the reading if there is one, or several with the same commands. Raises RatesError otherwise."""
     first = readings[0]
     for other in readings[1:]:
         if _differ(first, other, sticks):
@@ -115,12 +115,12 @@ def _unproven(readings: Sequence[Reading], sticks: Array, why: str) -> tuple[Rea
 
 
 def _named(reading: Reading) -> str:
-    """A reading, and the header line that chooses it."""
+    """Return the name of a reading, with the header line that chooses it."""
     return f"{reading.name} ({reading.choice})" if reading.choice else reading.name
 
 
 def _differ(one: Reading, other: Reading, sticks: Array) -> bool:
-    """Whether two readings ask for different rates at these sticks."""
+    """Return True if two readings give different rates for these sticks."""
     commands = one.curve(sticks)
     apart = np.abs(commands - other.curve(sticks)).max(initial=0.0)
     return bool(apart > max(SAME_DEG_S, SAME * np.abs(commands).max(initial=0.0)))
@@ -129,7 +129,7 @@ def _differ(one: Reading, other: Reading, sticks: Array) -> bool:
 def _axis(
     command: Array, gyro: Array, rows: NDArray[np.bool_], rate_hz: float
 ) -> tuple[float, float, float] | None:
-    """Slope, sum of |gyro - command| and sum of |command| at the best lag; None: too little was asked."""
+    """Return slope, sum of |gyro - command| and sum of |command| at the best lag; None: too few commands."""
     best: tuple[float, float, float] | None = None
     for lag in sorted({round(part * LAG_MAX_S * rate_hz / (LAGS - 1)) for part in range(LAGS)}):
         if lag >= len(command):

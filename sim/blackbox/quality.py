@@ -284,7 +284,7 @@ def _warnings(
 
 
 def _impossible(log: Log, told: Channels) -> list[str]:
-    """Values that no stick and no motor can have: nothing is flown or computed of these rows."""
+    """Return warnings of values that no stick or motor can have; such rows are not evaluated."""
     found = []
     asked, wrong = told.pilot, {}
     if asked.throttle is not None:

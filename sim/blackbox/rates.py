@@ -58,7 +58,7 @@ class RatesError(ValueError):
 
 
 def readings(header: Mapping[str, str], firmware: Firmware) -> tuple[Reading, ...]:
-    """Give each reading that the header leaves open, one at least; raises RatesError where it has none."""
+    """Return all readings that the header allows, at least one. Raises RatesError if there is none."""
     maker = firmware.maker
     if maker is Maker.INAV:
         return _inav(header)
@@ -125,7 +125,7 @@ def curve(
 
 
 def _by_type(header: Mapping[str, str], firmware: Firmware, styles: tuple[Style, ...]) -> tuple[Reading, ...]:
-    """Of rc_rates, rc_expo and rates, under each of these styles."""
+    """Return a reading of rc_rates, rc_expo and rates for each of these styles."""
     rate = _axes(header, ("rc_rates", "rc_rate", "rcRate"), ("rc_rate_yaw", "rcYawRate"))
     expo = _axes(header, ("rc_expo", "rcExpo"), ("rc_expo_yaw", "rc_yaw_expo", "rcYawExpo"))
     top = _axes(header, ("rates",))
@@ -166,20 +166,20 @@ def _joined(
 
 
 def _linear(name: str, choice: str, slopes: tuple[float, ...]) -> Reading:
-    """A stick that is a rate by a factor: rcCommand has rate and expo already."""
+    """Return a reading that is a constant factor: rcCommand already holds rate and expo."""
     return Reading(name, choice, lambda sticks: sticks * np.array(slopes))
 
 
 def _inav(header: Mapping[str, str]) -> tuple[Reading, ...]:
-    """INAV's: `rates` are deg/s / 10 at full stick, and rcCommand is bent by the expo already."""
+    """Read INAV's rates: deg/s / 10 at full stick; rcCommand already holds the expo."""
     top = _axes(header, ("rates",))
     return (_linear("INAV's rates", "rates", tuple(10.0 * one / FULL for one in top)),)
 
 
 def _multiwii(header: Mapping[str, str], firmware: Firmware) -> tuple[Reading, ...]:
-    """Those of the controllers before 2.8: LuxFloat's, and the integer one's in counts of the gyro.
+    """Read the rates of the controllers before Betaflight 2.8: LuxFloat, and MultiWii's integer one.
 
-    Cleanflight's logs do not tell `rates`, which lie in the profile: the user does.
+    MultiWii's are in counts of the gyro. Cleanflight does not log `rates`: the user gives them.
     """
     roll, pitch, yaw = _axes(header, ("rates",))
     lux = _linear(
@@ -195,7 +195,7 @@ def _multiwii(header: Mapping[str, str], firmware: Firmware) -> tuple[Reading, .
 
 
 def _betaflight_2(header: Mapping[str, str], firmware: Firmware) -> tuple[Reading, ...]:
-    """Betaflight 2.8 and 2.9: rcCommand has rate and expo; a feature says whether `rates` are super rates."""
+    """Read the rates of Betaflight 2.8 and 2.9: a feature tells whether `rates` are super rates."""
     top = _axes(header, ("rates",))
     step = MULTIWII_LSB * _count_deg_s(header, firmware) / 16
     features = _numbers(header.get("features", ""))
@@ -214,7 +214,7 @@ def _betaflight_2(header: Mapping[str, str], firmware: Firmware) -> tuple[Readin
 
 
 def _styles(firmware: Firmware) -> tuple[Style, ...]:
-    """The styles that a firmware has which does not log the one that is chosen."""
+    """Return the possible styles of a firmware that does not log which style is chosen."""
     maker, version = firmware.maker, firmware.version
     if version:
         if maker is Maker.BETAFLIGHT and version < (3, 3):
@@ -241,7 +241,7 @@ def _style(header: Mapping[str, str], maker: Maker) -> Style:
 
 
 def _full(header: Mapping[str, str], firmware: Firmware) -> tuple[float, ...]:
-    """rcCommand at full stick: Betaflight takes the deadband off since 4.2, others leave it."""
+    """Return rcCommand at full stick. Betaflight since 4.2 subtracts the deadband, others do not."""
     if not (firmware.since(Maker.BETAFLIGHT, 4, 2) or firmware.since(Maker.CLEANFLIGHT, 4, 2)):
         return (FULL,) * 3
     dead = [_numbers(header.get(name, "0")) or (0.0,) for name in ("deadband", "yaw_deadband")]
@@ -250,7 +250,7 @@ def _full(header: Mapping[str, str], firmware: Firmware) -> tuple[float, ...]:
 
 
 def _count_deg_s(header: Mapping[str, str], firmware: Firmware) -> float:
-    """deg/s of a count of the gyro, as the old controllers' rates are counted."""
+    """Return the deg/s of one gyro count, the unit of the old controllers' rates. Raises RatesError."""
     found = gyro_count(header, firmware)
     if found is None:
         raise RatesError("gyro_scale")
@@ -260,7 +260,7 @@ def _count_deg_s(header: Mapping[str, str], firmware: Firmware) -> float:
 def _axes(
     header: Mapping[str, str], names: tuple[str, ...], yaw: tuple[str, ...] = ()
 ) -> tuple[float, float, float]:
-    """Numbers of roll, pitch and yaw of the first of these lines; of yaw from a line of its own."""
+    """Return roll, pitch and yaw from the first line found of `names`; yaw's may be a line of its own."""
     name = next((one for one in names if one in header), None)
     if name is None:
         raise RatesError(names[0])
@@ -279,7 +279,7 @@ def _axes(
 
 
 def _numbers(text: str) -> tuple[float, ...] | None:
-    """Whole numbers of 0 to 65535 or more, separated by commas, perhaps in brackets; None: it has others."""
+    """Read whole numbers separated by commas, with or without brackets; None for anything else."""
     parts = text.strip().strip("[]").split(",")
     if not all(re.fullmatch(r"\s*\d{1,10}\s*", part) for part in parts):
         return None

@@ -39,14 +39,14 @@ def header_number(header: Mapping[str, str], name: str) -> float | None:
 
 
 def fine(header: Mapping[str, str]) -> float:
-    """Counts of a deg/s of gyro and setpoint, and of a step of rcCommand: 10 with high resolution."""
+    """Return the steps per deg/s of gyro and setpoint, and per unit of rcCommand: 10 with high resolution."""
     return 10.0 if header_number(header, "blackbox_high_resolution") else 1.0
 
 
 def gyro_count(header: Mapping[str, str], firmware: Firmware) -> float | None:
-    """rad/s of one count of gyroADC, without high resolution; None where nothing tells it.
+    """Return the rad/s of one count of gyroADC, without high resolution; None if nothing in the log tells it.
 
-    Firmwares that filter the gyro in deg/s write 1: a lost line does not hide it.
+    Firmware that filters the gyro in deg/s writes 1, which is assumed where the line is lost.
     """
     for name in ("gyro_scale", "gyro.scale"):
         scale = header_number(header, name)
@@ -61,7 +61,7 @@ def gyro_count(header: Mapping[str, str], firmware: Firmware) -> float | None:
 
 
 def voltage(columns: Columns, header: Mapping[str, str], firmware: Firmware) -> Array | None:
-    """Of the battery, (N,) [V]; None where there is none, or nothing tells its unit."""
+    """Return the battery's voltage (N,) [V]; None if it is not logged or its unit is unknown."""
     maker = firmware.maker
     if maker in (Maker.INAV, Maker.ROTORFLIGHT):
         counts = columns.get("vbat" if maker is Maker.INAV else "Vbat")
@@ -89,7 +89,7 @@ def voltage(columns: Columns, header: Mapping[str, str], firmware: Firmware) -> 
 
 
 def current(columns: Columns, header: Mapping[str, str], firmware: Firmware) -> Array | None:
-    """Of the battery, (N,) [A]; None where there is none, or nothing tells its unit."""
+    """Return the battery's current (N,) [A]; None if it is not logged or its unit is unknown."""
     maker = firmware.maker
     if maker in (Maker.INAV, Maker.ROTORFLIGHT):
         counts = columns.get("amperage" if maker is Maker.INAV else "Ibat")
@@ -110,7 +110,7 @@ def current(columns: Columns, header: Mapping[str, str], firmware: Firmware) -> 
 
 
 def rotor_rpm(erpm: NDArray[np.int64] | None, header: Mapping[str, str]) -> Array | None:
-    """Speeds of rotors (N, M) [rpm] from eRPM; None where there is none, or motor_poles is not told."""
+    """Return the rotors' speeds (N, M) [rpm] of eRPM; None without eRPM or without motor_poles."""
     poles = header_number(header, "motor_poles")
     if erpm is None or poles is None or poles < 2:
         return None
@@ -118,7 +118,7 @@ def rotor_rpm(erpm: NDArray[np.int64] | None, header: Mapping[str, str]) -> Arra
 
 
 def _is_converted(firmware: Firmware) -> bool:
-    """Whether volts are in tenths and amperes in hundredths, rather than counts of the converter."""
+    """Return True if voltage is logged in tenths of a volt and current in hundredths of an ampere."""
     return (
         firmware.since(Maker.BETAFLIGHT, 3, 1)
         or firmware.since(Maker.CLEANFLIGHT, 2)
@@ -127,7 +127,7 @@ def _is_converted(firmware: Firmware) -> bool:
 
 
 def _is_adc(firmware: Firmware) -> bool:
-    """Whether they are counts of the converter."""
+    """Return True if voltage and current are logged as counts of the analog-to-digital converter."""
     return firmware.maker in (Maker.CLEANFLIGHT, Maker.BASEFLIGHT, Maker.INAV) or (
         firmware.maker is Maker.BETAFLIGHT and firmware.version != ()
     )

@@ -45,7 +45,7 @@ class Pilot:
 
 
 def pilot(log: Log, firmware: Firmware, gyro: Array | None, armed: Rows) -> Pilot:
-    """Read what was asked for; gyro (N, 3) [deg/s], armed (N,)."""
+    """Read the commands of the sticks; gyro (N, 3) [deg/s], armed (N,)."""
     parts, level = fine(log.header), _level(log, firmware)
     throttle = _throttle(log, firmware, parts)
     setpoint = log.matrix("setpoint", 3)
@@ -81,14 +81,14 @@ def pilot(log: Log, firmware: Firmware, gyro: Array | None, armed: Rows) -> Pilo
 
 
 def ask_rates(why: str) -> str:
-    """What lacks for the rates, and how a user tells it."""
+    """Return a message that the rates are unknown for the reason `why`, and how a user gives them."""
     if " " not in why:
         why = f"the header has no line {why}"
     return f"{why}: tell the rates that were flown by --header NAME=VALUE ({SETTINGS})"
 
 
 def _throttle(log: Log, firmware: Firmware, parts: float) -> Array | None:
-    """Of the stick: rcCommand[3], which runs from minthrottle to maxthrottle in some firmwares."""
+    """Return the throttle stick from rcCommand[3], which spans minthrottle..maxthrottle in some firmwares."""
     counts = log.columns.get("rcCommand[3]")
     if counts is None or firmware.maker is Maker.ROTORFLIGHT:  # there it is the collective
         return None
@@ -99,22 +99,22 @@ def _throttle(log: Log, firmware: Firmware, parts: float) -> Array | None:
 
 
 def is_stick(throttle: Array) -> Rows:
-    """Whether each throttle is one that a stick can have, at its end or a little beyond."""
+    """Return for each throttle whether a stick can give it; a little beyond either end still counts."""
     return np.asarray((throttle >= -SLACK) & (throttle <= 1.0 + SLACK))
 
 
 def beyond(rates: Array, most_deg_s: float = RATE_MOST_DEG_S) -> Rows:
-    """Whether each row of rates (N, 3) [deg/s] asks for more than that."""
+    """Return for each row of rates (N, 3) [deg/s] whether one exceeds `most_deg_s`."""
     return np.asarray((np.abs(rates) > most_deg_s + ROUNDED_DEG_S).any(axis=1))
 
 
 def _ends(throttle: Array) -> Array:
-    """A stick beyond its end is at its end; what is no stick is left as it is."""
+    """Limit throttles a little beyond the stick's ends to the ends; those that no stick gives stay."""
     return np.where(is_stick(throttle), np.clip(throttle, 0.0, 1.0), throttle)
 
 
 def _throttle_range(log: Log, firmware: Firmware) -> tuple[float, float]:
-    """rcCommand[3] [us] at no and at full stick."""
+    """Return rcCommand[3] [us] at zero and at full stick."""
     maker = firmware.maker
     mapped = (
         maker in (Maker.INAV, Maker.BASEFLIGHT)
@@ -128,7 +128,7 @@ def _throttle_range(log: Log, firmware: Firmware) -> tuple[float, float]:
 
 
 def _level(log: Log, firmware: Firmware) -> Rows:
-    """(N,) whether the stick commands an angle, in ANGLE or HORIZON mode."""
+    """Return for each row (N,) whether the stick commands an angle, in ANGLE or HORIZON mode."""
     flags = log.held("flightModeFlags")
     if flags is None:
         flags = log.held("rcModeFlags")  # INAV's since 8
@@ -145,7 +145,7 @@ def check(
     first_row: int = 0,
     most_deg_s: float = RATE_MOST_DEG_S,
 ) -> None:
-    """Refuse commands that no stick gives, naming the first; raises TraceError.
+    """Raise TraceError, naming the first, for commands that no stick gives.
 
     where: names the log; rates (N, 3) [deg/s], throttle and seconds (N,): of rows from first_row on;
     most_deg_s: rate that is still a command.
@@ -172,19 +172,19 @@ def check(
 
 
 def _named(bad: Rows, first_row: int, seconds: Array) -> str:
-    """Where the first such row stands, and how many there are."""
+    """Describe where the first such row is, and how many more there are."""
     row = int(bad.argmax())
     more = f" and {int(bad.sum()) - 1} more" if bad.sum() > 1 else ""
     return f"in row {first_row + row} ({seconds[row]:.3f} s){more}"
 
 
 def _spans(bad: Rows, seconds: Array) -> str:
-    """The first times of a condition, in words."""
+    """Describe the first three time spans in which a condition holds."""
     edges = np.flatnonzero(np.diff(np.concatenate(([False], bad, [False])).astype(np.int8))).reshape(-1, 2)
     words = [f"{seconds[start]:.2f} to {seconds[stop - 1]:.2f} s" for start, stop in edges[:3]]
     return f"from {', '.join(words)}{' and later' if len(edges) > 3 else ''}"
 
 
 def _mend(bad: Rows) -> str:
-    """How to go around them, where there is a part without."""
+    """Return advice to leave such rows out, if there are others."""
     return "" if bad.all() else "; leave them out by --from and --to"

@@ -26,7 +26,7 @@ _SPECIAL = frozenset(byte for eaten, _ in _EATEN for byte in eaten)
 
 
 def text_transfer(body: bytes) -> str:
-    """Tell in words how frames show that they were transferred as text; "" where they do not."""
+    """Return a note if the frames were damaged by a transfer as text, and how; else ""."""
     if len(body) >= TEXT_BYTES_MIN and _is_utf_8(body):
         what = "bytes above 0x7F are replaced" if _REPLACED in body else "they are UTF-8"
         return f"the frames went through a transfer as text ({what}): nothing of them can be relied on"
@@ -42,7 +42,7 @@ def text_transfer(body: bytes) -> str:
 
 
 def _missing(data: NDArray[np.int32], counts: NDArray[np.int64], eaten: tuple[int, ...]) -> bool:
-    """Return whether these bytes do not occur though each beside them does, in EXPECTED surroundings."""
+    """Return True if these bytes never occur though their neighbours do, in EXPECTED surroundings."""
     if len(data) < EXPECTED or counts[list(eaten)].any():
         return False
     beside = [byte for byte in range(eaten[0] - 4, eaten[-1] + 5) if byte >= 0 and byte not in _SPECIAL]

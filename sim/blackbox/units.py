@@ -108,7 +108,7 @@ def control_rate_hz(log: Log) -> float:
 
 
 def _exact(log: Log) -> tuple[Floats, Floats, Floats] | None:
-    """Gyro, setpoint and throttle as our controller had them; None where the log does not hold these."""
+    """Return gyro, setpoint and throttle with the bits our controller had; None if these are not logged."""
     gyro, setpoint = log.matrix("gyroFloat", 3), log.matrix("setpointFloat", 4)
     if log.maker is not Maker.NEUROFLIGHT or gyro is None or setpoint is None:
         return None
@@ -117,7 +117,7 @@ def _exact(log: Log) -> tuple[Floats, Floats, Floats] | None:
 
 
 def _rates(log: Log, name: str, count: float | None, parts: float) -> Floats | None:
-    """A gyro's field [rad/s]; count: rad/s of one of its counts, `parts` of which it has."""
+    """Return a gyro's field [rad/s]; count: rad/s of one gyro count, parts: logged steps per count."""
     values = log.matrix(name, 3)
     if values is None and name == "gyroADC":
         values = log.matrix("gyroData", 3)  # as it was called at first
@@ -125,7 +125,10 @@ def _rates(log: Log, name: str, count: float | None, parts: float) -> Floats | N
 
 
 def _armed(log: Log, told: Firmware, dshot: NDArray[np.uint16] | None) -> NDArray[np.bool_]:
-    """By the motors where the values say so, else by the boxes, else everywhere: such logs are armed ones."""
+    """Return for each row whether motors are armed: by motor values, else by the boxes, else True for all.
+
+    Firmware whose logs have neither logs only while the motors are armed.
+    """
     if told.maker is Maker.NEUROFLIGHT and dshot is not None:
         return np.asarray((dshot > DSHOT_STOP).all(axis=1))
     flags = log.held("flightModeFlags")

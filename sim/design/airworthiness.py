@@ -217,7 +217,7 @@ def _propeller(aircraft: Aircraft, figures: Figures) -> Iterator[Verdict]:
 
 
 def _propeller_part(aircraft: Aircraft, figures: Figures) -> Iterator[Verdict]:
-    """A propeller lies flat: thin along z, where the rotors thrust, and balanced about its hub's axis."""
+    """Check that the propeller lies flat, thin along the thrust axis z, and is balanced about its hub."""
     part = next((part for part in aircraft.parts if part.name == "propeller 1"), None)
     if part is None:
         return
@@ -250,10 +250,10 @@ def _propeller_part(aircraft: Aircraft, figures: Figures) -> Iterator[Verdict]:
 
 
 def _thin_axis(surface: Array, centre: Array) -> Array | None:
-    """The axis (3,), z not below 0, across which a propeller is thinnest; None where its blades do not tell.
+    """Return the axis (3,), z >= 0, across which a propeller is thinnest; None where its blades do not tell.
 
-    By the second moments of area of the outer halves of its blades: a hub may be tall, and the blades of a
-    propeller with two are nearly as thin along their chord near it.
+    It follows from the second moments of area of the blades' outer halves: near the hub, which may be tall, a
+    propeller with two blades is nearly as thin along their chord.
     """
     corners = surface - centre
     middles = corners.mean(axis=1)
@@ -275,7 +275,7 @@ def _thin_axis(surface: Array, centre: Array) -> Array | None:
 
 
 def _turned(pose: MeshPose, axis: Array) -> str:
-    """The line that turns a mesh, posed by `pose`, such that `axis` (3,) points along z."""
+    """Return the setting that turns a mesh, posed by `pose`, such that `axis` (3,) points along z."""
     roll = math.atan2(axis[1], axis[2])
     pitch = math.atan2(-axis[0], math.hypot(axis[1], axis[2]))
     before = np.deg2rad(pose.rotation_deg).tolist()

@@ -113,7 +113,7 @@ def measure_noise(recording: Recording) -> Noise:
 
 
 def resting_part(recording: Recording) -> tuple[float, float] | None:
-    """Begin and end [s] of the longest part in which the aircraft is at rest; None where there is none."""
+    """Return begin and end [s] of the longest part with the aircraft at rest; None if there is none."""
     length = max(1, round(MOTION_S[0] * recording.rate_hz))
     blocks = recording.gyro[: len(recording.gyro) // length * length].reshape(-1, length, 3)
     spread = blocks.std(axis=1).max(axis=1)

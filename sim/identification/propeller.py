@@ -44,7 +44,7 @@ class PropellerFit:
 
 
 def read_measurements(paths: Sequence[Path]) -> Measurements:
-    """The measurements in wind of all files together. Raises DynoError naming file and line."""
+    """Read the measurements in wind of all files. Raises DynoError naming file and line."""
     wind = read_tables(paths).wind
     if not len(wind.ratio):
         raise DynoError(f"{paths[0]}: measured at rest, expected a column J")
@@ -52,7 +52,7 @@ def read_measurements(paths: Sequence[Path]) -> Measurements:
 
 
 def at_rest(measured: Static) -> tuple[float, float]:
-    """C_T and C_Q at rest, each the mean of all speeds. Raises DynoError unless both are above 0."""
+    """Return C_T and C_Q at rest, each averaged over all speeds. Raises DynoError unless both are above 0."""
     thrust, torque = float(measured.thrust.mean()), float(measured.torque.mean())
     for name, value in (("CT", thrust), ("CQ", torque)):
         if not value > 0.0:
@@ -61,7 +61,7 @@ def at_rest(measured: Static) -> tuple[float, float]:
 
 
 def rotor_coefficients(thrust: float, torque: float, diameter: float, density: float) -> tuple[float, float]:
-    """K_T [N s^2/rad^2] and K_Q [m] of C_T and C_Q: K_T = C_T rho D^4 / (2 pi)^2, K_Q = C_Q D / C_T."""
+    """Return K_T [N s^2/rad^2] = C_T rho D^4 / (2 pi)^2 and K_Q [m] = C_Q D / C_T."""
     return thrust * density * diameter**4 / (2.0 * math.pi) ** 2, torque * diameter / thrust
 
 

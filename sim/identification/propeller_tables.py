@@ -123,7 +123,7 @@ def read_tables(paths: Sequence[Path], rpm: float | None = None) -> Tables:
 
 
 def _read(path: Path) -> list[_Rows]:
-    """Tables of a file, one unless it is APC's."""
+    """Read the tables of a file; only a file of APC's has several."""
     if not path.is_file():
         raise DynoError(f"{path}: no such file; expected a table of J, CT and CQ or CP")
     text = read_text(path, FILE_BYTES_MAX, DynoError)
@@ -162,12 +162,12 @@ def _read(path: Path) -> list[_Rows]:
 
 
 def _name(cell: str) -> str | None:
-    """J, RPM, CT, CQ or CP; None: another column."""
+    """Return the column's quantity: J, RPM, CT, CQ or CP; None for another column."""
     return COLUMNS.get(cell.lower().replace("_", ""))
 
 
 def _columns(names: Sequence[str], path: Path) -> dict[str, int]:
-    """Columns of J (or RPM at rest), CT, and CQ (or CP), in this order."""
+    """Return the positions of J (or RPM at rest), CT, and CQ (or CP), in this order."""
     known = [name for name in map(_name, names) if name is not None]
     twice = sorted({name for name in known if known.count(name) > 1})
     if twice:
@@ -187,7 +187,7 @@ def _columns(names: Sequence[str], path: Path) -> dict[str, int]:
 
 
 def _apc(lines: Sequence[str], begin: int, end: int, path: Path) -> _Rows:
-    """The table of one speed of APC's file; rows that have no number in CT or CP are left out."""
+    """Read the table of one speed in a file of APC's; rows without a number in CT or CP are left out."""
     found = _BLOCK.fullmatch(lines[begin])
     rpm = float(found[1].rstrip(".")) if found else math.nan
     places: dict[str, int] = {}

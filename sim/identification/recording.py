@@ -143,7 +143,7 @@ def _spacing(time: Array, path: Path) -> tuple[float, int]:
 
 
 def is_log(path: Path) -> bool:
-    """Whether there is a blackbox log at `path`, whatever it is called."""
+    """Return True if the file at `path` is a blackbox log, whatever its name."""
     if not path.is_file():
         return False
     if path.suffix.lower() in LOGS[:2]:
@@ -153,7 +153,7 @@ def is_log(path: Path) -> bool:
 
 
 def _of_file(path: Path, number: int | None, unit_deg_s: float | None) -> Samples:
-    """Samples of a log, disarmed ones included."""
+    """Read the samples of a log, disarmed rows included."""
     log = read_log(path, number)
     notes = [f"{path.name}: log {log.number}: {note}" for note in log.notes]
     if number is None and (count := len(list_logs(path))) > 1:
@@ -164,7 +164,7 @@ def _of_file(path: Path, number: int | None, unit_deg_s: float | None) -> Sample
 
 
 def _of_log(log: Log, unit_deg_s: float | None, notes: Iterable[str] = ()) -> Samples:
-    """Samples of a log's columns by its headers. Raises TraceError where nothing tells the gyro's scale."""
+    """Return the samples of a decoded log. Raises TraceError where nothing tells the gyro's scale."""
     where = f"log {log.path}"
     if log.matrix("gyroADC", len(GYRO)) is None:
         raise TraceError(f"{where}: log {log.number} has no gyroADC; log the gyro (blackbox_disabled_mask)")
@@ -188,13 +188,13 @@ def _of_log(log: Log, unit_deg_s: float | None, notes: Iterable[str] = ()) -> Sa
 
 
 def _resting(counts: Array) -> Array:
-    """Specific force of counts whose scale is not told: their mean is 1 g, at rest."""
+    """Scale counts of unknown unit to specific force: at rest their mean is 1 g."""
     rest = float(np.linalg.norm(counts.mean(axis=0))) if len(counts) else 0.0
     return counts * (GRAVITY / rest) if rest else counts
 
 
 def _made_log(path: Path, columns: Mapping[str, NDArray[np.int64]], values: Mapping[str, str]) -> Log:
-    """A log of columns that were decoded elsewhere."""
+    """Make a log from columns that another program has decoded."""
     return Log(
         path=path,
         number=1,
@@ -212,7 +212,7 @@ def _made_log(path: Path, columns: Mapping[str, NDArray[np.int64]], values: Mapp
 
 
 def _of_arrays(path: Path, unit_deg_s: float | None) -> Samples:
-    """Samples of a trace, or of what `log decode --npz` wrote."""
+    """Read the samples of a trace, or of a file that `log decode --npz` wrote."""
     try:
         with zipfile.ZipFile(path) as archive:
             sizes = {member.filename: member.file_size for member in archive.infolist()}
@@ -242,7 +242,7 @@ def _of_arrays(path: Path, unit_deg_s: float | None) -> Samples:
 
 
 def _of_table(path: Path, unit_deg_s: float | None) -> Samples:
-    """Samples of a CSV file, ours or of a blackbox tool."""
+    """Read the samples of a CSV file, ours or of a blackbox tool."""
     try:
         size = file_size(path)
         if size > BYTES_MAX:
@@ -283,7 +283,7 @@ def _of_table(path: Path, unit_deg_s: float | None) -> Samples:
 
 
 def _forces(values: Array | None, names: list[str]) -> Array | None:
-    """Specific force of a table whose gyro has a unit."""
+    """Return specific force [m/s^2] of a table whose gyro has a unit."""
     if values is None or set(OURS) <= set(names):
         return values
     unit = _unit(names, ACCELERATION[0])
@@ -295,7 +295,7 @@ def _forces(values: Array | None, names: list[str]) -> Array | None:
 
 
 def _heading(file: TextIO, path: Path) -> tuple[list[str], dict[str, str]]:
-    """Names of the columns, and the header lines above them: NAME,VALUE, as the Explorer writes them."""
+    """Read the column names and the NAME,VALUE lines above them, which the Explorer writes."""
     values: dict[str, str] = {}
     first: list[str] = []
     for _ in range(LINES_BEFORE_MAX):
@@ -315,13 +315,13 @@ def _heading(file: TextIO, path: Path) -> tuple[list[str], dict[str, str]]:
 
 
 def _bare(name: str) -> str:
-    """A blackbox column's name without its unit."""
+    """Return a blackbox column's name without its unit."""
     match = _NAME.fullmatch(name)
     return match[1] if match else name
 
 
 def _unit(names: list[str], bare: str) -> str:
-    """The unit of a blackbox column, empty where its heading has none or there is no such column."""
+    """Return the unit in a blackbox column's heading; "" if it has none or there is no such column."""
     found = next((match[2] for name in names if (match := _NAME.fullmatch(name)) and match[1] == bare), None)
     return found or ""
 
@@ -329,7 +329,7 @@ def _unit(names: list[str], bare: str) -> str:
 def _columns(
     names: list[str], values: Mapping[str, str], path: Path
 ) -> tuple[list[int], tuple[float, float] | None]:
-    """Where time, gyro and maybe acceleration stand; factors of time and gyro to SI, None for raw counts."""
+    """Find time, gyro and, if present, acceleration; factors of time and gyro to SI, None for raw counts."""
     if set(OURS) <= set(names):
         found = [*OURS, *(OURS_ACCELERATION if set(OURS_ACCELERATION) <= set(names) else ())]
         return [names.index(name) for name in found], (1.0, ROTATION["deg/s"])
@@ -347,7 +347,7 @@ def _columns(
 
 
 def _sidecar(path: Path) -> dict[str, str]:
-    """The header lines that `log decode --csv`, and blackbox_decode --save-headers, write beside a table."""
+    """Read the header lines that `log decode --csv` or blackbox_decode --save-headers wrote to a file."""
     if file_size(path) > BYTES_MAX >> 6:
         raise TraceError(f"log {path}: {file_size(path)} bytes, expected the header lines of a log")
     values: dict[str, str] = {}
@@ -359,7 +359,7 @@ def _sidecar(path: Path) -> dict[str, str]:
 
 
 def _log_headers(values: Mapping[str, str]) -> dict[str, str]:
-    """Header lines as a log has them, of those of an export."""
+    """Return an export's header lines under the names that they have in a log."""
     found = dict(values)
     if SCALE not in found and (told := found.get(EXPLORER_SCALE)):
         try:

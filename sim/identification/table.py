@@ -131,16 +131,16 @@ def find_table(
 
 
 def _runs_on(cells: Sequence[str], kept: Sequence[int], count: int) -> bool:
-    """Whether a row that is longer than the heading has its further cells behind what is read.
+    """Return True if a row longer than the heading can be read: its extra cells come after those in use.
 
-    Programs end a row by a message, which may hold commas, or by columns that a script added later. Numbers
-    with a decimal comma, which would be cut in two, have no point.
+    Programs append a message, which may hold commas, or columns that a script added later. One of the cells
+    in use must have a decimal point: with decimal commas the row would have been split inside its numbers.
     """
     return kept[-1] < count - 1 and any("." in cells[at] for at in kept)
 
 
 def split(line: str, mark: str) -> list[str]:
-    """Cells of a line, without blanks and quotes around them."""
+    """Split a line into cells, without the blanks and quotes around them."""
     if mark == " ":
         return [cell.strip('"') for cell in line.split()]
     if mark == "  ":
@@ -150,7 +150,7 @@ def split(line: str, mark: str) -> list[str]:
 
 
 def numbers(table: Table, columns: Sequence[int], where: str, failure: Failure) -> Array:
-    """Numbers of some columns, (rows, columns); NaN where a cell is empty or says that there is none.
+    """Return the numbers of some columns, (rows, columns); NaN for an empty cell or one that means "none".
 
     Raises `failure`, naming `where`, on a cell that is no number, and where it cannot be told whether a mark
     stands before decimals or between thousands.
@@ -177,18 +177,18 @@ def numbers(table: Table, columns: Sequence[int], where: str, failure: Failure) 
 
 
 def is_number(cell: str) -> bool:
-    """Whether `numbers` takes a cell for one, whatever its marks."""
+    """Return True if `numbers` would read the cell as a number, with any decimal or thousands marks."""
     return bool(re.fullmatch(r"[+-]?[\d.,]+(e[+-]?\d+)?", _plain(cell).lower()))
 
 
 def _plain(cell: str) -> str:
-    """A number's cell without blanks and the sign of percent."""
+    """Return a number's cell without blanks and percent sign."""
     cell = re.sub(r"[ \N{NO-BREAK SPACE}\N{NARROW NO-BREAK SPACE}]", "", cell).removesuffix("%")
     return cell.replace("\N{MINUS SIGN}", "-")
 
 
 def _decimal_mark(cells: Sequence[str], where: str, failure: Failure) -> str:
-    """Tell the mark before decimals, by the numbers in which both marks stand or one cannot be thousands."""
+    """Find the decimal mark from numbers that have both marks, or one that cannot separate thousands."""
     cells = [_plain(cell) for cell in cells]
     with_comma = [cell for cell in cells if "," in cell]
     if not with_comma:

@@ -82,11 +82,11 @@ class Commands:
         return float(self.time[-1] - self.time[0] + np.median(np.diff(self.time)))
 
     def warnings(self) -> tuple[str, ...]:
-        """What the user must know of how they were read, a sentence each."""
+        """Return notes for the user on how the commands were read, a sentence each."""
         return self.notes
 
     def scenario(self, mount: Mount | None = None) -> Scenario:
-        """The flight of these commands, on sticks that SBUS can express, held between commands."""
+        """Return the scenario of these commands, in SBUS's steps of the sticks, each held until the next."""
         us = sticks.channels(self.setpoint, self.throttle, armed=True)
         changes = np.flatnonzero((us[1:] != us[:-1]).any(axis=1)) + 1
         begins = np.concatenate([[0], changes])
@@ -114,7 +114,7 @@ class Recording:
 
 
 def part_of(whole: Recording, part: Part, *, cut: bool = False) -> Commands:
-    """The commands of a part of a recording, seconds since its first row; cut: see Commands.
+    """Return the commands of a part of a recording, seconds since its first row; cut: see Commands.
 
     Raises ScenarioError.
     """

@@ -36,11 +36,11 @@ def is_recording(name: str) -> bool:
 def load_commands(
     path: Path, part: Part = WHOLE, told: Mapping[str, str] | None = None, *, cut: bool = False
 ) -> Commands:
-    """The commands of an archive, a table or a log; FILE:N is log N of the file, from 1.
+    """Load the commands of an archive, a table or a log; FILE:N is log N of the file, from 1.
 
-    part: that is taken; told: header lines of a log that the user tells, by name; cut: rates beyond full
-    stick to full stick. Raises ScenarioError on a file that is missing, damaged or none of these, or asks for
-    what no stick gives.
+    part: the part to load; told: header lines that the user gives in place of the log's, by name; cut: limit
+    rates beyond full stick to full stick. Raises ScenarioError for a file that is missing, damaged or of
+    another kind, or that commands what no stick can.
     """
     path, number = split_number(path)
     where = f"recording {path}"
@@ -71,10 +71,9 @@ def load_flight(
     *,
     cut: bool = False,
 ) -> tuple[Scenario, tuple[str, ...]]:
-    """A scenario by name, from its file, or of recorded commands, and what the user must know of it.
+    """Load a scenario by name or from its file, or recorded commands; return it with notes for the user.
 
-    part, told, cut: of recorded commands, as `load_commands` takes them.
-
+    part, told, cut: only for recorded commands, see `load_commands`.
     Raises ScenarioError as `load_scenario` and `load_commands` do.
     """
     if not is_recording(name):

@@ -34,10 +34,10 @@ def read_commands(
     *,
     cut: bool = False,
 ) -> Commands:
-    """The commands of log `number` of a file; None: the last that has frames. Raises ScenarioError.
+    """Read the commands of log `number` of a file; None: the last with frames. Raises ScenarioError.
 
-    They are the setpoints of its armed rows, of `part` of them. told: header lines that the user tells; cut:
-    see Commands.
+    Commands are the setpoints of the armed rows in `part`. told: header lines that the user gives, by name;
+    cut: see Commands.
     """
     where = f"recording {path}"
     try:

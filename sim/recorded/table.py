@@ -89,9 +89,9 @@ def parse_table(
     *,
     cut: bool = False,
 ) -> Commands:
-    """Commands of the bytes of a CSV file; `where` names it in messages. Raises ScenarioError.
+    """Read commands from the bytes of a CSV file; `where` names it in messages. Raises ScenarioError.
 
-    part: that is taken; told: settings of the log that the user tells, by name; cut: see Commands.
+    part: the part to read; told: settings of the log that the user gives, by name; cut: see Commands.
     """
     try:
         rows = csv.reader(io.StringIO(data.decode("utf-8-sig"), newline=""), strict=True)
@@ -129,9 +129,9 @@ def _by_rates(
     *,
     told: bool,
 ) -> tuple[Array, str]:
-    """Rates (N, 3) [deg/s] of the sticks by the settings, and what is to be told. Raises ScenarioError.
+    """Return the rates (N, 3) [deg/s] that the settings give the sticks, and a note. Raises ScenarioError.
 
-    gyro (N, 3): its counts; flown (N,): whether there is thrust; level (N,): whether an angle is commanded;
+    gyro (N, 3): its counts; flown (N,): True with thrust; level (N,): True if an angle is commanded;
     told: the user gave the rates.
     """
     whose = firmware(settings)
@@ -191,7 +191,7 @@ def _columns(heading: Sequence[str], settings: Mapping[str, str]) -> _Columns | 
 
 
 def _values(rows: Reader, heading: Sequence[str], columns: _Columns, where: str) -> tuple[Array, Rows]:
-    """The cells of the columns of numbers (N, ..), and whether flags name a mode of an angle (N,)."""
+    """Return the cells of the number columns (N, ..), and whether a mode flag commands an angle (N,)."""
     names = columns.names
     order = [heading.index(each) for each in names]
     flags = None if columns.flags is None else heading.index(columns.flags)

@@ -111,7 +111,7 @@ def _ratio(values: Array, by: Array) -> Array:
 
 
 def repeats(recording: Recording) -> Repeats | None:
-    """Figures over the runs of a recording; None where there is one run only, or no torque.
+    """Return figures over the runs of a recording; None where there is one run only, or no torque.
 
     A run without a step is a ramp, unless its throttle stays below JUMP.
     """

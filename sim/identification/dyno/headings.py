@@ -114,7 +114,7 @@ class Heading:
 
 
 def read_heading(text: str) -> Heading | None:
-    """Quantity and unit of a heading; None: a column of something else."""
+    """Return quantity and unit of a heading; None for a column of something else."""
     if len(text) > LENGTH_MAX:
         return None
     plain = _ascii(text)
@@ -136,7 +136,7 @@ def read_heading(text: str) -> Heading | None:
 
 
 def known_unit(quantity: Quantity, text: str) -> str | None:
-    """The key of UNITS that a unit's text means; None: none."""
+    """Return the key of UNITS for the text of a unit; None for an unknown unit."""
     plain = re.sub(r"[^a-z0-9%/?]", "", _ascii(text).lower())
     if quantity in (Quantity.THRUST, Quantity.TORQUE):
         plain = plain.replace("?", "")  # a point between two units
@@ -159,7 +159,7 @@ def _quantity(tokens: list[str]) -> Quantity | None:
 
 
 def _ascii(text: str) -> str:
-    """`text` with u for micro, blanks for points between units, and ? for signs that an encoding lost."""
+    """Return `text` in ASCII: u for micro, blanks for middle dots and the like, ? for any other sign."""
     text = re.sub(
         "\N{LATIN CAPITAL LETTER A WITH CIRCUMFLEX}(?=[\xa0-\xbf])", "", text
     )  # UTF-8 read as latin-1

@@ -85,7 +85,7 @@ def draw_fit(fit: Fit, title: str) -> Figure:
 
 
 def draw_points(fit: PointsFit, title: str) -> Figure:
-    """Thrust and torque of each point over the rotor's speed, beside the fits."""
+    """Draw thrust and torque of each point over the rotor's speed, beside the fits."""
     shown = CHANNELS[1:] if fit.torque_ratio else CHANNELS[1:2]
     figure = titled_figure((6.5 * len(shown), 5), title, PAD)
     panels = figure.subplots(1, len(shown), squeeze=False)[0]
@@ -103,7 +103,7 @@ def draw_points(fit: PointsFit, title: str) -> Figure:
 
 
 def _over(terms: tuple[Estimate, ...], speed: Array) -> Array:
-    """The polynomial of a coefficient at speeds, (n,)."""
+    """Evaluate the polynomial of a coefficient at these speeds (n,)."""
     return np.asarray(np.polynomial.polynomial.polyval(speed, [term.value for term in terms]), np.float64)
 
 

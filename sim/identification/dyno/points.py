@@ -141,18 +141,18 @@ def fit_points(stands: Sequence[Stand], reason: str, *, speed_dependent: bool = 
 
 
 def _all(stands: Sequence[Stand], name: str) -> Array | None:
-    """A column of all logs; None where one of them lacks it."""
+    """Join a column of all logs; None if one of them lacks it."""
     columns = [getattr(one, name) for one in stands]
     return None if any(column is None for column in columns) else np.concatenate(columns)
 
 
 def _at(terms: tuple[Estimate, ...], speed: Array) -> Array:
-    """A polynomial at speeds, (n,)."""
+    """Evaluate a polynomial at these speeds (n,)."""
     return np.asarray(np.polynomial.polynomial.polyval(speed, [term.value for term in terms]), np.float64)
 
 
 def _through_zero(load: Array, values: Array) -> Estimate:
-    """The factor of values = k load by least squares, and its standard error."""
+    """Return the factor k of values = k load by least squares, with its standard error."""
     square = float(load @ load)
     factor = float(load @ values) / square
     rest = values - factor * load

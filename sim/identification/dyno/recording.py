@@ -65,7 +65,7 @@ def write_recording(path: Path, recording: Recording) -> None:
 
 
 def is_ours(text: str) -> bool:
-    """Whether the heading names all columns of a recording of ours."""
+    """Return True if the heading names all columns of our own recordings."""
     lines = (line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#"))
     names = {cell.strip().strip('"').lower() for cell in next(lines, "").split(",")}
     return set(COLUMNS) <= names
@@ -77,7 +77,7 @@ def read_recordings(paths: Sequence[Path]) -> Recording:
 
 
 def join_runs(files: Sequence[Array]) -> Recording:
-    """The runs of files, each (n, 5) in the order of COLUMNS with rising times, one after the other."""
+    """Join the runs of files, each (n, 5) in the order of COLUMNS with rising times, one after the other."""
     columns: list[Array] = []
     starts: list[int] = []
     rows, end = 0, 0.0

@@ -78,7 +78,7 @@ class Stand:
 def choices(
     columns: Sequence[str], units: Sequence[str], poles: int | None, pulse_us: Sequence[float] | None
 ) -> Choices:
-    """Read the user's QUANTITY=HEADING and QUANTITY=UNIT. Raises DynoError on what is none."""
+    """Read the user's QUANTITY=HEADING and QUANTITY=UNIT. Raises DynoError for other text."""
     pairs: list[dict[Quantity, str]] = []
     for option, texts in (("--column", columns), ("--unit", units)):
         found: dict[Quantity, str] = {}
@@ -146,7 +146,7 @@ def read_stand(text: str, path: Path, chosen: Choices) -> Stand:
 
 
 def _units_in_heading(table: Table) -> Table:
-    """`table` with the units of a line below the heading, where there is one, behind the names."""
+    """Return `table` with units from a line below the heading, if there is one, added to the names."""
     known = [at for at, name in enumerate(table.names) if read_heading(name) is not None]
     if not table.rows or any(is_number(table.rows[0][at]) or not table.rows[0][at] for at in known):
         return table
@@ -187,7 +187,7 @@ def read_logs(paths: Sequence[Path], chosen: Choices) -> tuple[Recording | None,
 
 
 def _run(stand: Stand) -> tuple[Array | None, str]:
-    """Rows of a log as a run of a recording, (n, 5) in the order of its columns; None, and what it lacks."""
+    """Return the rows as a run (n, 5) in the order of COLUMNS, or None and what the log lacks for one."""
     if stand.time is None:
         return None, "has no clock"
     torque = stand.torque
@@ -209,7 +209,7 @@ def _run(stand: Stand) -> tuple[Array | None, str]:
 
 
 def _columns(table: Table, path: Path, chosen: Choices) -> dict[Quantity, list[int]]:
-    """Columns of each quantity, those of speed in the order in which they are believed."""
+    """Return the columns of each quantity; speed sensors are sorted, the most trusted first."""
     found: dict[Quantity, list[int]] = {}
     headings = [read_heading(name) for name in table.names]
     for quantity in Quantity:
@@ -239,7 +239,7 @@ def _columns(table: Table, path: Path, chosen: Choices) -> dict[Quantity, list[i
 
 
 def _belief(heading: Heading | None) -> int:
-    """Order of sensors of speed: an optical one counts turns, one by the motor's phases needs its poles."""
+    """Return a speed sensor's rank: optical ones, which count turns, before those that need the poles."""
     if heading is None:
         return 1
     return 0 if heading.optical else 2 if heading.electrical else 1
@@ -251,7 +251,7 @@ def _unit(heading: Heading | None, quantity: Quantity, chosen: Choices) -> str |
 
 
 def _units(table: Table, columns: dict[Quantity, list[int]], path: Path, chosen: Choices) -> dict[int, str]:
-    """Units of the columns, keys of UNITS. Raises DynoError that asks for all that nothing tells."""
+    """Return the unit of each column, a key of UNITS. Raises DynoError naming all units that are missing."""
     units: dict[int, str] = {}
     asked: list[str] = []
     for quantity, places in columns.items():
@@ -278,7 +278,7 @@ def _units(table: Table, columns: dict[Quantity, list[int]], path: Path, chosen:
 
 
 def _in_percent(table: Table, at: int) -> bool:
-    """Whether the cells of a column say so themselves."""
+    """Return True if every cell of the column ends in a percent sign."""
     cells = [row[at] for row in table.rows if row[at]]
     return bool(cells) and all(cell.endswith("%") for cell in cells)
 
@@ -343,7 +343,7 @@ def _stand(table: Table, columns: dict[Quantity, list[int]], path: Path, chosen:
 
 
 def _turns(table: Table, at: int, speed: Array, path: Path, chosen: Choices) -> Array:
-    """Turns of the rotor, of what a column counts."""
+    """Return the rotor's speed from a column that may count electrical turns."""
     heading = read_heading(table.names[at])
     if heading is None or not heading.electrical:
         return speed
@@ -358,13 +358,13 @@ def _turns(table: Table, at: int, speed: Array, path: Path, chosen: Choices) -> 
 
 
 def _forward(speed: Array) -> Array:
-    """`speed` turned such that it is above 0 where it is fast; magnitudes would turn noise into speed."""
+    """Return `speed`, positive when fast; taking magnitudes would turn noise around 0 into speed."""
     fast = np.abs(speed) > FAST * np.nanmax(np.abs(speed), initial=0.0)
     return -speed if fast.any() and float(np.median(speed[fast])) < 0.0 else speed
 
 
 def _believed(table: Table, speeds: Sequence[tuple[int, Array]], notes: list[str]) -> Array:
-    """Speed of the first sensor that shows turns, and what another one says of it."""
+    """Return the speed of the first sensor that shows rotation, and note how another one differs."""
     turning = [(at, speed) for at, speed in speeds if np.nanmax(speed, initial=0.0) > 0.0]
     if not turning:
         return speeds[0][1]
@@ -381,7 +381,7 @@ def _believed(table: Table, speeds: Sequence[tuple[int, Array]], notes: list[str
 
 
 def _upright(name: str, values: Array, fast: NDArray[np.bool_], notes: list[str]) -> Array:
-    """`values` turned such that they are above 0 where the rotor is fast."""
+    """Return `values` with the sign that makes them positive while the rotor is fast."""
     there = values[fast & np.isfinite(values)]
     if not len(there) or float(np.median(there)) >= 0.0:
         return values
