@@ -172,7 +172,7 @@ class Lowering:
     def _reduce(
         self, kernel: str, x: _Value, *, table: int | None = None, constants: tuple[float, ...] = ()
     ) -> _Value:
-        """A kernel that first takes all values of `x` together, without the padding behind them."""
+        """Call a kernel that first reads all values of `x` together, without the padding behind them."""
         target = self._new(x.count)
         self._emit(kernel, target, (x,), x.count, table=table, constants=constants)
         return target

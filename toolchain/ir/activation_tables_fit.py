@@ -77,7 +77,7 @@ def _expm1_quotient(a: Decimal) -> Decimal:
 # Limits: the first multiple of the step whose float32 result is exactly 1 (or -1) and within 1 ulp of the
 # function. Steps: the cubics are off by 0.26 ulp of G at most; at twice the step by almost 4.
 def _erf_quotient(a: Decimal) -> Decimal:
-    """erf(a) / a by its series: terms grow to 1e6 at 4, and fall; of 50 digits 40 are left."""
+    """Compute erf(a) / a by its series: terms grow to 1e6 at a = 4, so 40 of 50 digits remain."""
     term, total, n = Decimal(1), Decimal(1), 0
     while abs(term) > Decimal(10) ** -(DIGITS - 5):
         n += 1

@@ -51,9 +51,9 @@ Function = Callable[[Float64], Float64]
 
 
 def reference(network: Network, observation: Float32, tabulated: Function = lambda values: values) -> Float64:
-    """Actions (S, T, outputs) of S sequences of T observations (S, T, inputs), each from cleared state.
+    """Compute actions (S, T, outputs) of S sequences of T observations (S, T, inputs), from cleared state.
 
-    tabulated: what becomes of each result that the policy has from a table, such as every tanh.
+    tabulated: applied to each result that the policy takes from a table, such as every tanh.
     """
 
     def tanh(x: Float64) -> Float64:
@@ -81,10 +81,10 @@ def reference(network: Network, observation: Float32, tabulated: Function = lamb
 
 
 def disturbed(network: Network, observation: Float32, rng: np.random.Generator) -> Float64:
-    """Like `reference`, with constants and values of tables moved by about a unit in their last place.
+    """Compute `reference` with constants and table values changed by about a unit in their last place.
 
-    An evaluation in float32 is one in real arithmetic that is disturbed in about this way, a few times over:
-    so how far these actions lie from the reference's says how much of rounding an observation shows.
+    Rounding in a float32 evaluation acts like several such changes. So the distance between these actions and
+    the reference's shows how sensitive to rounding an observation is.
     """
 
     def tabulated(values: Float64) -> Float64:

@@ -209,7 +209,7 @@ def _rms_norm(norm: RmsNorm, x: Float32) -> Float32:
 
 
 def _softmax(x: Float32) -> Float32:
-    """Every power is of what is at most 0, by the table of e^x - 1."""
+    """Compute e^x from the table of e^x - 1; the largest x is subtracted first, so no exponent is above 0."""
     largest = np.where(x > -_LARGEST, x, -_LARGEST).max(axis=1, keepdims=True)
     powers = apply(EXPM1, x - largest) + _1
     shares: Float32 = powers * (_1 / _sum(powers, lambda value, total: value + total))

@@ -43,8 +43,8 @@ SILU_LOWEST = -0.2784645427610739  # at x = -1.2784645
 def value_intervals(network: Network, *, by_weights: bool = True) -> list[Interval]:
     """Return the bounds of each value, whatever the observation and the observations before.
 
-    by_weights: what a layer gives of bounded values is bounded; otherwise only activations and maps of single
-    values tell bounds, which are then those that a designer had in mind: -1 to 1 of a Tanh.
+    by_weights: bounds follow through layers' weights as well; otherwise only from activations and maps of
+    single values, which gives the range that the designer had in mind, such as -1 to 1 of a Tanh.
     """
     unbounded = np.full(network.inputs, np.inf)
     intervals: list[Interval] = [(-unbounded, unbounded)]
@@ -134,7 +134,7 @@ def _bent(
     low: Float64,
     high: Float64,
 ) -> Interval:
-    """The range of a function that is monotone on either side of f(0) = 0."""
+    """Return the range of a function that is monotone on either side of 0, where it is 0."""
     ends = [function(low), function(high), np.where((low < 0) & (high > 0), 0, function(low))]
     return np.minimum.reduce(ends), np.maximum.reduce(ends)
 

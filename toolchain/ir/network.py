@@ -143,7 +143,7 @@ def arrays(operation: Operation) -> list[NDArray[np.floating[Any]]]:
 
 
 def sweep(network: Network) -> Network:
-    """`network` without the nodes that do not reach its last one; the same object if there are none."""
+    """Return `network` without nodes that do not reach its last one; the same object if there are none."""
     uses = use_counts(network)
     kept = [number for number in range(1, len(uses)) if uses[number]]
     if len(kept) == len(network.nodes):
@@ -157,7 +157,7 @@ def sweep(network: Network) -> Network:
 
 
 def use_counts(network: Network) -> list[int]:
-    """How many inputs of nodes that reach the last one take each value; 1 for the last."""
+    """Return how many inputs of nodes that reach the last one take each value; 1 for the last."""
     uses = [0] * (len(network.nodes) + 1)
     uses[-1] = 1
     for number in range(len(network.nodes), 0, -1):

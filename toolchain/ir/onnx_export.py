@@ -78,7 +78,7 @@ class _Graph:
     def add(
         self, operator: str, inputs: list[str], outputs: list[str], **attributes: float | list[int]
     ) -> None:
-        """Append a node, named after what it gives where it has no name, or another node has it."""
+        """Append a node; if its name is missing or taken, name it after its output."""
         given = next(output for output in outputs if output)
         name = self.name or given
         while name in self.names:  # onnxruntime refuses two of one name

@@ -41,7 +41,7 @@ def merge_affine(network: Network) -> Network:
 
 
 def fold_affine(network: Network) -> Network:
-    """Affine maps move into the weights of linear layers, recurrent cells and norms beside them.
+    """Move affine maps into the weights of the linear layers, recurrent cells and norms beside them.
 
     Into the layer after it a map moves only where all that takes it are such layers: it vanishes.
     """

@@ -27,7 +27,7 @@ Mask = NDArray[np.bool_]  # (n,): which elements of a value are kept
 
 
 def drop_unread(network: Network) -> Network:
-    """Nodes, and rows of matrices, that cannot reach the output are dropped.
+    """Drop nodes, and rows of matrices, that cannot reach the output.
 
     An element is read unless every weight that it meets is exactly 0. The observation keeps its width, a
     recurrent cell, a norm and a Softmax all of their elements.

@@ -59,7 +59,7 @@ ARCHIVES = (  # an entry's name, or its end, and what the archive is then
 
 
 def foreign_kind(data: bytes) -> str | None:
-    """Return what the bytes of a file are, and what to do; None for what may be a model or a checkpoint."""
+    """Return what kind of file it is and what to do about it; None if it may be a model or a checkpoint."""
     if not data:
         return "empty; was it downloaded or written to its end?"
     for start, words in STARTS:

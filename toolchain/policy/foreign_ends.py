@@ -53,9 +53,9 @@ class Ends:
 
 
 def input_shapes(model: onnx.ModelProto, ends: Ends) -> tuple[dict[str, tuple[int, ...]], list[str]]:
-    """The shape that each input of floats has for one observation, and what was changed for it.
+    """Return the shape that each float input has for one observation, and which sizes were changed for it.
 
-    Axes that are open or a batch become 1.
+    Open axes and batches become 1.
     """
     changes = list[str]()
     given = {tensor.name for tensor in model.graph.initializer}
@@ -106,7 +106,7 @@ def input_shapes(model: onnx.ModelProto, ends: Ends) -> tuple[dict[str, tuple[in
 
 
 def _batches(observed: Sequence[Sizes], count: int | None) -> set[int]:
-    """The batches that the exporter fixed: first axes above 1.
+    """Return the batch sizes that the exporter fixed: first axes above 1.
 
     Where the inputs have as many values as the observation, such an axis is a history, [steps, n].
     """
@@ -116,7 +116,7 @@ def _batches(observed: Sequence[Sizes], count: int | None) -> set[int]:
 
 
 def _read_inputs(graph: onnx.GraphProto) -> set[str]:
-    """Names of the inputs that any node but Identity takes, be it through Identity."""
+    """Return the inputs that some node other than Identity reads, directly or through an Identity."""
     source = {value.name: value.name for value in graph.input}
     read = set[str]()
     for node in graph.node:
@@ -128,7 +128,7 @@ def _read_inputs(graph: onnx.GraphProto) -> set[str]:
 
 
 def _sizes(value: onnx.ValueInfoProto) -> Sizes:
-    """Sizes of a value's axes; exporters also write 0 and -1 for an open one."""
+    """Return the sizes of a value's axes; exporters also write 0 and -1 for an open one."""
     dims = value.type.tensor_type.shape.dim
     return [dim.dim_value if dim.dim_value > 0 else dim.dim_param or "?" for dim in dims]
 
@@ -138,7 +138,7 @@ def _floats(value: onnx.ValueInfoProto) -> bool:
 
 
 def find_action(model: onnx.ModelProto, values: Mapping[str, Value], ends: Ends) -> str:
-    """The name of the action: that of --output, the only output, or the one that can be it."""
+    """Return the name of the action: that of --output, the only output, or the only one that can be it."""
     names: list[str] = [value.name for value in model.graph.output]
     if ends.output is not None:
         if ends.output not in names:
@@ -160,7 +160,7 @@ def find_action(model: onnx.ModelProto, values: Mapping[str, Value], ends: Ends)
 
 
 def _fits(value: Value | None, declared: Sizes, motors: int) -> bool:
-    """Whether an output may be the action; one that could not be read may, unless its shape is another."""
+    """Return True if an output may be the action; an unreadable one may unless its shape rules it out."""
     if isinstance(value, Unread):
         shape = declared if value.shape is None else list(value.shape)
         return not shape or isinstance(shape[-1], str) or shape[-1] == motors
@@ -173,7 +173,7 @@ def _width(values: Mapping[str, Value], name: str) -> int | None:
 
 
 def computed(values: Mapping[str, Value], name: str) -> Row:
-    """The output `name` as a value. Raises PolicyError where it is none or could not be read."""
+    """Return the output `name` as a value. Raises PolicyError where it is none or could not be read."""
     value = values.get(name)
     if isinstance(value, Row):
         return value
@@ -185,7 +185,7 @@ def computed(values: Mapping[str, Value], name: str) -> Row:
 def find_states(
     model: onnx.ModelProto, values: Mapping[str, Value], inputs: Mapping[str, Row], action: str
 ) -> dict[str, str]:
-    """Inputs that may be state, and the outputs that give them anew: as many values, in the same order."""
+    """Pair inputs that may be state with outputs that may be its new value: equally wide, in order."""
     found = dict[str, str]()
     others = [value.name for value in model.graph.output if value.name != action]
     for width in dict.fromkeys(_width(values, name) for name in others):

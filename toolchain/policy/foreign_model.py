@@ -19,7 +19,7 @@ FUNCTIONS_DEPTH_MAX = 32  # of functions that call functions
 
 
 def keep_outputs(graph: onnx.GraphProto, outputs: Collection[str]) -> tuple[int, int]:
-    """Leave the graph's `outputs` and what they need; returns how many other outputs and nodes that drops."""
+    """Keep only the graph's `outputs` and what they need; return the number of outputs and nodes dropped."""
     needed, nodes = set(outputs), []
     for node in reversed(graph.node):
         if needed.intersection(filter(None, node.output)):
@@ -39,7 +39,7 @@ def keep_outputs(graph: onnx.GraphProto, outputs: Collection[str]) -> tuple[int,
 
 
 def inline_functions(model: onnx.ModelProto) -> list[str]:
-    """Put the nodes of the model's own functions in the place of their calls; returns what was done."""
+    """Replace calls of the model's own functions by their nodes; return what was done."""
     from onnx import inliner
 
     if not model.functions:
@@ -63,7 +63,7 @@ def inline_functions(model: onnx.ModelProto) -> list[str]:
 
 
 def _inlined_nodes(model: onnx.ModelProto) -> int:
-    """Number of nodes once every call is replaced by what it calls. Raises PolicyError for endless calls."""
+    """Count the nodes once all calls are inlined. Raises PolicyError for functions that call themselves."""
     bodies = {(f.domain, f.name): list(f.node) for f in model.functions}
     counts: dict[tuple[str, str], int] = {}
 
@@ -84,7 +84,7 @@ def _inlined_nodes(model: onnx.ModelProto) -> int:
 
 
 def fix_inputs(graph: onnx.GraphProto, constants: Mapping[str, float]) -> list[str]:
-    """Make constants of the inputs named in `constants`; returns what was done. Raises PolicyError."""
+    """Turn the inputs named in `constants` into constants; return what was done. Raises PolicyError."""
     from onnx import numpy_helper
 
     names = [value.name for value in graph.input]
@@ -104,7 +104,7 @@ def fix_inputs(graph: onnx.GraphProto, constants: Mapping[str, float]) -> list[s
 
 
 def give_shapes(graph: onnx.GraphProto) -> None:
-    """Give inputs and outputs whose shape an exporter left out the one that says nothing.
+    """Give an unknown shape to inputs and outputs for which the exporter wrote none.
 
     onnx.checker wants one; an input is taken for a row of open width.
     """
@@ -172,13 +172,13 @@ def convert_opset(model: onnx.ModelProto) -> list[str]:
 
 
 def _words(error: Exception) -> str:
-    """What an error says, in one line that is not too long."""
+    """Return the error's text in one line, shortened if too long."""
     words = " ".join(str(error).split()) or type(error).__name__
     return words if len(words) <= WORDS_MAX else words[: WORDS_MAX - 3] + "..."
 
 
 def _captured(node: onnx.NodeProto) -> set[str]:
-    """Names that the node's own graphs take from outside."""
+    """Return the outer values that the graphs inside a node (bodies of If, Loop, Scan) read."""
     names, graphs = set[str](), [a.g for a in node.attribute if a.HasField("g")]
     graphs += [graph for attribute in node.attribute for graph in attribute.graphs]
     while graphs:
@@ -189,7 +189,7 @@ def _captured(node: onnx.NodeProto) -> set[str]:
 
 
 def _differs(operator: str, version: int) -> bool:
-    """Whether an operator is another one in opset OPSET_MIN than in `version`."""
+    """Return True if the operator's definition in opset OPSET_MIN differs from that in `version`."""
     try:
         old, new = (onnx.defs.get_schema(operator, v, "").since_version for v in (version, OPSET_MIN))
     except onnx.defs.SchemaError:
@@ -198,12 +198,12 @@ def _differs(operator: str, version: int) -> bool:
 
 
 def _replace(field: Sequence[object], items: Sequence[object]) -> None:
-    """Put `items`, some of those in the repeated `field`, in its place."""
+    """Reduce the repeated `field` to `items`, some of its own."""
     copies = [type(item).FromString(item.SerializeToString()) for item in items]  # type: ignore[attr-defined]
     del field[:]  # type: ignore[attr-defined]
     field.extend(copies)  # type: ignore[attr-defined]
 
 
 def listed(names: Sequence[str]) -> str:
-    """Names as a message lists them: the first eight."""
+    """Format names for a message: the first eight."""
     return (", ".join(map(shown, names[:8])) or "none") + (", ..." if len(names) > 8 else "")

@@ -61,7 +61,7 @@ class _Action:
 
 
 def read_foreign(model: onnx.ModelProto, ends: Ends) -> Adopted:
-    """Read a checked model; drops from it what the action does not need. Raises PolicyError."""
+    """Read a checked model and drop from it what the action does not need. Raises PolicyError."""
     shapes, fixed = input_shapes(model, ends)
     reading = _read(model, shapes, CRITICS * MULTIPLY_ADDS_MAX)
     name = find_action(model, reading.values, ends)
@@ -97,7 +97,7 @@ def read_foreign(model: onnx.ModelProto, ends: Ends) -> Adopted:
 
 
 def _action(reading: _Reading, name: str, states: Mapping[str, str]) -> _Action:
-    """The action `name`. Raises PolicyError where it could not be read."""
+    """Return the action `name` with its cells and values. Raises PolicyError where it could not be read."""
     row, nodes = computed(reading.values, name), reading.build.nodes
     after = {reading.inputs[s].number: computed(reading.values, states[s]).number for s in states}
     found, failed = find_cells(nodes, reading.build.widths, set(reading.names), after)
@@ -107,13 +107,13 @@ def _action(reading: _Reading, name: str, states: Mapping[str, str]) -> _Action:
 
 
 def _needed_states(reading: _Reading, action: _Action, states: Mapping[str, str]) -> dict[str, str]:
-    """Those of `states` that the action has to do with: no critic's."""
+    """Return those of `states` that the action depends on, without those that only a critic uses."""
     carried = {reading.names[number] for cell in action.cells for number in cell.states}
     return {name: after for name, after in states.items() if name in carried or name in action.failed}
 
 
 def _left_out(model: onnx.ModelProto, reading: _Reading) -> list[str]:
-    """A line about the nodes whose values could not be read, and need not be."""
+    """Describe the nodes that could not be read and that the action does not need."""
     nodes = []
     for node in model.graph.node:
         values = [reading.values.get(name) for name in node.output]
@@ -124,7 +124,7 @@ def _left_out(model: onnx.ModelProto, reading: _Reading) -> list[str]:
 
 
 def _of_one_observation(error: PolicyError, fixed: Sequence[str]) -> PolicyError:
-    """The error, with a hint where the model was exported for more than one observation."""
+    """Return the error, with a hint where the model was exported for more than one observation."""
     batches = [line for line in fixed if line[-2].isdigit()]
     if not batches:
         return error
@@ -132,7 +132,7 @@ def _of_one_observation(error: PolicyError, fixed: Sequence[str]) -> PolicyError
 
 
 def _read(model: onnx.ModelProto, shapes: dict[str, tuple[int, ...]], multiply_adds_max: int) -> _Reading:
-    """Read the nodes; value 0 is all inputs side by side, and each input a slice of it."""
+    """Read the nodes. Value 0 is the concatenation of all inputs; each input is a slice of it."""
     build = Builder(sum(map(math.prod, shapes.values())), multiply_adds_max=multiply_adds_max)
     inputs, start = dict[str, Row](), 0
     for name, shape in shapes.items():
@@ -154,7 +154,7 @@ def _read(model: onnx.ModelProto, shapes: dict[str, tuple[int, ...]], multiply_a
 
 
 def _told(reading: _Reading, action: _Action, states: Mapping[str, str]) -> list[str]:
-    """A line for each cell."""
+    """Describe each cell in a line."""
     lines = []
     for cell in action.cells:
         names = dict.fromkeys(reading.names[number] for number in cell.states)
@@ -170,7 +170,7 @@ def _told(reading: _Reading, action: _Action, states: Mapping[str, str]) -> list
 
 
 def _forgetful(reading: _Reading, action: _Action) -> list[Node]:
-    """The cells inside the model that start from zero at every run of it."""
+    """Return the cells inside the model whose state starts from zero each time the model runs."""
     nodes = (reading.build.nodes[number - 1] for number in sorted(action.needed))
     return [node for node in nodes if isinstance(node.operation, Recurrent)]
 
@@ -185,7 +185,7 @@ def _kind(operation: Recurrent) -> str:
 
 
 def _needed(nodes: Sequence[Node], action: int, cells: Sequence[Cell]) -> set[int]:
-    """Numbers of the values that the action is computed from, itself included, the observation not."""
+    """Return the numbers of the action and all values it is computed from, without the observation."""
     replaced = {cell.result: cell for cell in cells}
     needed, waiting = {OBSERVATION}, [action]
     while waiting:
@@ -197,7 +197,7 @@ def _needed(nodes: Sequence[Node], action: int, cells: Sequence[Cell]) -> set[in
 
 
 def _observed(reading: _Reading, action: _Action, output: str) -> tuple[list[str], list[str]]:
-    """The inputs that are the observation, and a line for each that nothing reads."""
+    """Return the inputs that make up the observation, and a line for each input that nothing reads."""
     carried = {number for cell in action.cells for number in cell.states}
     names, dropped = list[str](), list[str]()
     for name, row in reading.inputs.items():
@@ -221,7 +221,7 @@ def _observed(reading: _Reading, action: _Action, output: str) -> tuple[list[str
 def _check_failed(
     reading: _Reading, names: Sequence[str], action: _Action, states: Mapping[str, str], ends: Ends
 ) -> None:
-    """Raise PolicyError where an input is neither observation, by its width, nor the state of a cell."""
+    """Raise PolicyError where an input is no cell's state and does not fit the observation's width."""
     if ends.observation_count in (None, sum(reading.inputs[name].width for name in names)):
         return
     for name, why in action.failed.items():
@@ -236,7 +236,7 @@ def _check_failed(
 
 
 def _ordered(reading: _Reading, names: list[str], ends: Ends) -> tuple[list[str], list[str]]:
-    """The observation's inputs in their order, and what is said of it."""
+    """Return the observation's inputs in their order, and lines for the user about it."""
     order = list(ends.input_order or names)
     if sorted(order) != sorted(names):
         raise PolicyError(
@@ -274,7 +274,7 @@ def _ordered(reading: _Reading, names: list[str], ends: Ends) -> tuple[list[str]
 
 
 def _assembled(reading: _Reading, names: Sequence[str], action: _Action) -> Network:
-    """The network of the observation alone: its inputs in their order, cells in the place of their nodes."""
+    """Return the network of the observation alone: inputs in their order, cells in place of their nodes."""
     replaced, start = {cell.result: cell for cell in action.cells}, 0
     nodes, renamed = list[Node](), {OBSERVATION: OBSERVATION}
     for name in names:

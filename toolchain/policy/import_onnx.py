@@ -84,14 +84,14 @@ def import_onnx(
     constants: Mapping[str, float] | None = None,
     prove: Proof | None = None,
 ) -> tuple[PolicyModel, Sequence[str]]:
-    """Write the policy of the ONNX file `source` to `out`; returns it and what was changed, in words.
+    """Write the policy of the ONNX file `source` to `out`; return it and descriptions of all changes.
 
-    clip: append a Clip to [0, 1] where nothing else keeps the motor fractions there.
+    clip: append a Clip to [0, 1] unless the model limits the motor fractions to that itself.
     output: which output of the model is the action, where it has several.
-    output_range: what its outputs range over, mapped to motor fractions from 0 to 1, and clipped to them.
-    input_order: the inputs that make the observation, in its order, where there are several.
+    output_range: the range of its outputs, which is mapped to motor fractions 0 to 1 and clipped.
+    input_order: the inputs that make up the observation, in order, where there are several.
     constants: values of inputs that the firmware does not have.
-    prove: compares the model with what was made of it; what it says is the last of the words.
+    prove: compares the model with the result; its text comes last in the descriptions.
     Raises PolicyError, one line; then nothing is written.
     """
     data = read_file(source)
@@ -185,7 +185,7 @@ def imported_model(
 
 
 def _terms(claims: PolicyClaims) -> tuple[tuple[str, int], ...] | None:
-    """The observation's terms and widths; None where it is none, which reading the policy back refuses."""
+    """Return the observation's terms and widths; None for an invalid one, which is refused later."""
     try:
         blocks = contract.observation_blocks(claims.observation)
     except ValueError:
@@ -194,7 +194,7 @@ def _terms(claims: PolicyClaims) -> tuple[tuple[str, int], ...] | None:
 
 
 def _float64(model: onnx.ModelProto) -> str:
-    """What a model has in float64, in words; nothing for most."""
+    """Describe what a model has in float64; "" if nothing."""
     from onnx import TensorProto
 
     from toolchain.policy.foreign_model import listed

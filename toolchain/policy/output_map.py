@@ -42,7 +42,7 @@ class OutputRange:
 
 
 def map_output(network: Network, asked: OutputRange) -> tuple[Network, list[str]]:
-    """Return the network with its output mapped to motor fractions, and what that changed, in words."""
+    """Return the network with its output mapped to motor fractions, and a description of the change."""
     low, high = meant_range(network)
     if 0 <= low <= high <= 1 and asked.low < 0:
         raise PolicyError(
@@ -63,7 +63,7 @@ def map_output(network: Network, asked: OutputRange) -> tuple[Network, list[str]
 
 
 def clip_output(network: Network) -> tuple[Network, list[str]]:
-    """Return the network with a Clip to [0, 1] at its end, and in words what that changes and holds."""
+    """Return the network with a Clip to [0, 1] at its end, and a description of what that changes."""
     words = ["appended a Clip to [0, 1]"]
     low, high = meant_range(network)
     observation = np.random.default_rng(0).normal(size=(1, SAMPLES, network.inputs)).astype(np.float32)

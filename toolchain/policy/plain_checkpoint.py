@@ -126,7 +126,7 @@ class _Reader(pickle.Unpickler):
         self._storages = storages
 
     def find_class(self, module: str, name: str) -> Any:  # noqa: ANN401 - as pickle has it
-        """What the pickle may call, and names of storages."""
+        """Return the few functions that the pickle may call, and names of storage types."""
         if module == "torch" and name in ITEM_BYTES:
             return name
         if (module, name) == ("collections", "OrderedDict"):
@@ -136,7 +136,7 @@ class _Reader(pickle.Unpickler):
         raise PolicyError(f"its pickle takes {module[:40]}.{name[:40]}, expected plain data and tensors")
 
     def persistent_load(self, pid: Any) -> _Storage:  # noqa: ANN401 - as pickle has it
-        """A storage, whose entry holds what the pickle says."""
+        """Return a storage. Raises PolicyError unless its entry has the size that the pickle gives."""
         _, kind, key, _, count = pid
         item = ITEM_BYTES[kind]
         if type(count) is not int or self._storages.get(f"data/{key}") != count * item:

@@ -60,7 +60,7 @@ def _weights(call: Call, place: int, ranks: tuple[int, ...] = (2, 3, 4)) -> Floa
 def linear(
     build: Builder, call: Call, row: Row, weight: Float64, bias: Float64, shape: tuple[int, ...]
 ) -> Row:
-    """W x + b, rounded to float32. Raises PolicyError where it leaves that or does not fit the value."""
+    """Append W x + b, rounded to float32. Raises PolicyError if that overflows or does not fit the value."""
     if weight.shape[1] != row.width or not weight.size:
         raise call.error(f"has weights for {weight.shape[1]} inputs, expected {row.width}")
     with np.errstate(over="ignore"):
@@ -147,7 +147,7 @@ def _reject_constant_state(build: Builder, call: Call, row: Row, constant: Array
 
 
 def read_reduction(build: Builder, call: Call) -> Row:
-    """ReduceMean and ReduceSum over any axes: a matrix of ones, or of their shares."""
+    """Read ReduceMean and ReduceSum over any axes, as a matrix of ones or of 1 / n."""
     row, kept = call.row(), call.attributes.get("keepdims", 1)
     axes = reduced_axes(call, row)
     places = np.moveaxis(row.places, axes, range(len(axes))).reshape(
@@ -161,7 +161,7 @@ def read_reduction(build: Builder, call: Call) -> Row:
 
 
 def reduced_axes(call: Call, row: Row) -> list[int]:
-    """The axes of `row` that a reduction goes over, in order."""
+    """Return the axes of `row` that a reduction covers, in ascending order."""
     given = call.constant(1)  # from opset 13 (ReduceSum) and 18 (ReduceMean) on the axes are an input
     axes = call.attributes.get("axes") if given is None else [int(axis) for axis in given.ravel()]
     if not axes:
@@ -172,9 +172,10 @@ def reduced_axes(call: Call, row: Row) -> list[int]:
 
 
 def constant_row(build: Builder, call: Call, like: Row, values: Float64) -> Row:
-    """Values that nothing changes, in the shape of `like`: bounds that leave one, and what differs added.
+    """Append constants in the shape of `like`: a Clip with equal bounds, and what differs is added.
 
-    Not as a product with zeros, which is what a recurrent cell leaves whose state became a constant.
+    A product with zeros would be refused when the policy is read back: exporters write one where the state of a
+    recurrent cell has become a constant.
     """
     same = bool((values == values[0]).all())
     bound = float(np.float32(values[0])) if same else 0.0
@@ -188,7 +189,7 @@ def read_negative(build: Builder, call: Call) -> Row:
 
 
 def read_sum(build: Builder, call: Call) -> Row:
-    """Sum and Mean of any number of values and constants."""
+    """Read Sum and Mean of any number of values and constants."""
     rows = [value for value in call.inputs if isinstance(value, Row)]
     constants = [call.numbers(place) for place, value in enumerate(call.inputs) if not isinstance(value, Row)]
     arrays = [array for array in constants if array is not None]

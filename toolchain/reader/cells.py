@@ -84,10 +84,9 @@ class _Group:
 def find_cells(
     nodes: Sequence[Node], widths: Sequence[int], inputs: set[int], after: Mapping[int, int]
 ) -> tuple[list[Cell], dict[int, str]]:
-    """The cells of a network, and for each state that none carries the reason.
+    """Find the recurrent cells of a network, and for each state that belongs to none, the reason.
 
-    inputs: the values that are inputs of the model, after: of those that are states, the value that is its
-    new one.
+    inputs: numbers of the model's inputs; after: number of the new value of each input that is a state.
     """
     search = _Search(nodes, widths, inputs, set(after))
     groups, reasons, cells = list[_Group](), dict[int, str](), list[Cell]()
@@ -122,13 +121,13 @@ class _Search:
         self.steps = 0
 
     def _step(self) -> None:
-        """Count one step of the search. Raises NoCellError where a graph is made to have no end of them."""
+        """Count one step of the search. Raises NoCellError after too many: paths may grow exponentially."""
         self.steps += 1
         if self.steps > STEPS_MAX:
             raise NoCellError("its new value has more branches than a cell's")
 
     def groups(self, state: int, value: int) -> list[_Group]:
-        """The elements of `state` by the value that computes the new ones."""
+        """Group the elements of `state` by the value that their new values are computed in."""
         found: defaultdict[int, list[tuple[int, int]]] = defaultdict(list)
         for place in range(self.widths[state]):
             base, (where,) = self.source(value, (place,))
@@ -142,7 +141,7 @@ class _Search:
         return groups
 
     def cell(self, group: _Group, left: Mapping[int, _Group]) -> tuple[Cell, list[_Group]]:
-        """The cell whose new output is `group`, and the groups that it carries. Raises NoCellError."""
+        """Return the cell whose new output is `group`, and the groups it carries. Raises NoCellError."""
         units, self.steps = len(group.places), 0
         if units > UNITS_MAX:
             raise NoCellError(f"it has {units} units, expected at most {UNITS_MAX}")
@@ -234,14 +233,14 @@ class _Search:
         return Cell(Lstm(*arrays), takes, group.after, (group.state, memory.state)), [group, memory]
 
     def _takes(self, sums: Sequence[_Sum]) -> tuple[int, ...]:
-        """The values that a cell with these sums takes, in their order."""
+        """Return the values that a cell with these sums reads, in ascending order. Raises NoCellError."""
         takes = tuple(sorted({value for total in sums for value in total.given}))
         if not takes:
             raise NoCellError("its new value depends on no observation")
         return takes
 
     def _kept(self, total: _Sum, group: _Group) -> Matrix:
-        """R of a sum, its columns in the order of `group`, whose states alone it may take."""
+        """Return R of a sum, columns in `group`'s order. Raises NoCellError if it reads another state."""
         if total.kept.keys() - {group.state}:
             raise NoCellError("its gates take another state than its own output")
         units = len(group.places)
@@ -251,11 +250,11 @@ class _Search:
         return matrix[:, list(group.places)]
 
     def _before(self, atom: Atom) -> Polynomial:
-        """What the gate or tanh `atom` is applied to."""
+        """Return the argument of the gate or tanh `atom`."""
         return self.polynomial(self.nodes[atom[1] - 1].inputs[0], atom[2])
 
     def source(self, value: int, places: Places) -> tuple[int, Places]:
-        """Where slices and concats take these elements from, as far as it is one value."""
+        """Follow slices and concats back to the one value with these elements; return it and their places."""
         while value and value not in self.inputs:
             node = self.nodes[value - 1]
             match node.operation:
@@ -279,7 +278,7 @@ class _Search:
         return None
 
     def polynomial(self, value: int, places: Places) -> Polynomial:
-        """These elements of `value` as sums of products of gates, states and other values."""
+        """Return these elements of `value` as sums of products of gates, states and other values."""
         self._step()
         value, places = self.source(value, places)
         one = np.ones(len(places))
@@ -305,7 +304,7 @@ class _Search:
         return {(("row", value, places),): one}
 
     def sum(self, polynomial: Polynomial) -> _Sum:
-        """The matrices of a polynomial of degree 1. Raises NoCellError for a product."""
+        """Return the matrices of a polynomial of degree 1. Raises NoCellError for a product."""
         total = _Sum(bias=np.zeros(len(next(iter(polynomial.values()), np.zeros(1)))))
         for product, factor in polynomial.items():
             match product:
@@ -320,9 +319,9 @@ class _Search:
         return total
 
     def _flow(self, total: _Sum, value: int, matrix: Matrix, *, through: bool) -> None:
-        """Add matrix * value to `total`, followed back to states and to what the cell takes.
+        """Add matrix * value to `total`, traced back to states and to the values that the cell reads.
 
-        through: whether a matrix has been passed: what lies before it and holds no state is taken as it is.
+        through: True behind a matrix; a value before it that depends on no state is then read as it is.
         """
         self._step()
         if value in self.states:
@@ -381,7 +380,7 @@ def _product(*atoms: Atom) -> tuple[Atom, ...]:
 
 
 def _sum(parts: Sequence[Polynomial]) -> Polynomial:
-    """The sum of polynomials, without what cancels. Raises NoCellError for one too long to be a cell's."""
+    """Add polynomials, without terms that cancel. Raises NoCellError for more terms than a cell has."""
     total: Polynomial = {}
     for part in parts:
         for product, factor in part.items():
@@ -399,7 +398,7 @@ def _ones(polynomial: Polynomial, expected: Mapping[tuple[Atom, ...], int]) -> N
 
 
 def _joined(total: _Sum, takes: Sequence[int], widths: Sequence[int]) -> Matrix:
-    """W of a sum over all the values that its cell takes."""
+    """Return W of a sum, its columns over all values that the cell reads."""
     units = len(total.bias)
     return np.hstack([total.given.get(value, np.zeros((units, widths[value]))) for value in takes])
 

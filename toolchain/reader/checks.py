@@ -34,9 +34,9 @@ WEIGHTED = {  # operator: places of its weights
 
 
 def check_model(model: onnx.ModelProto, *, float64: bool = False) -> None:
-    """Raise PolicyError, one line, for a model that must not reach the readers of nodes.
+    """Raise PolicyError, one line, for a model whose nodes must not be read.
 
-    float64: let constants of that type pass, as those of a normalizer.
+    float64: allow constants of that type, such as a normalizer's.
     """
     check_parts(model)
     version = opset(model)
@@ -69,7 +69,7 @@ def action_width(model: onnx.ModelProto) -> int:
 def check_parts(model: onnx.ModelProto, *, functions: bool = False) -> None:
     """Raise PolicyError unless the model is plain nodes with readable names.
 
-    functions: let functions of the model's own pass.
+    functions: allow functions that the model defines itself.
     """
     if not model.HasField("graph"):
         raise PolicyError("not an ONNX model, or a truncated one: it has no graph")
@@ -85,7 +85,7 @@ def check_parts(model: onnx.ModelProto, *, functions: bool = False) -> None:
 
 
 def opset(model: onnx.ModelProto) -> int:
-    """The version of the standard operators. Raises PolicyError where there is none or onnx knows it not."""
+    """Return the version of the standard operators. Raises PolicyError if there is none or onnx lacks it."""
     newest = onnx.defs.onnx_opset_version()
     versions = [entry.version for entry in model.opset_import if entry.domain in STANDARD_DOMAINS]
     if not versions:
@@ -100,7 +100,7 @@ def opset(model: onnx.ModelProto) -> int:
 
 
 def unsupported(name: str) -> PolicyError:
-    """The refusal of the node labelled `name`, whose operator nothing reads."""
+    """Return the error for the node labelled `name`, whose operator is not supported."""
     return PolicyError(f"{name} is not supported, supported are {', '.join(COMPUTING)} and reshaping")
 
 
@@ -112,7 +112,7 @@ def _check_operators(graph: onnx.GraphProto) -> None:
 
 
 def _check_tensors(graph: onnx.GraphProto, floats: Set[int]) -> None:
-    """floats: the types that weights may have."""
+    """Raise PolicyError for tensors in other files, and for weights of a type that is not in `floats`."""
     tensors = [(f"initializer {shown(tensor.name)}", tensor) for tensor in graph.initializer]
     tensors += [(label(n), a.t) for n in graph.node for a in n.attribute if a.HasField("t")]
     for name, tensor in tensors:

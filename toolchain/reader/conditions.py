@@ -34,7 +34,7 @@ def read_where(build: Builder, call: Call) -> Row:
 
 
 def _mixed(build: Builder, call: Call, chosen: Array) -> Row:
-    """Where a constant chooses: each value times 1 or 0, and the other's constants or values added."""
+    """Read Where with a constant condition: the sum of each side times 1 where it is chosen, else 0."""
     values = (call.input(1), call.input(2))
     like = next(value for value in values if isinstance(value, Row))
     shape = joint_shape(call, chosen.shape, *(v.shape for v in values if isinstance(v, Row | np.ndarray)))
@@ -83,7 +83,7 @@ def _softplus(build: Builder, condition: Condition, first: Value | None, second:
 
 
 def _least(operation: Operation) -> float:
-    """The smallest x above which `operation`, x - bound, is above 0; -inf for another one."""
+    """Return the smallest x for which `operation`, x - bound, is positive; -inf for any other operation."""
     match operation:
         case Affine(scale, offset) if (scale == 1).all():
             return float(-offset.max())
@@ -91,7 +91,7 @@ def _least(operation: Operation) -> float:
 
 
 def _above(build: Builder, call: Call, places: tuple[int, int], negated: bool) -> Condition:
-    """Whether the first of two inputs is above the second: their difference."""
+    """Return the condition that the first of two inputs exceeds the second, as their difference."""
     first, second = (call.input(place) for place in places)
     match first, second:
         case Row(), Row():
@@ -107,7 +107,7 @@ def _above(build: Builder, call: Call, places: tuple[int, int], negated: bool) -
 
 
 def _moved(build: Builder, call: Call, row: Row, place: int, sign: float) -> Row:
-    """`sign` (row - the constant at `place`)."""
+    """Append `sign` (row - the constant at `place`)."""
     bound: Array | None = call.floats(place)
     assert bound is not None
     shape = joint_shape(call, row.shape, bound.shape)

@@ -15,7 +15,7 @@ PADDED_MAX = 1 << 16  # values with the zeros around them, which also bounds the
 
 
 def read_conv(build: Builder, call: Call) -> Row:
-    """A convolution of any number of axes over a value of shape [1, channels, ...]."""
+    """Read a convolution over any number of axes, of a value of shape [1, channels, ...]."""
     row, weight = call.row(0), call.floats(1)
     if weight is None or weight.ndim != len(row.shape) or weight.ndim < 3 or row.shape[0] != 1:
         got = "none" if weight is None else list(weight.shape)
@@ -67,7 +67,7 @@ def _sizes(call: Call, name: str, count: int) -> list[int]:
 def _pads(
     call: Call, sizes: Sequence[int], spans: Sequence[int], strides: Sequence[int]
 ) -> list[tuple[int, int]]:
-    """Zeros before and after each axis."""
+    """Return the number of zeros before and after each axis."""
     kind = call.attributes.get("auto_pad", b"NOTSET")
     if kind in (b"SAME_UPPER", b"SAME_LOWER"):
         pads = []

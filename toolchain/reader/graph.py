@@ -69,8 +69,8 @@ def read_network(model: onnx.ModelProto) -> Network:
 def read_nodes(model: onnx.ModelProto, build: Builder, inputs: Mapping[str, Value]) -> dict[str, Value]:
     """Read the nodes of a checked model into `build`; returns every value by its name.
 
-    A node that cannot be read gives values of type Unread, which hold the refusal: only who reads them, other
-    than for their shape, is refused.
+    The outputs of a node that cannot be read are of type Unread, which holds the error. It is raised only
+    when a node needs such a value, other than for its shape.
     """
     graph = model.graph
     values: dict[str, Value] = {
@@ -136,7 +136,7 @@ def _read(build: Builder, call: Call) -> tuple[Value, ...]:
 def _unread(
     model: onnx.ModelProto, node: onnx.NodeProto, call: Call, error: PolicyError
 ) -> tuple[Unread, ...]:
-    """The outputs of a node that cannot be read, with their shapes where ONNX's own inference tells them."""
+    """Return a node's unreadable outputs, with their shapes where ONNX's own inference gives them."""
     types, constants = {}, {}
     for name, value in zip(call.names, call.inputs, strict=True):
         if isinstance(value, np.ndarray):
@@ -159,7 +159,7 @@ def _unread(
 
 
 def _static(found: onnx.TypeProto | None) -> tuple[int, ...] | None:
-    """The shape of a type, where all of it is known."""
+    """Return the shape of a type; None unless all sizes are known."""
     if found is None or not found.tensor_type.HasField("shape"):
         return None
     sizes = found.tensor_type.shape.dim

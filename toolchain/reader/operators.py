@@ -80,7 +80,7 @@ def _clip(build: Builder, call: Call) -> Row:
 
 
 def _min_or_max(build: Builder, call: Call) -> Row:
-    """Min or Max: of a value and a constant a Clip with one bound, of two values a Select."""
+    """Read Min and Max: with a constant a Clip with one bound, of two values a Select."""
     places = [place for place, value in enumerate(call.inputs) if isinstance(value, Row)]
     if len(call.inputs) != 2:
         raise call.error(f"takes {len(call.inputs)} values, expected two")
@@ -108,7 +108,7 @@ def _clipped(build: Builder, call: Call, row: Row, low: float | None, high: floa
 
 
 def _softmax(build: Builder, call: Call) -> Row:
-    """Over all values, or over each of the groups that an axis makes of them."""
+    """Read Softmax over all values, or over each group along an axis."""
     row, axis = call.row(), call.attributes.get("axis", -1)
     if not -len(row.shape) <= axis < len(row.shape):
         raise call.error(f"shares out axis {axis} of a value of shape {list(row.shape)}")
@@ -122,7 +122,7 @@ def _softmax(build: Builder, call: Call) -> Row:
 
 
 def _norm(build: Builder, call: Call) -> tuple[Value, ...]:
-    """LayerNormalization, and RMSNormalization, which has no offset."""
+    """Read LayerNormalization, and RMSNormalization, which has no offset."""
     row, axis = call.row(), call.attributes.get("axis", -1)
     axis = axis + len(row.shape) if axis < 0 else axis
     epsilon = call.attributes.get("epsilon", 1e-5)

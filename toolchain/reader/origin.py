@@ -31,7 +31,7 @@ FUSED_MEND = (
 
 
 def check_origin(model: onnx.ModelProto) -> None:
-    """Raise PolicyError, one line, for a model that was quantized, halved or fused, with how to export it."""
+    """Raise PolicyError, one line on how to export it, for a quantized, float16 or fused model."""
     for node in model.graph.node:
         if QUANTIZED.fullmatch(node.op_type):
             raise PolicyError(f"the model is quantized: {label(node)}; {QUANTIZED_MEND}")
@@ -47,7 +47,7 @@ def check_origin(model: onnx.ModelProto) -> None:
 
 
 def _types(graph: onnx.GraphProto) -> Iterator[tuple[str, int]]:
-    """What the model holds and converts, with its type."""
+    """Yield each tensor and value of the model, and the target of each conversion, with its type."""
     for tensor in graph.initializer:
         yield f"initializer {shown(tensor.name)}", tensor.data_type
     for value in (*graph.input, *graph.output):

@@ -34,13 +34,13 @@ def bounded(network: Network) -> Network:
 
 
 def meant_range(network: Network) -> tuple[float, float]:
-    """The bounds that activations and maps at the network's end give all outputs; infinite without such."""
+    """Return the bounds that activations and maps at the network's end give its outputs; infinite without."""
     low, high = value_intervals(network, by_weights=False)[-1]
     return float(low.min()), float(high.max())
 
 
 def shown_range(low: float, high: float) -> str:
-    """A range in words."""
+    """Format a range for a message."""
     return f"{low:.4g} to {high:.4g}"
 
 

@@ -43,9 +43,9 @@ ONLY_INSIDE = ("Sqrt", "Reciprocal")
 
 
 def read_pattern(build: Builder, call: Call) -> Value | None:
-    """The next part, or the operation that the pattern makes; None where no rule applies.
+    """Return the next part of a pattern, or the finished operation; None where no rule applies.
 
-    A part may be what another pattern works on, as the x of a norm of |x|: then it is computed first.
+    A part may be the input of another pattern, as in the norm of |x|: then it is computed first.
     """
     part = _next(build, call)
     if part is None and any(isinstance(value, Part) and value.kind in COMPUTED for value in call.inputs):
@@ -54,7 +54,7 @@ def read_pattern(build: Builder, call: Call) -> Value | None:
 
 
 def computed(build: Builder, call: Call) -> Call:
-    """`call` with its parts as values. Raises PolicyError for one that is of no use outside its pattern."""
+    """Return `call` with its parts as computed values. Raises PolicyError for parts with no meaning alone."""
     call = _with_values(build, call)
     if any(isinstance(value, Part) for value in call.inputs):
         raise call.error(
@@ -156,7 +156,7 @@ def _next(build: Builder, call: Call) -> Value | None:
 
 
 def _with_values(build: Builder, call: Call) -> Call:
-    """`call` with those parts as values for which there are operations, each computed once."""
+    """Return `call` with those parts that are operations of their own as values, each computed once."""
     inputs = []
     for value in call.inputs:
         if isinstance(value, Part) and value.kind in COMPUTED:
@@ -184,7 +184,7 @@ def _computed(build: Builder, call: Call, part: Part) -> Row:
 
 
 def _of_row(build: Builder, call: Call, part: Part) -> Value | None:
-    """Divide a row by a part of its own, or multiply it by one."""
+    """Divide or multiply a row by a part that was computed from this row."""
     if (call.operator, part.kind) in (("Div", ROOT), ("Mul", INVERSE_ROOT)):
         return _norm(build, call, RmsNorm, part)
     if (call.operator, part.kind) == ("Mul", INVERSE):
@@ -193,7 +193,7 @@ def _of_row(build: Builder, call: Call, part: Part) -> Value | None:
 
 
 def _norm(build: Builder, call: Call, kind: type[Norm], part: Part) -> Row:
-    """The norm of a part's row, with the scale and offset that the part has collected."""
+    """Append the norm of a part's row, with the scale and offset that the part has collected."""
     row, one, zero = part.row, np.ones(part.row.width, np.float32), np.zeros(part.row.width, np.float32)
     norm = build.append(call, kind(part.epsilon, one, zero), row, shape=row.shape)
     if part.scale is None and part.offset is None:
@@ -208,7 +208,7 @@ def _factors(part: Part) -> Float64:
 
 
 def _fits(part: Part, values: Array) -> bool:
-    """Whether values are a finite number each, or one, of the part's row."""
+    """Return True if `values` are finite and broadcast to the part's row."""
     shape = part.row.shape
     fits = values.ndim <= len(shape) and all(
         size in (1, full) for size, full in zip(values.shape[::-1], shape[::-1], strict=False)
@@ -217,7 +217,7 @@ def _fits(part: Part, values: Array) -> bool:
 
 
 def _squared(build: Builder, row: Row) -> Row | None:
-    """x where `row` is x x."""
+    """Return x if `row` is x * x; else None."""
     node = build.operation(row)
     if node is None or node.operation != Multiply() or len(set(node.inputs)) != 1:
         return None

@@ -63,7 +63,7 @@ def read_gru(build: Builder, call: Call) -> tuple[Value, ...]:
 
 
 def read_lstm(build: Builder, call: Call) -> tuple[Value, ...]:
-    """Y, Y_h and the cell state of an LSTM, which no operation may read where the policy carries it."""
+    """Read LSTM: Y, Y_h and the cell state, which no operation may read where the policy carries it."""
     if call.input(PEEPHOLES) is not None:
         raise call.error("has peepholes, expected none")
     row, weight, state_weight, bias = _parts(call, 4)
@@ -85,7 +85,7 @@ def read_lstm(build: Builder, call: Call) -> tuple[Value, ...]:
 
 
 def read_rnn(build: Builder, call: Call) -> tuple[Value, ...]:
-    """Y and Y_h of an RNN: h' = tanh(W x + b + R h + c)."""
+    """Read RNN: Y and Y_h of h' = tanh(W x + b + R h + c)."""
     row, weight, state_weight, bias = _parts(call, 1)
     units = state_weight.shape[1]
     before = _initial(call, units, INITIAL_H)
@@ -102,7 +102,7 @@ def read_rnn(build: Builder, call: Call) -> tuple[Value, ...]:
 
 
 def plain_cell(weight: Float32, state_weight: Float32, bias: Float32, state_bias: Float32) -> Gru:
-    """h' = tanh(W x + b + R h + c) as a GRU whose gates stand still: nothing kept, nothing reset.
+    """Return h' = tanh(W x + b + R h + c) as a GRU with constant gates: nothing kept, nothing reset.
 
     A bias of +-GATE_OPEN makes a sigmoid of float32 exactly 1 and at most 4e-44.
     """
@@ -117,7 +117,7 @@ def plain_cell(weight: Float32, state_weight: Float32, bias: Float32, state_bias
 
 
 def _outputs(result: Row) -> tuple[Row, Row]:
-    """Y [1, 1, 1, H] and Y_h [1, 1, H]."""
+    """Return the result as Y [1, 1, 1, H] and as Y_h [1, 1, H]."""
     units = result.width
     return Row(result.number, (1, 1, 1, units)), Row(result.number, (1, 1, units))
 
@@ -134,18 +134,18 @@ class _Writer:
         return self.build.append(self.call, operation, *rows, shape=(self.units,))
 
     def gates(self, layer: Linear, row: Row) -> list[Row]:
-        """The sums of each gate, which `layer` has one after the other."""
+        """Return the sum of each gate; `layer` computes them one after the other."""
         count = layer.outputs // self.units
         joint = self.build.append(self.call, layer, row, shape=(layer.outputs,))
         return [self(Slice(gate * self.units, self.units), joint) for gate in range(count)]
 
     def negative(self, row: Row) -> Row:
-        """-x."""
+        """Append -x."""
         return self(Affine(np.full(self.units, -1.0), np.zeros(self.units)), row)
 
 
 def _initial(call: Call, units: int, *places: int) -> list[Row] | None:
-    """The computed state that the cell starts from; None where it starts from zero."""
+    """Return the computed state that the cell starts from; None where it starts from zero."""
     given = []
     for place in places:
         value = call.input(place)

@@ -98,7 +98,7 @@ class Call:
         return self.inputs[place] if place < len(self.inputs) else None
 
     def numbers(self, place: int) -> NDArray[np.float64] | None:
-        """The float32 or float64 constant at `place`. Raises PolicyError for others, NaN or infinity."""
+        """Return the float constant at `place`. Raises PolicyError for other types, NaN or infinity."""
         values = self.constant(place)
         if values is not None and values.dtype == np.float64 and np.isfinite(values).all():
             return values
@@ -120,7 +120,7 @@ class Call:
         raise self.error(f"takes {shown(self.names[place])} where a constant is expected")
 
     def floats(self, place: int) -> Float32 | None:
-        """The constant at `place` in float32. Raises PolicyError for another type, NaN or infinity."""
+        """Return the constant at `place` in float32. Raises PolicyError for another type, NaN or infinity."""
         values = self.constant(place)
         if values is None:
             return None
@@ -136,7 +136,7 @@ class Call:
         return values
 
     def scalar(self, place: int) -> float | None:
-        """The one value at `place`, in float32, which may be repeated. Infinity is allowed."""
+        """Return the one value at `place`, which may be repeated, in float32. Infinity is allowed."""
         values = self.constant(place)
         if values is None:
             return None

@@ -101,7 +101,7 @@ def open_onnxruntime(data: bytes) -> Machine:
 
 
 def _expose_state(model: onnx.ModelProto) -> list[tuple[str, str, int]]:
-    """Make the state of each RNN, GRU and LSTM an input and an output of `model`: their names and width."""
+    """Make the state of each RNN, GRU and LSTM an input and output of `model`; return names and width."""
     from onnx import TensorProto, helper
 
     cells = []
@@ -257,6 +257,6 @@ def open_arm(policy: CompiledPolicy, directory: Path) -> Machine:
 
 
 def first_line(text: str) -> str:
-    """The first line of another program's words, not too long."""
+    """Return the first line of another program's output, shortened if too long."""
     line = next((line.strip() for line in text.splitlines() if line.strip()), "")
     return line if len(line) <= MESSAGE_MAX else line[: MESSAGE_MAX - 3] + "..."

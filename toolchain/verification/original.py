@@ -30,7 +30,7 @@ Run = Callable[[list[str], dict[str, NDArray[Any]]], list[NDArray[Any]]]  # outp
 
 
 def compare(data: bytes, adopted: Adopted) -> str:
-    """How far `adopted` is from the model in `data`, in a line. Raises PolicyError where they differ."""
+    """Return in a line how far `adopted` is from the model in `data`. Raises PolicyError if too far."""
     model = parse_model(data)
     inline_functions(model)  # so that the operators are those that were read
     keep_outputs(model.graph, {adopted.action, *adopted.states.values()})
@@ -67,7 +67,7 @@ def _compared(machine: str, adopted: Adopted, expected: NDArray[np.float64], obs
 
 
 def _machines() -> Iterator[tuple[str, Callable[[onnx.ModelProto], Run]]]:
-    """What runs models, the most independent one first."""
+    """Yield the programs that can run models, the most independent one first."""
     from onnx.reference import ReferenceEvaluator
 
     try:
@@ -94,7 +94,7 @@ def _machines() -> Iterator[tuple[str, Callable[[onnx.ModelProto], Run]]]:
 
 
 def _actions(run: Run, model: onnx.ModelProto, adopted: Adopted, observation: Float32) -> NDArray[np.float64]:
-    """Actions of the model itself; its states start from zero, at each step where a cell inside does."""
+    """Run the model itself; states start from zero, at every step if a cell inside it does."""
     sizes, kinds = dict[str, list[int]](), dict[str, type]()
     for value in model.graph.input:
         tensor = value.type.tensor_type
