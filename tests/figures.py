@@ -32,14 +32,14 @@ FEW = 12  # observations: all take one route, which tests/toolchain/cortex_m7 pr
 
 
 def ours(name: str) -> str:
-    """Instructions, their variation, cycles and time of a network of the bench, compiled by us."""
+    """Return instructions, their variation, cycles and time of a network of the bench, compiled by us."""
     bar = next(bar for bar in compiler.BARS if name == bar.name)
     with tempfile.TemporaryDirectory() as folder:
         return _cells(compiler.our_row(bar, FEW, Path(folder), "-O2"), 1)
 
 
 def theirs(name: str) -> str:
-    """Return the same of emx-onnx-cgen's code, in hundreds, over the bench's observations."""
+    """Return the same for emx-onnx-cgen's code, rounded to hundreds, over the bench's observations."""
     bar = next(bar for bar in compiler.BARS if name == f"{bar.name} emx")
     if reason := emx.fetch():
         raise RuntimeError(reason)
@@ -77,7 +77,7 @@ def trained(name: str) -> str:
 
 
 def swap(_: str) -> str:
-    """Return what goes over the line for the shipped policy, and for the image around it."""
+    """Return how many bytes are sent for the shipped policy, and for the image around it."""
     build_shipped("MATEKF722", SHIPPED)
     image = read_image(BUILD / "MATEKF722" / "neuroflight.elf")
     blob = next(section for section in image.sections if section.name == ".policy")
@@ -110,7 +110,7 @@ def figures(page: Path) -> list[tuple[str, str]]:
 
 
 def main() -> None:
-    """Rewrite the pages."""
+    """Write the figures into the pages anew."""
     if not compiler_version().startswith(COMPILER):
         raise SystemExit(f"the counts are those of {COMPILER}, this is {compiler_version()}")
     made = {name: make(name) for name, make in FIGURES.items()}

@@ -24,7 +24,7 @@ COUNTED = [
 
 @pytest.fixture
 def counted_with() -> None:
-    """Skips what is counted where other tools would count."""
+    """Skip the test with another compiler or cycle counter than the pages' figures are from."""
     if not (compiler_version().startswith(figures.COMPILER) and find_pricer()):
         pytest.skip(f"the pages' counts are of {figures.COMPILER}, cycles of llvm-mca")
 
@@ -54,7 +54,7 @@ def test_pages_tell_the_counts_of_this_compiler(name: str) -> None:
 
 @pytest.mark.usefixtures("counted_with")
 def test_stored_results_have_the_counts_of_this_compiler() -> None:
-    """docs/results.md is written from them: `neuroflight results --again board-timing.json`, or the study."""
+    """Compare the data of docs/results.md; to renew: `neuroflight results --again board-timing.json`."""
     counts = re.findall(r"^instructions +(\S+)", figures.timing(""), re.MULTILINE)
     now = [int(count.replace(",", "")) for count in counts]
     stored = json.loads((ROOT / "docs/results/board-timing.json").read_text())["board_timing"][0]

@@ -103,7 +103,7 @@ def _rows(bar: Bar, inputs: int, folder: Path, *, with_theirs: bool) -> Iterator
 
 
 def our_row(bar: Bar, inputs: int, folder: Path, optimization: str) -> Row:
-    """Return what our code of the network of `bar` takes over `inputs` observations."""
+    """Measure our code for the network of `bar` over `inputs` observations."""
     compiled = compile_policy(_policy(random_network(bar.widths)))
     observations = mixed_observations(inputs, compiled.network.inputs)
     cost = time_policy(compiled, folder, observations, optimization=optimization).cost
@@ -111,7 +111,7 @@ def our_row(bar: Bar, inputs: int, folder: Path, optimization: str) -> Row:
 
 
 def their_row(bar: Bar, folder: Path, optimization: str) -> Row:
-    """Return what emx-onnx-cgen's code of it takes; `emx.fetch` has brought the program."""
+    """Measure emx-onnx-cgen's code for it; `emx.fetch` must have installed the program."""
     network = random_network(bar.widths)
     unit = np.random.default_rng(1).normal(size=(THEIR_INPUTS, network.inputs)).astype(np.float32)
     emx.generate(network, folder)

@@ -105,7 +105,7 @@ def exponential_units() -> Network:
 
 
 def smooth_units() -> Network:
-    """GELU, Mish and SELU, an RMS norm between."""
+    """Build a network with GELU, Mish and SELU and an RMS norm between."""
     make = Maker(16, 10)
     seen = make.linear(24)
     wide = make.add(Affine(np.full(24, 0.5**0.5), np.zeros(24)), seen)

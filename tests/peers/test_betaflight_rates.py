@@ -28,7 +28,7 @@ ROUNDED = 0.0501  # [deg/s] half of the tenths that are logged
 
 
 def sticks(path: Path) -> Path:
-    """A scenario of strokes to all places of each stick, the ends more often."""
+    """Write a scenario of random stick positions on each axis, of which a fifth are at the ends."""
     rng = np.random.default_rng(6)
     places = np.where(
         rng.random((60, 3)) < 0.2, rng.choice([-1000, 1000], (60, 3)), 2 * rng.integers(-500, 501, (60, 3))

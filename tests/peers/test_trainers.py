@@ -62,13 +62,13 @@ def section() -> str:
 
 
 def table() -> dict[str, tuple[str, str, list[str]]]:
-    """By its first cell, of each row: what it was tried with, the line that exports, options of freeze."""
+    """Return the rows by first cell: packages it was tried with, the line that exports, options of freeze."""
     rows = re.findall(r"^\| ([^|]+) \| `([^`]+)` \| `([^`]+)` \| (?:`([^`]+)` )?\|$", section(), re.MULTILINE)
     return {name: (tried, line, options.split()) for name, tried, line, options in rows}
 
 
 def groups() -> dict[str, list[str]]:
-    """Rows that take the same packages, by these."""
+    """Return the names of the rows that need the same packages, by these packages."""
     found = defaultdict(list)
     for name, (tried, _, _) in table().items():
         found[tried].append(name)
@@ -76,7 +76,7 @@ def groups() -> dict[str, list[str]]:
 
 
 def install(tried: str, folder: Path) -> None:
-    """Bring what the project does not bring; skip the test where it cannot be had."""
+    """Install the packages that the project does not; skip the test where these cannot be installed."""
     wanted = [word for word in tried.split() if word not in CONSTRAINTS]
     needs = [NEEDS[word.partition("==")[0]] for word in wanted if word.partition("==")[0] in NEEDS]
     if not wanted:

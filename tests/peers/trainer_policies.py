@@ -59,7 +59,7 @@ class Made:
 
 
 def randomize(module: torch.nn.Module) -> None:
-    """Give it weights with which its outputs differ: trainers begin with small ones."""
+    """Set random weights, large enough that the outputs differ: trainers begin with small ones."""
     for parameter in module.parameters():
         torch.nn.init.normal_(parameter, 0.0, max(1, parameter.shape[-1]) ** -0.5)
 
@@ -69,12 +69,12 @@ def tensor(values: Array) -> torch.Tensor:
 
 
 def answers(policy: Any) -> Callable[[Array], Any]:
-    """Actions of a module of torch for a batch."""
+    """Return a function that gives a torch module's actions for a batch."""
     return lambda observations: policy(tensor(observations))
 
 
 def clipped(actions: Any) -> Array:
-    """Actions that the environment clips to 0..1."""
+    """Limit actions to 0..1, as the environment does."""
     return np.asarray(np.clip(actions, 0.0, 1.0))
 
 
@@ -221,7 +221,7 @@ def _observed(observations: Array) -> Any:
 
 
 def _in_turn(policy: Callable[[Any], torch.Tensor]) -> Callable[[Array], Array]:
-    """Each observation after the other, so that a state is carried."""
+    """Return a function that gives actions one observation at a time, so that state is carried."""
     return lambda observations: clipped([policy(_observed(o[None]))[0].numpy() for o in observations])
 
 

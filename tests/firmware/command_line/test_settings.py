@@ -198,7 +198,7 @@ def test_a_line_of_betaflights_diff_is_told_who_takes_it(desk: Desk, line: str) 
 
 
 def test_a_pasted_diff_of_betaflights_stores_nothing(desk: Desk) -> None:
-    """Whatever of it is a setting here by the same name: it ends in `save`, and that is refused."""
+    """Paste settings that have the same names here: the `save` at their end is refused."""
     desk.open()
     said = desk.type(
         "# version\r\n# Betaflight / MATEKF722 (MKF7) 4.0.0 Mar  8 2019 / 11:37:03 (52c4e96c8)\r\n"

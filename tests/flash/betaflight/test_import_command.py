@@ -78,7 +78,7 @@ def diff(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def msp(resting_host: str, capsys: pytest.CaptureFixture[str]) -> Run:
-    """Give it words behind `msp`, the port behind them: exit code, stdout, stderr."""
+    """Return a function that runs `msp` with words and the port: exit code, stdout, stderr."""
 
     def run(*words: str, port: str = resting_host) -> tuple[int, str, str]:
         code = main(["msp", *words, "--port", port])
@@ -90,7 +90,7 @@ def msp(resting_host: str, capsys: pytest.CaptureFixture[str]) -> Run:
 
 
 def changed(msp: Run) -> dict[str, object]:
-    """The settings that are not at their defaults."""
+    """Return the settings that differ from their defaults."""
     told = json.loads(msp("diff", "--json")[1])
     assert isinstance(told, dict)
     return told
@@ -193,14 +193,14 @@ def test_nothing_is_stored_when_the_line_is_cut_midway(
 
 
 def asked_for(client: Client, diff: Path, board: str = "HOST") -> tuple[Settings, dict[str, Value]]:
-    """The settings of a firmware, and what the file would change of them."""
+    """Return a firmware's settings, and which of them the file would change."""
     settings = Settings(client)
     present = {stored.name: stored.value for stored in settings.read()}
     return settings, needed(fitted(make_plan(read_diff(diff), board, present), settings), present)
 
 
 def test_it_arms_nothing_and_turns_no_motor(booted: Lockstep, diff: Path) -> None:
-    """The range that arms moves to where the switch stands; in lockstep, so that whatever happens is seen."""
+    """Move the arming range onto the switch's position; lockstep shows every step that follows."""
     diff.write_text(DIFF.replace("aux 0 0 0 1900 2100", "aux 0 0 0 900 1100"))
     with booted.client() as client:
         settings, changes = asked_for(client, diff)

@@ -28,7 +28,7 @@ def header(version: str = "4.2.0", board: str = "MATEKF722") -> str:
 
 @pytest.fixture
 def make(tmp_path: Path) -> Make:
-    """Plan a file of those lines, for a firmware at its defaults unless `present` says more."""
+    """Return a function that plans a file of the given lines, for a firmware at its defaults by default."""
 
     def make(
         text: str,
@@ -46,7 +46,7 @@ def make(tmp_path: Path) -> Make:
 
 
 def changes(plan: Plan) -> dict[str, str]:
-    """As people write them; the motors' order, which every file of the same board has, left out."""
+    """Return the changes as text, without the motors' order, which every file of the same board changes."""
     return {
         name: value_text(name, value)
         for name, value in plan.changes.items()
@@ -410,7 +410,7 @@ LINES = (
 
 
 def invented(rng: random.Random) -> str:
-    """A file of lines that are right, half right and nonsense."""
+    """Return a file of lines that are right, half right and nonsense."""
     lines = []
     for _ in range(rng.randint(0, 40)):
         if rng.random() < 0.5:
@@ -435,7 +435,7 @@ def invented(rng: random.Random) -> str:
 
 @pytest.mark.parametrize("seed", range(10))
 def test_every_line_is_brought_over_or_left_with_a_reason(make: Make, seed: int) -> None:
-    """1,000 files; lines are counted here by what stands in the file, not by the code under test."""
+    """Plan 1,000 files; their lines are counted from the text, not by the code under test."""
     rng = random.Random(seed)
     for _ in range(100):
         text, version = invented(rng), rng.choice(["3.1.7", "4.0.0", "4.5.1", "2025.12.1", "9.9"])

@@ -13,7 +13,7 @@ STICKS = [at / 200 for at in range(201)]
 
 
 def asked(kind: str, rc: int, top: int, expo: int, x: float, quick: bool = False) -> float:
-    """deg/s for the part x of a stick, 0 to 1: rc.c of Betaflight 2025.12, in plain numbers."""
+    """Return deg/s at x of a stick, 0 to 1, as rc.c of Betaflight 2025.12 computes it."""
     e, s = expo / 100, top / 100
     if kind == "BETAFLIGHT":
         bent = x * x**3 * e + x * (1 - e)
@@ -35,7 +35,7 @@ def asked(kind: str, rc: int, top: int, expo: int, x: float, quick: bool = False
 
 
 def flown(style: Style, axis: str, x: float) -> float:
-    """deg/s of this firmware: docs/settings.md, in plain numbers."""
+    """Return deg/s of this firmware, as docs/settings.md gives the formulas."""
     rate, top, e = (style.values[f"{axis}_{what}"] for what in ("rate", "max", "expo"))
     if style.name == "betaflight":
         counted = rate + 14.54 * max(rate - 2, 0)
@@ -65,7 +65,7 @@ RANGES = {  # of rc rate and super rate, where pilots have them
 
 
 def drawn(rng: random.Random, kind: str, expo: int) -> list[tuple[int, int, int]]:
-    """Numbers of three axes that ask for no more than is flown."""
+    """Draw numbers of three axes whose rates this firmware can command."""
     low_high, tops = RANGES[kind]
     while True:
         numbers = [(rng.randint(*low_high), rng.randint(*tops), rng.randint(0, expo)) for _ in AXES]

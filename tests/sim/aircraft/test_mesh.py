@@ -58,7 +58,7 @@ def test_mesh_is_hollow_when_it_is_a_tube() -> None:
 
 
 def test_mesh_is_turned_about_its_own_origin_and_then_moved() -> None:
-    """A brick of 100 x 40 x 20 mm about (10, 20, 30) mm, rolled by 90 degrees: y goes to z, z to -y."""
+    """Roll a brick of 100 x 40 x 20 mm about (10, 20, 30) mm by 90 degrees: y goes to z, z to -y."""
     solid = placed(read_solid(stl(brick()), MM), MeshPose((90.0, 0.0, 0.0), (0.1, 0.0, 0.0)))
     x, y, z = 0.1**2, 0.02**2, 0.04**2
     assert solid.centre == pytest.approx((0.11, -0.03, 0.02))
@@ -68,7 +68,7 @@ def test_mesh_is_turned_about_its_own_origin_and_then_moved() -> None:
 
 
 def test_turned_mesh_weighs_as_one_that_was_drawn_turned() -> None:
-    """Against scipy's rotation of the corners, before they are weighed."""
+    """Compare with corners that scipy rotated before they were weighed."""
     rng = np.random.default_rng(1)
     for _ in range(30):
         angles, offset = rng.uniform(-360.0, 360.0, 3), rng.uniform(-0.2, 0.2, 3)

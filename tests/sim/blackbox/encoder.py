@@ -49,7 +49,7 @@ class Written:
     order: list[int] = field(default_factory=list)
 
     def data(self, without: Sequence[str] = ()) -> bytes:
-        """The file, but for the header lines `without`."""
+        """Return the file, except for the header lines `without`."""
         kept = {name: value for name, value in self.lines.items() if name not in without}
         product = PRODUCT.splitlines(keepends=True)
         version = b"" if "Data version" in without else product[1]
@@ -57,7 +57,7 @@ class Written:
 
 
 def lines_of(fields: Sequence[Field]) -> dict[str, object]:
-    """The header lines that tell the fields."""
+    """Return the header lines that describe the fields."""
     columns: dict[str, list[object]] = {
         "Field I name": [one.name for one in fields],
         "Field I signed": [int(one.signed) for one in fields],
@@ -76,9 +76,10 @@ def encode(
     rng: Generator,
     more: dict[str, object] | None = None,
 ) -> Written:
-    """The log of `rows`, whose first field counts steps; intervals: I, and P and Q of the P interval P/Q.
+    """Encode `rows`, whose first field counts steps; intervals: I, and P and Q of the P interval P/Q.
 
-    Which steps have a row is theirs to know: `logged_steps`. An encoding with several forms takes any.
+    The caller gives the rows of the steps in `logged_steps`. Where an encoding has several forms for the same
+    values, one is drawn.
     """
     out = bytearray()
     last = before = rows[0]
@@ -98,7 +99,7 @@ def encode(
 
 
 def logged_steps(intervals: tuple[int, int, int], count: int) -> list[int]:
-    """The first `count` steps that are logged, from 0."""
+    """Return the first `count` steps that are logged, from 0."""
     interval, logged, of = intervals
     found: list[int] = []
     step = 0
@@ -157,7 +158,7 @@ def _fits(value: int, bits: int) -> bool:
 
 
 def _tag2_3s32(values: list[int], rng: Generator) -> bytes:
-    """Any of the four forms that the values fit into."""
+    """Encode three values, in a random one of the forms that they fit into."""
     forms = [form for form, bits in enumerate((2, 4, 6)) if all(_fits(value, bits) for value in values)]
     form = int(rng.choice([*forms, 3]))
     a, b, c = values
@@ -176,7 +177,7 @@ def _tag2_3s32(values: list[int], rng: Generator) -> bytes:
 
 
 def _tag8_4s16(values: list[int], rng: Generator) -> bytes:
-    """Four fields of 0, 4, 8 or 16 bits, any that they fit into, as a row of hexadecimal digits."""
+    """Encode four values in 0, 4, 8 or 16 bits each, a random one that fits, as a row of hex digits."""
     tags, digits = 0, ""
     for at, value in enumerate(values):
         sizes = [tag for tag, bits in ((1, 4), (2, 8), (3, 16)) if _fits(value, bits)] + [0] * (value == 0)

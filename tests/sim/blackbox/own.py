@@ -49,7 +49,7 @@ def log_of(
     clock: Sequence[int] | None = None,
     **headers: object,
 ) -> bytes:
-    """The log: LEAD disarmed rows, the flight, and LEAD disarmed rows. clock: of each row [us]."""
+    """Encode LEAD disarmed rows, the flight, and LEAD disarmed rows. clock: time of each row [us]."""
     deg = np.rad2deg(flown.setpoint), np.rad2deg(flown.gyro)
     wanted = np.column_stack((deg[0], 1000 * flown.throttle))
     bits = np.column_stack((flown.gyro, flown.setpoint, flown.throttle)).astype(np.float32).view(np.int32)

@@ -44,13 +44,13 @@ EDGES = (0, 1, 137, 138, 1069, 1070, 1500, WORD // 2 - 1)
 
 
 def few_and_all(kind: str) -> pytest.MarkDecorator:
-    """Parameters: the first FEW cases, and all of them in the long run."""
+    """Return parameters: the first FEW cases, and in the long run also all of them."""
     slow = pytest.param(range(FEW, CASES), marks=pytest.mark.slow, id=f"{kind}-all")
     return pytest.mark.parametrize("cases", [pytest.param(range(FEW), id=f"{kind}-few"), slow])
 
 
 def fields_of(rng: Generator) -> list[Field]:
-    """Step and time, then groups and single fields of any sign, encoding and predictor."""
+    """Draw fields: step and time, then groups and single ones of any sign, encoding and predictor."""
     fields = [
         Field("loopIteration", signed=False, intra=(ZERO, UNSIGNED_VB), inter=(STEP, NOTHING)),
         Field("time", signed=False, intra=(ZERO, UNSIGNED_VB), inter=(LINE, SIGNED_VB)),
@@ -94,7 +94,7 @@ def fields_of(rng: Generator) -> list[Field]:
 
 
 def column(one: Field, rng: Generator, count: int) -> list[int]:
-    """Values that the field can hold, near edges and far from each other."""
+    """Draw values that the field can hold, some near its limits and far from each other."""
     if one.name.startswith(("motor", "vbat")):
         return rng.choice([0, 1, 137, 138, 139, 1640, 2047], count).tolist()  # type: ignore[no-any-return]
     low, high = (-(WORD // 2), WORD // 2) if one.signed else (0, WORD)
@@ -113,7 +113,7 @@ def column(one: Field, rng: Generator, count: int) -> list[int]:
 
 
 def written(rng: Generator, *, uneven: bool = False) -> Written:
-    """A log of ROWS rows."""
+    """Write a random log of ROWS rows."""
     interval = int(rng.choice([1, 4, 32, 64]))
     of = int(rng.choice([1, 2, 3, 4]))
     intervals = interval, int(rng.integers(1, of + 1)), of
@@ -133,7 +133,7 @@ def read(tmp_path: Path, data: bytes) -> Log:
 
 
 def wrong(log: Log, made: Written, but: tuple[str, ...] = ("time",)) -> list[str]:
-    """Fields whose values are not those that were written."""
+    """Return the fields whose decoded values differ from the written ones."""
     return [
         one.name
         for one, values in zip(made.fields, zip(*made.rows, strict=True), strict=True)
@@ -165,7 +165,7 @@ def test_time_comes_back_when_the_clock_is_uneven_and_begins_anew(tmp_path: Path
 
 @few_and_all("lost")
 def test_a_lost_line_is_told_when_the_meaning_of_fields_depends_on_it(tmp_path: Path, cases: range) -> None:
-    """One line is lost: it is told by its name, or no value changes."""
+    """Remove one header line: either its name is reported, or no value changes."""
     told = 0
     for case in cases:
         rng = np.random.default_rng((41, case))

@@ -92,7 +92,7 @@ def test_time_goes_by_control_steps_when_only_some_are_logged(tmp_path: Path) ->
 def test_time_is_the_logs_own_clock_in_every_command_when_rows_come_unevenly(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Rows 1 ms apart, but every sixth 7 ms, across the wrap of the clock's 32 bits."""
+    """Log rows 1 ms apart, but every sixth 7 ms, across the wrap of the clock's 32 bits."""
     apart = np.where(np.arange(STEPS + 2 * LEAD - 1) % 6 == 5, 7000, 1000)
     clock = (1 << 32) - 2_000_000 + np.concatenate(([0], np.cumsum(apart)))
     path = save(tmp_path, log_of(trace(STEPS), clock=(clock % (1 << 32)).tolist()))
@@ -120,7 +120,7 @@ def test_time_is_the_logs_own_clock_in_every_command_when_rows_come_unevenly(
 
 
 def test_rows_of_a_coarse_clock_lie_between_its_ticks(tmp_path: Path) -> None:
-    """Four rows each millisecond, of a clock that counts milliseconds."""
+    """Log four rows each millisecond, with a clock that counts milliseconds."""
     rows = STEPS + 2 * LEAD
     clock = 5_000_000 + np.arange(rows) // 4 * 1000
     log = read_log(save(tmp_path, log_of(trace(STEPS, rate_hz=4000), clock=clock.tolist())))
@@ -253,7 +253,7 @@ def test_events_are_told_in_words(tmp_path: Path) -> None:
 
 
 def test_our_log_is_told_from_betaflights_when_its_version_is_lost(tmp_path: Path) -> None:
-    """It names Betaflight as well, for the tools of others, but has not all of its lines."""
+    """Tell our log, which names Betaflight for other tools, from Betaflight's by the lines it lacks."""
     version = b"H nf_version:0.1.0\n"
     data = log_of(trace(100))
     data = data.replace(version, version + b"H Firmware revision:Betaflight 2025.12.0 (Neuroflight) SITL\n")

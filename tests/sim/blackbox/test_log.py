@@ -133,7 +133,7 @@ def test_blank_rest_of_a_cards_file_is_no_damage(tmp_path: Path) -> None:
 def test_the_last_log_with_frames_is_read_when_those_behind_it_have_none(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A flash chip's dump: 44 logs that were begun and never written, of each kind."""
+    """Append 44 logs that were begun but hold no frames, as dumps of flash chips do."""
     head = [PRODUCT, NUMBERS, fields(COLUMNS, ["flightModeFlags"])]
     flown = [*head, flight(COLUMNS, ROWS), END]
     empty = [[*head], [*head, END], [*head, event(15, 4), END], [*head, slow([0]), event(30, 1, 0)]]
@@ -157,7 +157,7 @@ def test_the_last_log_with_frames_is_read_when_those_behind_it_have_none(
 
 
 def test_length_is_told_without_decoding_when_the_clock_begins_anew_twice(tmp_path: Path) -> None:
-    """A row each 9 s for four hours; noise makes the file longer than what is looked at."""
+    """Log a row each 9 s for four hours; noise makes the file larger than the part that is read."""
     columns = [Column(f"debug[{at}]") for at in range(80)]
     rows = np.random.default_rng(7).integers(-(1 << 30), 1 << 30, (1600, 80)).tolist()
     clock = [(5_000_000 + 9_000_000 * at) % (1 << 32) for at in range(len(rows))]
@@ -168,7 +168,7 @@ def test_length_is_told_without_decoding_when_the_clock_begins_anew_twice(tmp_pa
 
 
 def gps_log(*frames: bytes, home: bool = True) -> list[bytes]:
-    """A log of main frames, with the lines of GPS frames as Betaflight has them."""
+    """Write a log of main frames, with the header lines of GPS frames as Betaflight has them."""
     position = {
         "Field G name": "time,GPS_numSat,GPS_coord[0],GPS_coord[1],GPS_speed",
         "Field G signed": "0,0,1,1,0",
@@ -185,7 +185,7 @@ def gps_log(*frames: bytes, home: bool = True) -> list[bytes]:
 
 
 def test_positions_are_kept_with_their_own_time(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Home is at 52.1 N, 5.2 W; the clock's 32 bits begin anew between two positions."""
+    """Log a home at 52.1 N, 5.2 W and two positions between which the clock's 32 bits wrap."""
     start = (1 << 32) - 40_500
     first, second = flight(COLUMNS, ROWS[:32], start=start), flight(COLUMNS, ROWS[:64], start=start)
     home = b"H" + signed(521_000_000) + signed(-52_000_000)
@@ -217,7 +217,7 @@ def test_positions_are_kept_with_their_own_time(tmp_path: Path, capsys: pytest.C
 
 
 def test_sticks_of_data_version_1_are_read(tmp_path: Path) -> None:
-    """Its groups of four have the lower of two halves of a byte first, and the lower of two bytes."""
+    """Read groups of four fields whose half bytes and 16-bit values come with the lower half first."""
     columns = [Column(f"rcCommand[{at}]", 8) for at in range(4)]
     head = PRODUCT.replace(b"version:2", b"version:1") + NUMBERS + fields(columns)
     frames = intra(0, 5_000_000, [10, -20, 30, 1000])

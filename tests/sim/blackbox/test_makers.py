@@ -34,7 +34,7 @@ def written(
     told: dict[str, str] | None = None,
     slow_names: tuple[str, ...] = ("flightModeFlags",),
 ) -> Log:
-    """A log of these rows, read; bases: predictor of a field in I frames."""
+    """Write a log of these rows and read it; bases: a field's predictor in I frames."""
     columns = [Column(name) for name in names]
     described = fields(columns, list(slow_names)).decode()
     if bases:

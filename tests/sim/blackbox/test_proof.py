@@ -16,14 +16,14 @@ SEED = 7
 
 
 def sticks_of(rng: np.random.Generator) -> np.ndarray:
-    """A pilot's hand: strokes of 0.1 to 0.6 s, smoothed."""
+    """Draw stick movements like a pilot's: strokes of 0.1 to 0.6 s, smoothed."""
     held = np.repeat(rng.uniform(-450, 450, (60, 3)), rng.integers(50, 300, 60), axis=0)[:ROWS]
     kernel = np.ones(20) / 20
     return np.rint(np.stack([np.convolve(held[:, axis], kernel, "same") for axis in range(3)], axis=1))
 
 
 def flight(commands: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """What the gyro saw [deg/s]: the commands behind a first-order lag of 30 ms, and noise."""
+    """Return a gyro [deg/s] that follows the commands with a first-order lag of 30 ms, and noise."""
     gyro, now = np.empty_like(commands), np.zeros(3)
     for row, command in enumerate(commands):
         now = now + (command - now) / (0.03 * RATE_HZ)

@@ -14,7 +14,7 @@ BETAFLIGHT = Firmware(Maker.BETAFLIGHT, (4, 3, 0))
 
 
 def one_stick(style: Style, x: float, rate: int, top: int, expo: int, *, bent: bool = False) -> float:
-    """deg/s of one stick -1..1, as each style's documentation describes it, step by step."""
+    """Return deg/s of one stick -1..1, step by step as each style's documentation describes it."""
     if x < 0:
         return -one_stick(style, -x, rate, top, expo, bent=bent)
     e = expo / 100
@@ -150,7 +150,7 @@ def test_inavs_rates_are_tens_of_deg_s_at_full_stick() -> None:
 
 
 def test_controllers_before_betaflight_3_count_in_the_gyros_steps() -> None:
-    """By the sources of 2.9: superexpo is 27 rc / 16 steps of 4 counts over 1 - way x rates."""
+    """Compare with the formula in the sources of 2.9: rc (27 / 16) 4 counts / (1 - |stick| rates)."""
     lines = {"rcRate": "100", "rcYawRate": "80", "rates": "70,50,0", "gyro.scale": "0x3d79c190"}
     count, sticks = 0.0609756, np.array([[250.0, -500.0, 100.0]])
     (reading,) = readings({**lines, "features": str(1 << 23)}, Firmware(Maker.BETAFLIGHT, (2, 9, 0)))

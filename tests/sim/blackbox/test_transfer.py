@@ -30,7 +30,7 @@ AXES = [Column(f"{name}[{axis}]") for name in ("gyroADC", "setpoint", "motor") f
 
 
 def noisy(seed: int, rows: int) -> bytes:
-    """A flight whose values change by some ten from row to row."""
+    """Write a flight whose values change by some ten from row to row."""
     rng = np.random.default_rng(seed)
     values = np.rint(np.cumsum(rng.normal(0, 9, (rows, len(AXES))), axis=0) % 1000).astype(int)
     told = header({"I interval": 32, "P interval": "1/1"}) + fields(AXES)
@@ -68,7 +68,7 @@ def test_each_command_tells_it_in_its_line(tmp_path: Path, capsys: pytest.Captur
 
 @few_and_all("healthy")
 def test_no_log_that_came_whole_is_accused(tmp_path: Path, cases: range) -> None:
-    """Of any fields and any length: random values, walks, constants, edges."""
+    """Draw logs of any fields and any length: random values, walks, constants, limits."""
     for case in cases:
         rng = np.random.default_rng((42, case))
         made = written(rng)

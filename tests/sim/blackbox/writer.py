@@ -110,7 +110,7 @@ def flight(
     start: int = 5_000_000,
     clock: Sequence[int] | None = None,
 ) -> bytes:
-    """Frames of rows from `start` [us], `period` [us] and `divider` control steps apart.
+    """Write frames of rows from `start` [us], `period` [us] and `divider` control steps apart.
 
     Every `interval` rows there is an I frame. clock: the time of each row [us] instead.
     """

@@ -21,10 +21,10 @@ SECTIONS = 24  # along a blade
 
 
 def propeller(blades: int, *, hub: float = 0.006, pitch: float = 0.109) -> trimesh.Trimesh:
-    """One closed surface in metres: blades of a true pitch around a star of plates, z along the shaft.
+    """Return one closed surface in metres: blades with a constant pitch around a hub, z along the shaft.
 
-    Each blade is a plate 10 mm deep and 1.2 mm thick whose angle falls as pitch / (2 pi r) does; around the
-    middle it is as tall as a hub is.
+    Each blade is a plate 10 mm deep and 1.2 mm thick whose angle falls with the radius as pitch / (2 pi r)
+    does; the middle is as tall as a hub.
     """
     turns = [2 * math.pi * blade / blades for blade in range(blades)]
     corners: list[Array] = []
@@ -66,7 +66,7 @@ def propeller(blades: int, *, hub: float = 0.006, pitch: float = 0.109) -> trime
 
 
 def aircraft_of(folder: Path, mesh: trimesh.Trimesh, lines: str = "") -> Path:
-    """The NF1 with this mesh as its propellers."""
+    """Write the NF1 with this mesh as its propellers."""
     data = mesh.export(file_type="stl")
     assert isinstance(data, bytes)
     (folder / "prop.stl").write_bytes(data)
@@ -80,7 +80,7 @@ def aircraft_of(folder: Path, mesh: trimesh.Trimesh, lines: str = "") -> Path:
 
 
 def warnings(path: Path) -> list[str]:
-    """What `aircraft check` says of the propeller's part."""
+    """Return the warnings of `aircraft check` about the propeller's part."""
     _, verdicts = examine(load_aircraft(str(path)))
     return [one.message for one in verdicts if one.level is Level.WARNING and "propeller_part" in one.message]
 
@@ -119,7 +119,7 @@ def test_an_upright_propeller_is_seen_and_its_mend_lays_it_flat(
 
 
 def test_a_mend_takes_up_the_rotation_that_a_file_has(tmp_path: Path) -> None:
-    """Random poses: whatever the file turns the mesh by, the line that is told lays it flat."""
+    """Draw random poses: the suggested line lays the propeller flat, whatever rotation the file has."""
     rng = np.random.default_rng(2)
     mesh = propeller(3)
     for _ in range(20):

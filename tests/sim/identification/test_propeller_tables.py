@@ -22,7 +22,7 @@ HEADING = "V          J           Pe         Ct          Cp          PWR        
 
 
 def curve(scale: float = 1.0) -> Rows:
-    """C_T = 0.12 (1 - 0.5 J - 0.5 J^2), C_P = 0.06 (1 + 0.3 J - 0.9 J^2)."""
+    """Return points of C_T = 0.12 (1 - 0.5 J - 0.5 J^2) and C_P = 0.06 (1 + 0.3 J - 0.9 J^2)."""
     ratios = [float(j) for j in np.linspace(0.0, 0.9, 19)]
     return [
         (j, scale * 0.12 * (1 - 0.5 * j - 0.5 * j * j), 0.06 * (1 + 0.3 * j - 0.9 * j * j)) for j in ratios
@@ -30,7 +30,7 @@ def curve(scale: float = 1.0) -> Rows:
 
 
 def apc(blocks: dict[int, Rows], damage: str = "") -> str:
-    """A file like APC's PER3_*.dat; damage: what stands in a further row of each block in place of Ct."""
+    """Write a file like APC's PER3_*.dat; damage: Ct's text in a further row of each block."""
     lines = [
         "         5x4.3                    (5x43.dat)",
         "",
@@ -49,7 +49,7 @@ def apc(blocks: dict[int, Rows], damage: str = "") -> str:
 
 
 def static(rows: Rows, names: str = "RPM    CT       CP") -> str:
-    """A file like the UIUC database's *_static_*.txt."""
+    """Write a file like the UIUC database's *_static_*.txt."""
     return "\n".join([names, *(f"{rpm:.0f}   {t:.6f}   {p:.6f}" for rpm, t, p in rows)]) + "\n"
 
 

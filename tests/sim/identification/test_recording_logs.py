@@ -34,7 +34,7 @@ SCALE = {"gyro_scale": "0x3f800000", "blackbox_high_resolution": "1", "acc_1G": 
 
 
 def at_rest(seed: int = 1, count: int = COUNT, spread: float = 12.0) -> Integers:
-    """Counts of gyro and accelerometer of an aircraft at rest, (N, 6)."""
+    """Return counts of gyro and accelerometer of an aircraft at rest, (N, 6)."""
     rng = np.random.default_rng(seed)
     gyro = np.rint(rng.normal(0.0, spread, (count, 3)))
     force = np.rint(rng.normal([0.0, 0.0, 2048.0], 8.0, (count, 3)))
@@ -47,7 +47,7 @@ def log_of(
     start: int = 5_000_000,
     firmware: Mapping[str, object] = BETAFLIGHT,
 ) -> bytes:
-    """A log of these rows, a millisecond apart."""
+    """Write a log of these rows, a millisecond apart."""
     lines = header({"I interval": 32, "P interval": "1/1"}) + header(dict(firmware)) + header(dict(told))
     return PRODUCT + fields(COLUMNS) + lines + flight(COLUMNS, rows.tolist(), start=start) + END
 
@@ -58,7 +58,7 @@ def save(path: Path, data: bytes) -> Path:
 
 
 def explorer(rows: Integers, told: Mapping[str, object], gyro_scale: float) -> str:
-    """What the Blackbox Explorer exports: its settings, quoted names, then frames; cells it lacks are NaN.
+    """Write an export like the Blackbox Explorer's: settings, quoted names, frames; NaN in empty cells.
 
     Form: betaflight/blackbox-log-viewer, csv-export-worker.js and flightlog_parser.js (sysConfig).
     """
@@ -74,7 +74,7 @@ def explorer(rows: Integers, told: Mapping[str, object], gyro_scale: float) -> s
 
 
 def decoded(rows: Integers, unit: str, factor: float) -> str:
-    """What blackbox_decode writes, with --unit-rotation where `unit` is one."""
+    """Write a table like blackbox_decode's, with --unit-rotation if `unit` is not empty."""
     names = ["loopIteration", "time (us)"]
     names += [f"gyroADC[{axis}]" + (f" ({unit})" if unit else "") for axis in range(3)]
     names += [f"accSmooth[{axis}]" for axis in range(3)] + ["flightModeFlags (flags)"]

@@ -134,7 +134,7 @@ def test_a_stick_a_little_beyond_its_end_is_at_its_end(tmp_path: Path) -> None:
 
 
 def test_nothing_is_flown_from_a_value_that_is_no_stick(tmp_path: Path) -> None:
-    """1,000 tables and archives, of which each row is judged here: the first that cannot be is named."""
+    """Judge each row of 1,000 tables and archives here; the error has to name the first wrong one."""
     rng = np.random.default_rng(11)
     refused = 0
     for number in range(1000):

@@ -205,7 +205,7 @@ def test_a_log_that_cannot_be_flown_is_rejected_in_one_line(
 
 
 def wild(rng: np.random.Generator) -> tuple[bytes, int | None, str]:
-    """A log of any maker whose values may be no sticks', the first armed row that is none, and its word."""
+    """Write a log with some impossible values; return it, its first wrong armed row, and the error's word."""
     rows = int(rng.integers(40, 90))
     rates, power = rng.integers(-900, 901, (rows, 3)), rng.integers(0, 1001, rows)
     bad = rng.random(rows) < 0.03

@@ -258,7 +258,7 @@ def test_no_earlier_image_is_promised_when_the_first_build_fails(tmp_path: Path,
 
 
 def test_region_and_bytes_are_named_when_the_linker_finds_no_room(tmp_path: Path, policy_file: Path) -> None:
-    """The words are the linker's own: a table of 3,000 bytes in a region of 1,000."""
+    """Let the linker itself write the error: a table of 3,000 bytes in a region of 1,000."""
     root = project(tmp_path / "root", last="arm-none-eabi-gcc -nostdlib -T tiny.ld table.c -o table.elf")
     (root / "firmware" / "table.c").write_text(
         "const char table[3000] = { 1 };\nint data = 2;\nvoid _start(void) {}\n"

@@ -170,7 +170,7 @@ def check(seed: int) -> set[str]:
 
 
 def check_intervals(seed: int) -> None:
-    """Hold every value that onnxruntime computes against its interval, and its actions against ours."""
+    """Check that every value onnxruntime computes is in its interval, and that its actions equal ours."""
     rng = np.random.default_rng(seed)
     network = random_network(rng)
     model = to_model(network, rows="rows", state=True, values=True)

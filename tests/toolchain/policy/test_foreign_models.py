@@ -58,7 +58,7 @@ class Foreign:
         return f"v{self.count}"
 
     def along(self, operator: str, value: str, axes: list[int]) -> str:
-        """An operator whose axes are an attribute before opset 13 and an input since."""
+        """Add an operator whose axes are an attribute before opset 13 and an input since."""
         if self.opset < 13:
             return self.add(operator, value, axes=axes)
         return self.add(operator, value, self.constant(np.array(axes, np.int64)))
@@ -75,7 +75,7 @@ class Foreign:
         return np.asarray(self.rng.normal(size=shape) / np.sqrt(shape[-1]), np.float32)
 
     def observed(self, name: str, start: int, width: int) -> str:
-        """An input of some rank, batch and type; returns its value as [1, width] in float32."""
+        """Add an input of random rank, batch and type; return it as [1, width] in float32."""
         kind = (np.float32, np.float32, np.float64)[self.rng.integers(3)]
         shapes: list[list[int | str]] = [
             [width],
@@ -108,7 +108,7 @@ class Foreign:
         return self.along("Squeeze", value, [1]) if len(shape) == 3 else value
 
     def hidden(self, value: str, width: int) -> tuple[str, int]:
-        """One more layer of some kind."""
+        """Add a layer of a random kind."""
         kind = self.rng.integers(9)
         if kind < 3:
             outputs = int(self.rng.integers(3, 12))
@@ -150,7 +150,7 @@ class Foreign:
         return self.add("Concat", value, part, axis=1), width + first
 
     def shaped(self, value: str) -> str:
-        """The value, with zeros added that have the shape of another, as SAC's exports do."""
+        """Add zeros that have the shape of another value, as SAC's exports do."""
         other = self.add("Exp", self.clip(value, -20.0, 2.0))
         shape = self.add("Shape", other)
         if self.opset < 9:
@@ -174,7 +174,7 @@ def zeros(kind: type) -> Callable[[NDArray[np.float32]], NDArray[Any]]:
 
 
 def random_model(seed: int) -> tuple[Foreign, int]:
-    """A model and the width of its observation."""
+    """Return a random model and the width of its observation."""
     rng = np.random.default_rng(seed)
     model = Foreign(rng, int(rng.choice(OPSETS)))
     count = int(rng.integers(1, 4))
@@ -228,7 +228,7 @@ def by_onnxruntime(model: Foreign, observation: NDArray[np.float32]) -> NDArray[
 
 
 def differences(seeds: range) -> float:
-    """The largest distance from onnxruntime of imported models with these seeds."""
+    """Return the largest distance between imported models with these seeds and onnxruntime."""
     worst = 0.0
     for seed in seeds:
         model, width = random_model(seed)

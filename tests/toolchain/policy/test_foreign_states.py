@@ -181,7 +181,7 @@ class Reads(Actor):
 
 @pytest.fixture(autouse=True)
 def quiet() -> Iterator[None]:
-    """The exporters talk much of themselves."""
+    """Silence the exporters, which print and log a lot."""
     logging.disable(logging.CRITICAL)
     torch.manual_seed(0)
     with warnings.catch_warnings(), contextlib.redirect_stdout(io.StringIO()):
@@ -191,7 +191,7 @@ def quiet() -> Iterator[None]:
 
 
 def export(actor: Actor, *, dynamo: bool = False, outputs: Sequence[str] = ()) -> bytes:
-    """The model as torch writes it."""
+    """Export the model with torch."""
     with torch.no_grad():
         for parameter in actor.parameters():
             parameter.mul_(2)
@@ -214,7 +214,7 @@ def export(actor: Actor, *, dynamo: bool = False, outputs: Sequence[str] = ()) -
 
 
 def by_onnxruntime(data: bytes, observation: Float32) -> Float32:
-    """Actions of the model itself, its states carried by hand from zero."""
+    """Run the model itself; its states are carried by hand, from zero."""
     session = onnxruntime.InferenceSession(data, providers=["CPUExecutionProvider"])
     state = {i.name: np.zeros(i.shape, np.float32) for i in session.get_inputs() if i.name != "obs"}
     names, actions = ["actions", *(f"next_{name}" for name in state)], []
@@ -308,7 +308,7 @@ def test_batch_is_taken_from_observation_and_state_when_it_is_fixed() -> None:
 
 
 def test_search_ends_when_a_graph_has_no_end_of_branches() -> None:
-    """x + x, doubled forty times: as many ways back to the state as there are lines in a library."""
+    """Double x + x forty times, so that 2^40 paths lead back to the state."""
     data = onnx.load_from_string(export(Filter()))
     graph, value = data.graph, "next_state_0"
     for node in graph.node:

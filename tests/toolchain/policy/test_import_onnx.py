@@ -201,7 +201,7 @@ def test_clip_is_asked_for_when_nothing_bounds_the_motors(
 
 
 def ending(kit: Kit, tmp_path: Path, *last: tuple[Any, ...]) -> Path:
-    """A model of another trainer that ends with the operators `last`."""
+    """Write a model of another trainer that ends with the operators `last`."""
     path = tmp_path / "model.onnx"
     chain = kit.mlp((6, 8, 4))
     chain.nodes.pop()
@@ -362,7 +362,7 @@ def taken_name(graph: onnx.GraphProto) -> None:
 
 
 def fixed_batch(graph: onnx.GraphProto) -> None:
-    """A model for 64 observations that says so inside, too."""
+    """Fix the model's batch at 64 observations, in a Reshape inside it, too."""
     graph.input[0].type.tensor_type.shape.dim[0].dim_value = 64
     shape = onnx.numpy_helper.from_array(np.array([64, 6], np.int64), "shape")
     graph.initializer.append(shape)
@@ -510,7 +510,7 @@ def test_model_is_adopted_when_a_value_has_the_actions_name_or_the_width_is_open
 
 
 def two_parts(kit: Kit, first: int = 3) -> bytes:
-    """A model that takes its observation as `gyro` and `command`, and joins them itself."""
+    """Return a model that takes its observation as `gyro` and `command`, and joins them itself."""
 
     def edit(graph: onnx.GraphProto) -> None:
         graph.input.add().CopyFrom(graph.input[0])
@@ -556,7 +556,7 @@ def test_inputs_are_refused_when_their_order_is_not_theirs_or_cuts_a_term(kit: K
 
 
 def episode_starts(graph: onnx.GraphProto) -> None:
-    """An input of the trainer's that the observation is multiplied by."""
+    """Add an input that only the trainer has, by which the observation is multiplied."""
     graph.input.add().CopyFrom(graph.input[0])
     graph.input[1].name = "episode_starts"
     graph.input[1].type.tensor_type.shape.dim[1].dim_value = 1
@@ -607,7 +607,7 @@ def test_model_is_refused_when_it_draws_random_numbers(kit: Kit) -> None:
 
 
 def unread_state(graph: onnx.GraphProto) -> None:
-    """A state that nothing reads and that goes out as it came, as Godot RL writes it."""
+    """Add a state that nothing reads and that is put out unchanged, as Godot RL exports one."""
     graph.input.add().CopyFrom(graph.input[0])
     graph.input[1].name = "state_ins"
     del graph.input[1].type.tensor_type.shape.dim[1]
@@ -617,7 +617,7 @@ def unread_state(graph: onnx.GraphProto) -> None:
 
 
 def shape_of_a_spread(graph: onnx.GraphProto) -> None:
-    """The shape of e^x, which no policy computes: as Stable-Baselines3's SAC is exported."""
+    """Use the shape of e^x, an operation no policy has, as Stable-Baselines3's export of SAC does."""
     helper, name = onnx.helper, graph.node[-2].output[0]
     graph.node.insert(-1, helper.make_node("Exp", [name], ["spread"], name="exp"))
     graph.node.insert(-1, helper.make_node("Shape", ["spread"], ["shape"]))
@@ -626,7 +626,7 @@ def shape_of_a_spread(graph: onnx.GraphProto) -> None:
 
 
 def foreign_branch(graph: onnx.GraphProto) -> None:
-    """A node of an operator that nobody knows, without a taker."""
+    """Add a node of an unknown operator whose output nothing reads."""
     graph.node.append(onnx.helper.make_node("Unheard", [graph.node[0].output[0]], ["lost"], domain="else"))
 
 
@@ -662,7 +662,7 @@ def test_old_opset_is_refused_with_the_converters_words_when_it_cannot_be_conver
 
 
 def with_functions(calls: int, depth: int) -> bytes:
-    """x W with tanh as a function of the model's own, `depth` functions deep, each calling `calls` times."""
+    """Return tanh(x W) written as nested functions, `depth` deep, each calling `calls` others."""
     helper = onnx.helper
     opsets = [helper.make_opsetid("", 17), helper.make_opsetid("own", 1)]
     functions = [

@@ -44,7 +44,7 @@ print(json.dumps([resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before, w
 
 
 def archive(entries: dict[str, bytes], compression: int = zipfile.ZIP_STORED) -> bytes:
-    """An archive as torch writes it."""
+    """Return an archive in torch's layout."""
     file = io.BytesIO()
     with zipfile.ZipFile(file, "w", compression, compresslevel=1) as made:
         for name, content in entries.items():
@@ -53,7 +53,7 @@ def archive(entries: dict[str, bytes], compression: int = zipfile.ZIP_STORED) ->
 
 
 def saved(content: object) -> dict[str, bytes]:
-    """The entries that torch writes for `content`."""
+    """Return the archive's entries that torch writes for `content`."""
     file = io.BytesIO()
     torch.save(content, file)
     with zipfile.ZipFile(file) as made:
@@ -61,17 +61,17 @@ def saved(content: object) -> dict[str, bytes]:
 
 
 def inflating() -> bytes:
-    """A storage of zeros, deflated."""
+    """Return a checkpoint with a large storage of zeros, which compresses to little."""
     return archive({**saved({"a": torch.zeros(3)}), "data/0": bytes(HUGE // 4)}, zipfile.ZIP_DEFLATED)
 
 
 def expanded() -> bytes:
-    """One value, repeated by a stride of 0."""
+    """Return a checkpoint with one value that a stride of 0 repeats."""
     return archive(saved({"a": torch.zeros(1).expand(HUGE // 4)}))
 
 
 def beyond() -> bytes:
-    """A tensor that is larger than its storage: torch enlarges the storage."""
+    """Return a checkpoint with a tensor larger than its storage, which torch would enlarge."""
     entries = saved({"a": torch.zeros(100)})
     pickled = entries["data.pkl"]
     whole = b"K\x64\x85q"  # the one size, 100
@@ -82,7 +82,7 @@ def beyond() -> bytes:
 
 
 def storage_of_another_size() -> bytes:
-    """A storage that is told larger than its entry."""
+    """Return a checkpoint whose pickle gives a storage a larger size than its entry has."""
     entries = saved({"a": torch.zeros(100)})
     told = b"K\x64tq"  # the end of the storage's name, its 100 values
     assert entries["data.pkl"].count(told) == 1
@@ -91,22 +91,22 @@ def storage_of_another_size() -> bytes:
 
 
 def calling(call: bytes) -> bytes:
-    """A checkpoint whose pickle calls something."""
+    """Return a checkpoint whose pickle calls a function."""
     return archive({**saved({}), "data.pkl": b"\x80\x02" + call + b"."})
 
 
 def byte_array() -> bytes:
-    """A byte array of a length: one of the few functions that torch lets plain data call."""
+    """Return a checkpoint that creates a large byte array, with a function that torch allows."""
     return calling(b"c__builtin__\nbytearray\nJ" + struct.pack("<i", HUGE) + b"\x85R")
 
 
 def far_memo() -> bytes:
-    """A place in the unpickler's memory that is far away."""
+    """Return a checkpoint that stores at a very high index of the unpickler's memo."""
     return calling(b"}r" + struct.pack("<I", 0xF0000000))
 
 
 def repeated_entry() -> bytes:
-    """Entries that are the same bytes of the archive."""
+    """Return a checkpoint whose entries all refer to the same bytes of the archive."""
     entries = saved({"a": torch.zeros(1 << 16)})
     data = bytearray(archive(entries))
     with zipfile.ZipFile(io.BytesIO(data)) as made:
@@ -123,7 +123,7 @@ def repeated_entry() -> bytes:
 
 
 def old_form() -> bytes:
-    """The form before torch 1.6, whose storages are as large as the pickle says."""
+    """Return a checkpoint in the format before torch 1.6, in which the pickle alone gives storage sizes."""
     file = io.BytesIO()
     torch.save({"a": torch.zeros(3)}, file, _use_new_zipfile_serialization=False)
     return file.getvalue()

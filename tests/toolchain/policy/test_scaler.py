@@ -20,7 +20,7 @@ TOLERANCE = 1e-6
 
 
 def scaled(rng: np.random.Generator, count: int, kind: int = TensorProto.FLOAT) -> onnx.ModelProto:
-    """A layer behind a Scaler of so many offsets and scales, which takes values of `kind`."""
+    """Return a model of a layer behind a Scaler of values of `kind`, with `count` offsets and scales."""
     attributes: dict[str, Any] = {"offset": rng.normal(size=count), "scale": rng.uniform(0.1, 3.0, count)}
     weight = numpy_helper.from_array(rng.normal(0, 0.4, (6, 4)).astype(np.float32), "weight")
     nodes = [

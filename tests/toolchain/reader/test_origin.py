@@ -42,7 +42,7 @@ class Samples(CalibrationDataReader):  # type: ignore[misc]
         self.rows = iter(np.random.default_rng(0).normal(size=(8, 1, 6)).astype(np.float32))
 
     def get_next(self) -> dict[str, object] | None:
-        """The next of them."""
+        """Return the next observation; None at the end."""
         row = next(self.rows, None)
         return None if row is None else {"observation": row}
 
@@ -119,7 +119,7 @@ def script() -> bytes:
 
 
 def weights() -> bytes:
-    """A state dictionary, as other trainers save their actors."""
+    """Return a state dictionary in the form in which other trainers save actors."""
     file = io.BytesIO()
     torch.save({"model_state_dict": torch.nn.Linear(2, 2).state_dict(), "iter": 1}, file)
     return file.getvalue()

@@ -132,7 +132,7 @@ class Model:
 
 
 def check(seed: int, metadata: dict[str, str]) -> Counter[str]:
-    """Hold a random model against onnxruntime. Returns the operators that it has."""
+    """Compare a random model with onnxruntime. Returns the model's operators."""
     rng = np.random.default_rng(seed)
     model = Model(rng)
     model.width = 6

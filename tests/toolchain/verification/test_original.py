@@ -19,7 +19,7 @@ from toolchain.verification.original import compare
 
 
 def model(*, flat: bool = False, dead: bool = False) -> bytes:
-    """x W and tanh; `flat`: of one axis, which onnxruntime refuses; `dead`: beside an operator it has not."""
+    """Return tanh(x W); flat: with one axis, which onnxruntime refuses; dead: with an unknown operator."""
     rng = np.random.default_rng(0)
     tensor = numpy_helper.from_array(rng.normal(size=(6, 4)).astype(np.float32), "w")
     nodes = [helper.make_node("Gemm", ["obs", "w"], ["sum"]), helper.make_node("Tanh", ["sum"], ["act"])]

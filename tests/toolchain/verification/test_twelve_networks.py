@@ -108,7 +108,7 @@ def everything() -> Network:
 
 
 def smooth() -> Network:
-    """Error function, softplus, an RMS norm, shares of a softmax that choose between two values."""
+    """Build a network with erf, softplus, an RMS norm, and a softmax that weights two values."""
     make = Maker(6, 13)
     seen = make.add(Erf(), make.linear(17))
     soft = make.add(Softplus(), make.linear(17, seen))

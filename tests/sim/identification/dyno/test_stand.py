@@ -39,7 +39,7 @@ class Fitted:
 
 
 def fitted(path: Path, capsys: pytest.CaptureFixture[str], *words: str) -> Fitted:
-    """Coefficients of `dyno fit`."""
+    """Return the coefficients of `dyno fit`."""
     capsys.readouterr()
     assert main(["dyno", "fit", str(path), "--json", *words]) == 0
     document = json.loads(capsys.readouterr().out)
@@ -48,7 +48,7 @@ def fitted(path: Path, capsys: pytest.CaptureFixture[str], *words: str) -> Fitte
 
 
 def refused(path: Path, capsys: pytest.CaptureFixture[str], *words: str) -> str:
-    """The one line that it refuses with."""
+    """Return the one line of the error with which `dyno fit` ends."""
     capsys.readouterr()
     assert main(["dyno", "fit", str(path), *words]) == 1
     error = capsys.readouterr().err
@@ -61,7 +61,7 @@ def speeds(count: int = 21) -> list[float]:
 
 
 def steps(count: int = 21, *, sign: float = 1.0, optical: bool = False) -> list[str]:
-    """Averaged steps as RCbenchmark's script logs them, the first two rows stamped late."""
+    """Return averaged steps as RCbenchmark's script logs them, the first two rows with late times."""
     rows = []
     for k, w in enumerate(speeds(count)):
         time = 3.5 * k if k else 3.6
@@ -247,7 +247,7 @@ def test_what_headings_do_not_tell_is_asked_for_in_one_line(
 def test_all_units_that_are_lacking_are_asked_for_at_once(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """As a hobby bench logs them: nothing but names."""
+    """Fit the log of a hobby bench whose heading has names without units."""
     rows = [
         f"{10 * k};{1000 + 40 * k};{K_T * w * w / 9.80665e-3!r};{w * 60 / (2 * math.pi)!r}"
         for k, w in enumerate(speeds(60))
@@ -306,7 +306,7 @@ def test_messages_and_columns_of_a_script_behind_a_row_are_passed_over(
 def test_words_in_the_throttle_and_dates_leave_them_out(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """As a table of levels has them: IDLE, 25 %, ..."""
+    """Fit a table whose throttle column has words and percents: IDLE, 25 %, ..."""
     levels = ["IDLE", *(f"{k}%" for k in range(25, 125, 25))]
     rows = [
         f"2024-05-01 12:00:0{k},{level},{1000 * K_T * w * w / 9.80665!r},{w * 60 / (2 * math.pi)!r}"
@@ -392,7 +392,7 @@ FORMS = ("{} ({})", "{} [{}]", "{}({})", "{} - {}")
 
 
 def number(value: float, decimal: str, thousands: str) -> str:
-    """A number as a spreadsheet of some country writes it."""
+    """Format a number as spreadsheets of different countries do."""
     minus = "-" if thousands else "\N{MINUS SIGN}"  # as some spreadsheets write it
     text = f"{value:,.9f}" if abs(value) >= 1 else f"{value:.9g}" if abs(value) > 1e-4 else f"{value:.15f}"
     if "e" not in text:
