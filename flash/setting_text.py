@@ -184,7 +184,7 @@ def value_text(name: str, value: Value) -> str:
     if setting is not None and value in range(len(setting.choices)):
         return setting.choices[int(value)]
     if setting is not None and setting.kind == "float" and value == 1.0 and 1.0 in _tops(setting):
-        return "1.0"  # the whole of a ratio has its point, so that nobody takes it for a percent
+        return "1.0"  # with a point, so that nobody reads it as one percent
     return shortest(value)
 
 

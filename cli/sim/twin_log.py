@@ -1,4 +1,4 @@
-"""Options of `neuroflight twin` that say what is taken of a log."""
+"""Options of `neuroflight twin` that choose a part of a log."""
 
 from __future__ import annotations
 

@@ -18,7 +18,7 @@ DIAMETER_MIN_M, DIAMETER_MAX_M = 0.01, 5.0
 
 @dataclass(frozen=True)
 class Coefficients:
-    """Those of a propeller at rest; None: no diameter is known."""
+    """Coefficients of a propeller at rest; None where they need a diameter and none is known."""
 
     c_t: float
     c_q: float

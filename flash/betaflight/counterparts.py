@@ -1,7 +1,7 @@
 """Betaflight's settings that have a counterpart here, one by one, and why the others have none.
 
-Names, units and limits: src/main/cli/settings.c of Betaflight 3.0.1 to 2026.6.1. What a number means here is
-what the same field means over MSP: toolchain/contract/msp_configuration.py.
+Names, units and limits: src/main/cli/settings.c of Betaflight 3.0.1 to 2026.6.1. A number means the
+same as in MSP's field for it: toolchain/contract/msp_configuration.py.
 """
 
 from __future__ import annotations
@@ -16,16 +16,16 @@ from toolchain.errors import LinkError
 Changes = dict[str, Value]
 Convert = Callable[
     [str], Changes
-]  # a value's text to settings; raises ValueError, one line, where none is the same
+]  # converts a value's text to settings; raises ValueError, one line, if none is equal
 
 
 @dataclass(frozen=True)
 class Counterpart:
-    """What a setting of Betaflight's is here."""
+    """This firmware's counterpart of a Betaflight setting."""
 
-    group: str  # what is brought over together or not at all
+    group: str  # settings of the same group are imported together or not at all
     convert: Convert
-    of_board: bool = False  # a fact of the board: only for the same board
+    of_board: bool = False  # a property of the board: imported for the same board only
 
 
 def number(text: str) -> int:
@@ -162,7 +162,7 @@ _GPS = "there is no GPS, barometer, compass or range finder"
 _OSD = "there is no on-screen display"
 _TELEMETRY = "telemetry tells what it tells; nothing of it can be set"
 _THROTTLE = "the throttle has no curve or limit here; set it in the transmitter"
-_REASONS = (  # of lines whose command, or whose setting's name, begins so; the first that fits counts
+_REASONS = (  # prefix of a command's or setting's name: why it is left out; the first match counts
     (
         r"(batch|defaults|save|diff|dump|exit|version|profile|rateprofile|board_name|manufacturer_id|mcu_id|signature)\b",
         FILE,
@@ -225,7 +225,7 @@ _REASONS = (  # of lines whose command, or whose setting's name, begins so; the 
     (r"serial", "ports have fixed uses: UART1 MSP, UART2 the receiver, UART3 by `uart3_function`"),
 )
 _COMPILED = tuple((re.compile(pattern), reason) for pattern, reason in _REASONS)
-COMMANDS = frozenset(  # that a file has; src/main/cli/cli.c of the same versions
+COMMANDS = frozenset(  # all commands in such files; src/main/cli/cli.c of the same versions
     {
         *(
             "adjrange",

@@ -14,7 +14,7 @@ FILE_BYTES_MAX = 1 << 20  # a dump of 4.5 has 60 kB
 SHOWN = 70  # characters of a line in an error or a listing
 UNPRINTABLE = "\N{REPLACEMENT CHARACTER}"
 COMMENT = "#"
-WITH_TEXT = frozenset({"name", "display_name"})  # commands whose text may hold a comment's sign
+WITH_TEXT = frozenset({"name", "display_name"})  # commands whose text may contain #
 TEXT_SETTINGS = ("name", "craft_name", "pilot_name", "display_name")
 
 _DATE = r"\s+[A-Z][a-z]{2}\s+\d{1,2}\s+\d{4}\s*/"
@@ -25,7 +25,7 @@ _HEADER = re.compile(
 _OURS = re.compile(r"#\s*(?:(?:diff|dump) of \S+ [\d.]+: neuroflight|Neuroflight [\d.]+ on )")
 _RELEASE = re.compile(r"(\d{1,4})\.(\d{1,4})(?:\.\d{1,4})?")
 BETAFLIGHT = "betaflight"
-RELATIVES = frozenset(  # that print the same kind of line
+RELATIVES = frozenset(  # firmwares derived from Betaflight, whose files look alike
     {
         "inav",
         "emuflight",
@@ -65,18 +65,18 @@ class Line:
 
     @property
     def shown(self) -> str:
-        """Its text as a listing has it: short."""
+        """The text, shortened for a listing."""
         return self.text if len(self.text) <= SHOWN else f"{self.text[:SHOWN]}..."
 
 
 @dataclass(frozen=True)
 class Diff:
-    """What a file holds."""
+    """The content of a file."""
 
     path: Path
     release: str  # as it is written, 4.1.1
     version: tuple[int, int]  # its first two numbers
-    board: str  # in capitals; "": the file does not tell
+    board: str  # in capitals; "" if the file does not name it
     lines: tuple[Line, ...]
 
 
@@ -120,11 +120,11 @@ def _read(path: Path) -> str:
     try:
         text = data.decode(encoding)
     except UnicodeDecodeError:
-        text = data.decode("latin-1")  # names that an old terminal wrote
+        text = data.decode("latin-1")  # names may have been written in an old encoding
     if "\0" in text:
         number = text.count(chr(10), 0, text.index(chr(0))) + 1
         raise LinkError(f"{path}:{number}: a zero byte, expected text")
-    # Whatever is printed of the file is nothing that a terminal obeys.
+    # Parts of the file are printed, so they must not hold escape codes that a terminal would obey.
     return "".join(c if c.isprintable() or c in "\n\r\t" else UNPRINTABLE for c in text)
 
 

@@ -16,8 +16,8 @@ from toolchain.contract import (
 
 PREARM = 36
 HIGH_US = MODE_LOW_US + MODE_STEPS * MODE_STEP_US
-# The same modes there; numbers 40 and 41 (PID, TRIAL) are others. Before 3.2 a line has the box's place in a
-# list instead of its number: the same for these. CHIRP is there since 2025.12.
+# Modes that both firmwares have; 40 and 41 (PID, TRIAL here) are others there. Before 3.2 a line has a box's
+# place in a list instead of its number, which is the same for these. Betaflight has CHIRP since 2025.12.
 SHARED = frozenset({Mode.ARM, Mode.BEEPER, Mode.BLACKBOX, Mode.CHIRP})
 BOXES = {  # permanent numbers, src/main/msp/msp_box.c of 2025.12.5; those that files have most
     **{1: "ANGLE", 2: "HORIZON", 3: "ALTHOLD", 4: "ANTI GRAVITY", 5: "MAG", 6: "HEADFREE", 7: "HEADADJ"},

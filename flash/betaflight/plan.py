@@ -1,4 +1,4 @@
-"""What becomes of a file of Betaflight's: settings in groups, lines left and why, notes."""
+"""The result of reading a Betaflight file: settings in groups, lines left out and why, notes."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from toolchain.errors import LinkError
 
 @dataclass(frozen=True)
 class Left:
-    """A line that is not brought over."""
+    """A line that is not imported."""
 
     line: Line
     reason: str
@@ -22,7 +22,7 @@ class Left:
 
 @dataclass
 class Group:
-    """Settings that are brought over together, or none of them."""
+    """Settings that are imported together or not at all."""
 
     name: str
     changes: dict[str, Value] = field(default_factory=dict)
@@ -31,15 +31,15 @@ class Group:
 
 @dataclass(frozen=True)
 class Plan:
-    """What is to be done with a file; each of its lines stands in one group, or among those left."""
+    """The changes that a file asks for; each of its lines is in one group or among those left out."""
 
     groups: tuple[Group, ...]
     left: tuple[Left, ...]
-    notes: tuple[str, ...]  # what the pilot has to look at
+    notes: tuple[str, ...]  # what the pilot has to check
 
     @property
     def changes(self) -> dict[str, Value]:
-        """All settings that are asked for."""
+        """All settings of all groups."""
         return {name: value for group in self.groups for name, value in group.changes.items()}
 
 

@@ -1,7 +1,7 @@
-"""Read what the lines of a file of Betaflight's ask of a firmware's settings; each is brought over, or left.
+"""Plan how a Betaflight file changes a firmware's settings: each line is imported or left out with a reason.
 
-Only what the file says is brought over, but for rates: they have no meaning one by one, so where a rate
-profile is in the file, what it leaves out is the default of the version that wrote it.
+Only settings in the file are imported, except for rates, which have no meaning one by one: rates that the
+flown profile leaves out take the default of the version that wrote the file.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ from flash.betaflight.rate_profiles import RateProfiles
 from flash.setting_text import STYLE, Value, known_setting
 from toolchain.contract import MODE_LOW_US, Mode, ModeRange
 
-HOST = "HOST"  # the target of the host program, which stands for any board
-USB_PORT, SOFT_SERIAL = 20, 30  # numbers of ports in a serial line, from which on
+HOST = "HOST"  # the host program's target name, which takes any board's file
+USB_PORT, SOFT_SERIAL = 20, 30  # first numbers of these kinds of ports in a serial line
 RECEIVER_UART, RX_SERIAL = 2, 1 << 6  # UART2; bit of a serial line's functions
 FUNCTIONS = (  # of a serial line: names of its bits, src/main/io/serial.h
     *("MSP", "GPS", "FrSky telemetry", "HoTT telemetry", "LTM telemetry", "SmartPort telemetry", "receiver"),
@@ -54,7 +54,7 @@ def make_plan(diff: Diff, board: str, present: Mapping[str, Value], rate_profile
 
 
 class _Planner:
-    """The lines of a file, one after the other; then what several of them say together."""
+    """A planner that takes the lines one by one, then those that only make sense together."""
 
     def __init__(
         self, diff: Diff, board: str, present: Mapping[str, Value], rate_profile: int | None
@@ -71,11 +71,11 @@ class _Planner:
         self._order = list(range(MOTORS))
         self._mixer = ""
         self._motor_lines: list[Line] = []
-        self._limits: list[tuple[int, int, Line]] = []  # of a profile: the motors' limit [%]
+        self._limits: list[tuple[int, int, Line]] = []  # the motors' limit [%] of each profile
         self._voltage: dict[str, tuple[int, Line]] = {}
         self._ranges: list[tuple[ModeRange, Line]] = []
-        self._lost_boxes: set[int] = set()  # modes of which a range is left
-        self._switches: dict[int, set[str]] = {}  # by AUX channel: what it switched
+        self._lost_boxes: set[int] = set()  # modes with a range that could not be imported
+        self._switches: dict[int, set[str]] = {}  # modes and other functions that each AUX channel switched
 
     def plan(self) -> Plan:
         for line in self._counting_lines():
@@ -238,11 +238,11 @@ class _Planner:
         self._leave(line, "the policy gives each motor its fraction")
 
     def _custom_mix(self, line: Line) -> None:
-        if len(line.words) > 2:  # but `mmix reset`
+        if len(line.words) > 2:  # `mmix reset` says nothing
             self._mixer = "CUSTOM"
         self._leave(line, "the policy gives each motor its fraction")
 
-    # --- What several lines say together ---------------------------------------------------------------
+    # --- Several lines together ------------------------------------------------------------------------
     def _join_modes(self) -> None:
         ranges = []
         for found, line in self._ranges:

@@ -21,10 +21,10 @@ from toolchain.contract import (
     SUPER_ROOM_MIN,
 )
 
-LIMIT_DEG_S = 1998  # of every rate, unless a profile has a lower one
+LIMIT_DEG_S = 1998  # limit of every rate, unless a profile has a lower one
 STICK = np.linspace(0.0, 1.0, 101)
-STEPS = np.linspace(0.0, 1.0, 101)  # of what is searched for
-FULL_STICK_SLACK = 0.5  # deg/s: as settings.c rounds
+STEPS = np.linspace(0.0, 1.0, 101)  # grid of each number that is fitted
+FULL_STICK_SLACK = 0.5  # deg/s: the rounding in settings.c
 Floats = NDArray[np.float64]
 
 
@@ -134,7 +134,7 @@ def _exact(profile: Profile, rates: AxisRates) -> tuple[str, tuple[float, float,
         "BETAFLIGHT": ("betaflight", (rates.rc_rate / 100, top, expo)),
         "ACTUAL": ("actual", (10.0 * rates.rc_rate, 10.0 * rates.super_rate, expo)),
     }
-    if rates.expo == 0:  # then all are among this firmware's two
+    if rates.expo == 0:  # without expo all kinds equal one of this firmware's two
         numbers |= {
             "RACEFLIGHT": ("actual", (10.0 * rates.rc_rate, 10.0 * rates.rc_rate * (1 + top), 0.0)),
             "KISS": ("betaflight", (_unsteep(rates.rc_rate / 100), top, 0.0)),

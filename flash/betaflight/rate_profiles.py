@@ -1,4 +1,4 @@
-"""The rate profiles of a file: which was flown, and what it is in a style of this firmware."""
+"""The rate profiles of a file: which was flown, and the same rates in a style of this firmware."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ FIRST, LAST = (3, 0), (2026, 6)  # versions whose defaults are known
 ACTUAL_SINCE = (4, 3)  # by default: commit ad6885e1ee of May 2021
 KINDS_SINCE = (3, 3)  # before it there is one kind of rates
 NESTED_UNTIL = (3, 1)  # each profile has rate profiles of its own
-NOTICED = 0.5  # deg/s: a difference that is told
+NOTICED = 0.5  # deg/s: larger differences are reported
 _DEFAULTS = {"BETAFLIGHT": (100, 70, 0), "ACTUAL": (7, 67, 0)}
-_NAMES: dict[str, tuple[tuple[str, ...], str]] = {  # of a setting: axes and which of their numbers
+_NAMES: dict[str, tuple[tuple[str, ...], str]] = {  # setting: its axes, and which number of theirs it is
     **{f"{axis}_rc_rate": ((axis,), "rc_rate") for axis in AXES},
     **{f"{axis}_srate": ((axis,), "super_rate") for axis in AXES},
     **{f"{axis}_expo": ((axis,), "expo") for axis in AXES},
@@ -39,7 +39,7 @@ Place = tuple[int, int]  # profile (0 where they do not matter) and rate profile
 
 @dataclass
 class Selection:
-    """Which of several profiles is selected, line by line."""
+    """The selected profile, followed line by line."""
 
     told: list[int] = field(default_factory=list)
 
@@ -54,23 +54,23 @@ class Selection:
 
     @property
     def unsure(self) -> bool:
-        """Whether several are told and none is selected behind them: `diff all bare`, or a cut file."""
+        """Whether the file has several and selects none after them, as in `diff all bare` or a cut file."""
         told = self.told
         return len(set(told)) > 1 and told.count(told[-1]) == 1 and told[-1] == max(told)
 
 
 @dataclass
 class Result:
-    """What became of the rates."""
+    """The imported rates, and the lines left out."""
 
     style: Style | None = None
-    lines: list[Line] = field(default_factory=list)  # that made it
+    lines: list[Line] = field(default_factory=list)  # lines it was read from
     left: list[tuple[Line, str]] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
 
 
 class RateProfiles:
-    """Takes the lines of a file in order."""
+    """The rate profiles that the lines of a file, taken in order, describe."""
 
     def __init__(self, diff: Diff, wanted: int | None) -> None:
         self._diff = diff
@@ -156,7 +156,7 @@ class RateProfiles:
 
     @property
     def _default_kind(self) -> str:
-        """What the version that wrote the file has by default. Raises ValueError where that is not known."""
+        """The default of the version that wrote the file. Raises ValueError if that is unknown."""
         if not FIRST <= self._diff.version <= LAST:
             raise ValueError(
                 f"what Betaflight {self._diff.release} has by default is not known here, and the file leaves "
@@ -194,7 +194,7 @@ class RateProfiles:
 
 def _value(line: Line) -> str:
     assigned = line.assigned
-    assert assigned is not None  # `take` looked
+    assert assigned is not None  # `take` has checked it
     return assigned[1]
 
 
