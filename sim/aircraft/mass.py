@@ -33,7 +33,7 @@ class Part:
     surface: NDArray[np.float64] | None = field(  # (K, 3, 3) [m], triangles in the part's own frame
         default=None, repr=False, compare=False
     )
-    mesh: MeshPose | None = None  # None: it is not one
+    mesh: MeshPose | None = None  # None: not a mesh
 
 
 @dataclass(frozen=True)
@@ -90,5 +90,5 @@ def rotation_angles(turn: NDArray[np.float64]) -> Vector:
     pitch = float(np.arcsin(np.clip(-turn[2, 0], -1.0, 1.0)))
     if abs(turn[2, 0]) < 1.0 - 1e-9:
         return float(np.arctan2(turn[2, 1], turn[2, 2])), pitch, float(np.arctan2(turn[1, 0], turn[0, 0]))
-    # Straight up or down roll and yaw are one turn: it is given to the roll.
+    # With the nose straight up or down roll and yaw turn about the same axis: all is called roll.
     return float(np.arctan2(-turn[1, 2], turn[1, 1])), pitch, 0.0

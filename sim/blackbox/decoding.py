@@ -1,11 +1,10 @@
 """Frames of a log to rows of numbers: each field is read by its encoding, its prediction added.
 
-How frames are found is done so that a damaged file is read as far as it goes: frames have neither length nor
-checksum, so that one counts where the next one's letter stands behind it. A wrong bit inside a value shows
-nowhere.
+A damaged file is read as far as possible. Frames have neither length nor checksum, so a frame counts as whole
+if the letter of a next frame follows it. A wrong bit inside a value is not detected.
 
 Numbers have 32 bits that wrap, in the firmware as here: a motor at 0 behind the prediction 138 is written as
--138, in an unsigned encoding as 4294967158. Whether a field has a sign is told by its header line `signed`.
+-138, in an unsigned encoding as 4294967158. The header line `signed` says which fields have a sign.
 """
 
 from __future__ import annotations
@@ -59,7 +58,7 @@ class Event:
 
 @dataclass
 class Aside:
-    """Frames of K rows that stand between main frames."""
+    """Rows of another kind of frame, K of them, that lie between main frames."""
 
     values: Array  # (K, S)
     row: Array  # (K,) of the main frame behind each
@@ -103,7 +102,7 @@ class _Decoder:
     """Reads one log from its first byte to its last."""
 
     def __init__(self, data: bytes, headers: Headers) -> None:
-        self.weights: dict[str, int] | None = None  # bytes that each field took, where that is asked for
+        self.weights: dict[str, int] | None = None  # bytes that each field took; None: not counted
         self._data = data
         self._blank = len(data.rstrip(b"\0\xff"))  # from here on it is the empty rest of a card's file
         self._intra, self._logged, self._of = intervals(headers)
@@ -128,7 +127,7 @@ class _Decoder:
         self._usable = False  # whether what P frames are predicted from is there
         self._last: list[int] | None = None  # main frame
         self._before: list[int] = self._nothing  # the last and the one before it, of the next frame
-        self._skips: dict[int, int] = {}  # steps that are not logged, by the place of the one before them
+        self._skips: dict[int, int] = {}  # unlogged steps after each step, by its place in the interval
         self._rejected: list[int] | None = None  # I frame whose time or step did not follow
         self._jumped = False  # LOGGING_RESUME was told: any later time follows
         none = Aside(np.empty((0, 0), np.int64), np.empty(0, np.int64))
@@ -406,7 +405,7 @@ def _plan(fields: Sequence[FieldDefinition], headers: Headers) -> Plan:
     at = 0
     while at < len(fields):
         one = fields[at]
-        encoding = NOTHING if one.predictor == 6 else one.encoding  # a count of steps is not in the file
+        encoding = NOTHING if one.predictor == 6 else one.encoding  # steps are counted, not stored
         count = min(FIELDS.get(encoding, 1), len(fields) - at)
         if encoding == TAG8_8SVB:  # a group ends where another encoding begins; others have their number
             alike = [other.encoding == encoding for other in fields[at : at + count]]
@@ -458,7 +457,7 @@ _ADJUSTMENT = 13
 _VARIABLE, _SIGNED = 0, -1  # in place of a size in bytes
 _EVENTS: dict[int, tuple[str, tuple[tuple[str, int], ...]]] = {
     LogEvent.SYNC_BEEP: ("arming", (("time", _VARIABLE),)),
-    # Cleanflight's, of before 2016; by the Explorer.
+    # Cleanflight's before 2016, as the Explorer reads them.
     10: ("autotune begins", (("phase", 1), ("cycle", 1), ("p", 1), ("i", 1), ("d", 1))),
     11: ("autotune", (("overshot", 1), ("p", 1), ("i", 1), ("d", 1))),
     12: ("autotune targets", (("angle", 2), ("target", 1), ("peak", 1), ("first", 2), ("second", 2))),

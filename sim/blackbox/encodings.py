@@ -1,7 +1,7 @@
-"""Encodings of the format: bytes to the numbers that were written, their prediction not yet added.
+"""Encodings of the format: from bytes to the stored numbers, to which the prediction is added later.
 
 Each reader takes the data, where its bytes begin, and how many fields it fills; it returns their numbers and
-where the next byte stands. Numbers of 32 bits are as their encoding has them, signed or not. Readers raise
+where the next byte stands. 32-bit numbers are signed or unsigned as the encoding says. Readers raise
 IndexError at the end of the data, ValueError on bytes that no firmware writes.
 """
 
@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 
 WORD = 1 << 32
 UNSIGNED_VB, SIGNED_VB, NEG_14BIT, TAG8_8SVB, TAG2_3S32, TAG8_4S16, NOTHING = 1, 0, 3, 6, 7, 8, 9
-FIELDS = {TAG8_8SVB: 8, TAG2_3S32: 3, TAG8_4S16: 4}  # of a group at most; other encodings have one field
+FIELDS = {TAG8_8SVB: 8, TAG2_3S32: 3, TAG8_4S16: 4}  # most fields in a group; other encodings have one field
 
 Reader = Callable[[bytes, int, int], tuple[Sequence[int], int]]
 

@@ -1,4 +1,4 @@
-"""Whose firmware wrote a log, and its version: what a field's number means depends on both.
+"""The firmware that wrote a log, and its version: the meaning of a field's number depends on both.
 
 The names are those of the lines `Firmware type` and `Firmware revision`, read in the sources of each firmware
 (Betaflight 2.1 to 2025.12, Cleanflight 1.8 to 2.5, INAV 8, EmuFlight 1.0, Rotorflight 4.6).
@@ -13,7 +13,7 @@ from enum import Enum
 
 
 class Maker(Enum):
-    """Whose firmware wrote a log."""
+    """The project whose firmware wrote a log."""
 
     NEUROFLIGHT = "Neuroflight"
     BETAFLIGHT = "Betaflight"
@@ -27,7 +27,7 @@ class Maker(Enum):
 
 @dataclass(frozen=True)
 class Firmware:
-    """A maker's firmware of one version; () where the log does not tell it."""
+    """A maker's firmware of one version; () if the log does not name the version."""
 
     maker: Maker
     version: tuple[int, ...] = ()

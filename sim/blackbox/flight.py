@@ -79,7 +79,7 @@ def log_trace(log: Log, part: Part = WHOLE, told: Channels | None = None) -> Tra
     where = f"{log.path}: log {log.number}"
     if told.setpoint is None or told.throttle is None or told.gyro is None or told.motors is None:
         raise TraceError(f"{where} has {_lacking(log, told)}; figures of a flight need them")
-    assert told.dshot is not None  # it comes with the motors
+    assert told.dshot is not None  # set whenever motors are
     if log.rate_hz < RATE_MIN_HZ:
         raise TraceError(
             f"{log.path}: log {log.number} has {log.rate_hz:.3g} rows a second, figures of a "

@@ -25,11 +25,11 @@ FIELDS_MAX = 255  # of one kind of frame; the ecosystem's tools take 128
 DAMAGE_BYTES_MAX = 1024  # between two header lines, that is taken for a damaged one
 INTERVAL_MAX = 1 << 16  # of the headers I interval and P interval
 PREDICTORS = frozenset(range(12))
-MINTHROTTLE, MOTOR_0, STEP, HOME, VBATREF, MINMOTOR = 4, 5, 6, 7, 9, 11  # some of them
+MINTHROTTLE, MOTOR_0, STEP, HOME, VBATREF, MINMOTOR = 4, 5, 6, 7, 9, 11  # predictors
 TEXT_MAX = 100  # characters of a header's value in a message
 KINDS = "IPSGH"  # of frames that headers describe
-OUTPUT_FROM, FINE_FROM = (3, 1), (4, 4)  # Betaflight's, since which it writes the lines that `_lost` names
-# What is taken where the line is lost, as blackbox_decode takes it.
+OUTPUT_FROM, FINE_FROM = (3, 1), (4, 4)  # Betaflight's versions that first wrote the lines named in `_lost`
+# The values that blackbox_decode assumes where the line is lost.
 DEFAULTS = {"Data version": 2, "I interval": 32, "minthrottle": 1150, "vbatref": 4095}
 
 _BEGIN = re.compile(rb"H (Product:Blackbox flight data recorder|Field I name:)")
@@ -65,7 +65,7 @@ class Headers:
     values: dict[str, str]  # name to value, both printable ASCII
     fields: dict[str, tuple[FieldDefinition, ...]]  # of I, P, S, G and H frames, as far as they are whole
     notes: tuple[str, ...]  # what is wrong with them, a line each
-    told: frozenset[str] = frozenset()  # names of values that the user tells, not the file
+    told: frozenset[str] = frozenset()  # names of values that come from the user, not from the file
 
     def integer(self, name: str, default: int) -> int:
         """The number in header `name`, or `default` where there is none."""
@@ -164,7 +164,7 @@ def _fields(values: dict[str, str], notes: list[str]) -> dict[str, tuple[FieldDe
     found: dict[str, tuple[FieldDefinition, ...]] = {}
     for kind in KINDS:
         if kind not in "IP" and not any(name.startswith(f"Field {kind} ") for name in values):
-            continue  # each log has the others
+            continue  # every log has all other lines
         named = values.get(f"Field {'I' if kind == 'P' else kind} name", "").split(",")
         try:
             found[kind] = _definitions(kind, named, values)
@@ -200,7 +200,7 @@ def _definitions(kind: str, named: Sequence[str], values: dict[str, str]) -> tup
     if MOTOR_0 in columns[0] and "motor[0]" not in names[: columns[0].index(MOTOR_0)]:
         raise ValueError("a field is predicted by motor[0], which is not before it")
     signs = _signs(kind, values, len(named))
-    if signs is None:  # the encoding says it as well, but for motors that stand behind their prediction
+    if signs is None:  # the encoding shows it as well, except for motors, whose unsigned encoding may wrap
         signs = [encoding not in (UNSIGNED_VB, NEG_14BIT) for encoding in columns[1]]
     return tuple(FieldDefinition(*row) for row in zip(names, *columns, signs, strict=True))
 
@@ -258,7 +258,7 @@ def _lost(headers: Headers) -> dict[str, str]:
     if HOME in predictors and "H" not in fields:
         found["Field H name"] = "positions are told without the home that they are relative to"
     if not told.get("Firmware revision") and "Firmware type" not in told:
-        return found  # another program's, of which nothing is known
+        return found  # written by an unknown firmware
     need("Firmware revision", True, "whose log it is is not known")
     whose = firmware(told)
     if "gyro.scale" not in told:

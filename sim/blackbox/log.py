@@ -71,9 +71,9 @@ class Log:
 
     @cached_property
     def time_us(self) -> Integers:
-        """Time (N,) [us] of the firmware's clock, which goes on beyond 32 bits.
+        """Time (N,) [us] of the firmware's clock, with its 32-bit wraps undone.
 
-        Where the log has none it is that of steps of `looptime`, or of 1 ms where that is not told either.
+        Without a logged time it is counted in steps of `looptime`, or of 1 ms if that is missing too.
         """
         if (time := self.columns.get("time")) is not None:
             return _spread(time)
@@ -207,7 +207,7 @@ def glance(data: bytes, one: Listed) -> float | None:
         return None
     clock = names.index("time")
     passed = int(last[-1, clock] - first[0, clock]) % WORD
-    if "loopIteration" in names and len(first) > 1:  # by steps, how often the clock's 32 bits began anew
+    if "loopIteration" in names and len(first) > 1:  # steps show how often the 32-bit clock wrapped
         step = names.index("loopIteration")
         one_us = (first[-1, clock] - first[0, clock]) / max(1, first[-1, step] - first[0, step])
         expected = (last[-1, step] - first[0, step]) * one_us
@@ -248,7 +248,7 @@ def read_log(
     if lines:
         listed = [_told(one, lines) for one in listed]
     reason: TraceError | None = None
-    hidden = 0  # logs behind the one that is read whose bytes are no frames
+    hidden = 0  # logs after the one that is read, without readable frames
     for one in reversed(listed) if number is None else [choose(path, listed, number)]:
         try:
             log = decode_log(path, data, one, progress)

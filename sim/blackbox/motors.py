@@ -17,24 +17,24 @@ Array = NDArray[np.float64]
 Words = NDArray[np.uint16]
 
 PULSE_STOP_US, PULSE_FULL_US = 1000.0, 2000.0  # motor values of an analog protocol
-PULSE_LEAST_US, PULSE_MOST_US = 750.0, 2250.0  # that Betaflight's settings let a pulse have
+PULSE_LEAST_US, PULSE_MOST_US = 750.0, 2250.0  # limits of a pulse in Betaflight's settings
 ROTORFLIGHT_FULL = 1000.0  # motor value at full power
 DSHOT_ROUNDED = DSHOT_MAX + 1  # Betaflight 3.4's full power in its logs, which its driver cuts to DSHOT_MAX
-IMPOSSIBLE = 0xFFFF  # DShot value that stands for one that no motor was given
+IMPOSSIBLE = 0xFFFF  # in place of a DShot value that no motor can be given
 MINTHROTTLE, MINMOTOR = 4, 11  # predictors
-BASE = {MINTHROTTLE: "minthrottle", MINMOTOR: "motorOutput"}  # the header line that one of motor[0] adds
+BASE = {MINTHROTTLE: "minthrottle", MINMOTOR: "motorOutput"}  # header line that a predictor of motor[0] adds
 DIGITAL = range(5, 9)  # DShot and ProShot in motor_pwm_protocol; below it, pulses
 PROTOCOLS = ("motor_pwm_protocol", "fast_pwm_protocol")
 
 
 @dataclass(frozen=True, eq=False)
 class Motors:
-    """N rows of M motors; None: the log has none, or does not tell their unit."""
+    """Values of M motors in N rows; None if they are not logged or their unit is unknown."""
 
     fractions: Array | None = None  # (N, M) 0..1 as an ESC decodes them; NaN where the value is no motor's
-    dshot: Words | None = None  # (N, M) DShot values; of an analog protocol those that mean the same
-    digital: bool = False  # the protocol has such values
-    note: str = ""  # what is to be told of the values, or keeps them from being read
+    dshot: Words | None = None  # (N, M) DShot values; for an analog protocol the equal ones
+    digital: bool = False  # whether the protocol is digital
+    note: str = ""  # for the user: on the values, or why there are none
 
     def impossible(self) -> NDArray[np.bool_]:
         """Return for each row (N,) whether it has a value that no motor can be given."""
@@ -123,7 +123,7 @@ def _protocol(log: Log, values: NDArray[np.int64]) -> tuple[bool | None, str]:
     if any(
         one.name == "motor[0]" and one.predictor == MINTHROTTLE for one in log.headers.fields.get("I", ())
     ):
-        return False, ""  # as before there was another protocol
+        return False, ""  # pulses: there was no other protocol yet
     lost = "no line motorOutput nor motor_pwm_protocol in its headers"
     turning = values[values > 0]
     least, most = (int(turning.min()), int(turning.max())) if len(turning) else (0, 0)

@@ -1,4 +1,4 @@
-"""Which reading of the sticks explains the gyro: a flight that followed its commands shows what they were.
+"""Choice of a reading of the sticks by the gyro: an aircraft that follows its commands shows what they were.
 
 An aircraft in rate mode turns as it was told, some hundredths of a second later. So the gyro, regressed on
 the commands of the right reading at the best lag, has a slope near 1; a wrong reading gives another slope,
@@ -17,15 +17,15 @@ from sim.blackbox.rates import RatesError, Reading
 
 Array = NDArray[np.float64]
 
-ASKED_DEG_S = 15.0  # commands from here on are compared: below, the gyro's noise is as large
-ASKED_ROWS_S = 0.2  # of them an axis needs
+ASKED_DEG_S = 15.0  # smaller commands are not compared: the gyro's noise is as large
+ASKED_ROWS_S = 0.2  # least duration of such commands on an axis
 ROWS_MIN = 20
-LAG_MAX_S = 0.12  # of an aircraft behind its command
-LAGS = 13  # that are tried
-SLOPE = (0.7, 1.4)  # of the gyro on commands that it follows
-ERROR_MOST = 0.5  # of the mean size of the commands, that a followed one leaves at most
-CLEARER = 1.3  # times as large is the error of the next reading, where one is decided for
-SAME, SAME_DEG_S = 0.03, 2.0  # part of the commands, and a step of our sticks, within which readings agree
+LAG_MAX_S = 0.12  # greatest lag of an aircraft behind its command
+LAGS = 13  # number of lags that are tried
+SLOPE = (0.7, 1.4)  # range of the gyro's slope on commands that it follows
+ERROR_MOST = 0.5  # largest error over the mean size of commands that are followed
+CLEARER = 1.3  # a reading is chosen if the next one's error is so many times as large
+SAME, SAME_DEG_S = 0.03, 2.0  # readings agree within this part of the commands, or a step of our sticks
 
 
 @dataclass(frozen=True)

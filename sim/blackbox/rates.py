@@ -1,7 +1,7 @@
 """Rates of a stick, by the settings in a log's header: from rcCommand to the commanded deg/s.
 
 A log without a setpoint has only the stick, rcCommand of -500 to 500, and the settings by which the firmware
-made a rate of it. `readings` gives each way to read these; `sim.blackbox.proof` holds them against the gyro.
+made a rate of it. `readings` gives each way to read these; `sim.blackbox.proof` compares them with the gyro.
 The formulas are those of the firmwares named in sim.blackbox.firmware, in a form of our own: an even function
 of the stick's way 0..1, times the stick.
 """
@@ -23,14 +23,14 @@ Array = NDArray[np.float64]
 
 FULL = 500.0  # rcCommand at full stick
 LIMIT_DEG_S = 1998.0  # of Betaflight's setpoint, where no rate_limits are told
-SUPER_ROOM = 0.01  # that a super rate leaves at full stick at least
+SUPER_ROOM = 0.01  # least divisor that a super rate leaves at full stick
 RC_RATE_KNEE, RC_RATE_STEEP = (
     200.0,
     15.54,
 )  # hundredths, above which Betaflight's RC rate counts so many times
 MULTIWII_LSB = 4.0  # gyro counts of one step of the old controllers' rate
 SUPEREXPO = 1 << 23  # in the header line features
-SETTINGS = "rates_type, rc_rates, rc_expo and rates"  # that tell rates
+SETTINGS = "rates_type, rc_rates, rc_expo and rates"  # header lines that define rates
 
 
 class Style(IntEnum):
@@ -54,7 +54,7 @@ class Reading:
 
 
 class RatesError(ValueError):
-    """The header does not tell rates; the message says what it lacks."""
+    """The header has no complete rates; the message says what is missing."""
 
 
 def readings(header: Mapping[str, str], firmware: Firmware) -> tuple[Reading, ...]:

@@ -1,7 +1,7 @@
-"""What one count of a log's field is: of the gyro, of the battery's voltage and current, of a rotor's speed.
+"""The unit of one count of a log's fields: gyro, battery voltage and current, rotor speed.
 
-Betaflight's sources at each version, Cleanflight's, INAV's and Rotorflight's say it; the header's own lines
-where there are some.
+It comes from the header where this has a line for it, else from the sources of each version of Betaflight,
+Cleanflight, INAV and Rotorflight.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ Columns = Mapping[str, NDArray[np.int64]]
 
 BASEFLIGHT_SCALE = 1e-5  # a gyro_scale below it is in rad/us, as Baseflight had it; others are in deg/s
 ADC_FULL, ADC_VOLTS = 4095.0, 3.3
-CELL_LEAST_V = 2.5  # of a cell that still feeds a flight
-ERPM = 100.0  # of an electrical revolution a minute, in a count of eRPM
+CELL_LEAST_V = 2.5  # least voltage of a cell in flight
+ERPM = 100.0  # electrical revolutions a minute in one count of eRPM
 WORD = 1 << 32
 
 
@@ -82,7 +82,8 @@ def voltage(columns: Columns, header: Mapping[str, str], firmware: Firmware) -> 
     if scale is None or scale <= 0 or not _is_adc(firmware):
         return None
     volts = np.asarray(counts * (ADC_VOLTS / ADC_FULL * scale / 10.0), np.float64)
-    # Builds on the way to Betaflight 3.1 call themselves 3.0 and have tenths: no battery gives so little.
+    # Development builds of Betaflight 3.1 call themselves 3.0 but log tenths: read as counts they would give
+    # a voltage too low for any battery.
     if firmware.since(Maker.BETAFLIGHT, 3) and len(volts) and 0 < np.median(volts) < CELL_LEAST_V:
         return counts / 10.0
     return volts

@@ -1,4 +1,4 @@
-"""What the pilot asked for in a log: rates and thrust, from whichever field the firmware wrote them to.
+"""The pilot's commands in a log: rates and thrust, from whichever field the firmware wrote them to.
 
 Betaflight since 4.0 and our own firmware log the setpoint, INAV the target of its rate controller (axisRate).
 Others log the stick only, of which the rates in the header make a command. A value that no stick can have is
@@ -23,10 +23,10 @@ from toolchain.errors import TraceError
 Array = NDArray[np.float64]
 Rows = NDArray[np.bool_]
 
-RATE_MOST_DEG_S = 2000.0  # that any of these firmwares commands: Betaflight's settings end at 1998
+RATE_MOST_DEG_S = 2000.0  # no firmware commands more: Betaflight's settings end at 1998
 SLACK = 0.115  # of a stick beyond its ends: receivers give, and Betaflight takes, pulses of 885 to 2115 us
 THROTTLE_COUNTS = 1000.0  # of setpoint[3] at full thrust
-ROUNDED_DEG_S = 0.51  # beyond, that a limit is in a log of whole deg/s, or in float32
+ROUNDED_DEG_S = 0.51  # by which rounding to whole deg/s or float32 may exceed a limit
 AIRBORNE = 0.1  # throttle from which a flight is taken to follow its commands
 TELL_RATES = frozenset(("rates_type", "rates", "pidController"))  # a user who gives one chose the rates
 ANGLE_BITS, ANGLE_FLAGS = 0b110, 0b11  # ANGLE and HORIZON, as boxes and as flags of modes
@@ -34,14 +34,14 @@ ANGLE_BITS, ANGLE_FLAGS = 0b110, 0b11  # ANGLE and HORIZON, as boxes and as flag
 
 @dataclass(frozen=True, eq=False)
 class Pilot:
-    """What was asked for in N rows; None: the log does not tell it."""
+    """The pilot's commands in N rows; None where the log does not show them."""
 
     rates: Array | None = None  # (N, 3) [deg/s]; NaN where the stick commanded an angle
     throttle: Array | None = None  # (N,) of full thrust, beyond 0..1 where the log's number is no stick's
     source: str = ""  # the field that rates come from
     level: Rows | None = None  # (N,) whether ANGLE or HORIZON mode is on: the stick commands an angle
-    note: str = ""  # what is to be told of them
-    lacks: str = ""  # why there are none, and what mends it
+    note: str = ""  # for the user, on how they were read
+    lacks: str = ""  # why there are none, and what the user can do
 
 
 def pilot(log: Log, firmware: Firmware, gyro: Array | None, armed: Rows) -> Pilot:
@@ -90,7 +90,7 @@ def ask_rates(why: str) -> str:
 def _throttle(log: Log, firmware: Firmware, parts: float) -> Array | None:
     """Return the throttle stick from rcCommand[3], which spans minthrottle..maxthrottle in some firmwares."""
     counts = log.columns.get("rcCommand[3]")
-    if counts is None or firmware.maker is Maker.ROTORFLIGHT:  # there it is the collective
+    if counts is None or firmware.maker is Maker.ROTORFLIGHT:  # Rotorflight's rcCommand[3] is the collective
         return None
     low, high = _throttle_range(log, firmware)
     us = counts / parts

@@ -1,7 +1,7 @@
-"""A transfer as text changes or loses some bytes of a log, and values are wrong unseen: the traces it leaves.
+"""Detect logs whose bytes a transfer as text has changed or removed, which makes values wrong unnoticed.
 
 Frames hold every byte. One that does not occur while those beside it do, each in EXPECTED places or more, is
-not missing by chance: a count of 20 comes out as 0 once in 5e8 times. Shorter logs tell too little.
+not missing by chance: a count of 20 comes out as 0 once in 5e8 times. Short logs have too few bytes for that.
 """
 
 from __future__ import annotations
@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 EXPECTED = 20
-BYTES_MAX = 16 << 20  # that are looked at
-TEXT_BYTES_MIN = 512  # that are no frames if they are UTF-8: each number above 63 has a byte above 0x7F
+BYTES_MAX = 16 << 20  # bytes that are examined
+TEXT_BYTES_MIN = 512  # so many bytes of UTF-8 are not frames, whose numbers above 63 have bytes above 0x7F
 _CUT = 3  # bytes of a character whose rest is cut off
 _LF, _CR = 0x0A, 0x0D
 _REPLACED = "\ufffd".encode()
@@ -42,11 +42,11 @@ def text_transfer(body: bytes) -> str:
 
 
 def _missing(data: NDArray[np.int32], counts: NDArray[np.int64], eaten: tuple[int, ...]) -> bool:
-    """Return True if these bytes never occur though their neighbours do, in EXPECTED surroundings."""
+    """Return True if these bytes never occur though the values next to theirs do, in EXPECTED places."""
     if len(data) < EXPECTED or counts[list(eaten)].any():
         return False
     beside = [byte for byte in range(eaten[0] - 4, eaten[-1] + 5) if byte >= 0 and byte not in _SPECIAL]
-    # Frames that repeat tell no more than one of them.
+    # Identical frames count once: repetition is no further evidence.
     places = np.unique(data[1:-1] << 16 | data[:-2] << 8 | data[2:])
     return bool((np.bincount(places >> 16, minlength=256)[beside] >= EXPECTED).all())
 

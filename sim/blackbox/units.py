@@ -24,7 +24,7 @@ Floats = NDArray[np.float32]
 Array = NDArray[np.float64]
 
 PID_BIT = 1  # of our slow field nfFlags: the PID flies
-ARM_BIT = 1  # of flightModeFlags, where they are boxes
+ARM_BIT = 1  # in flightModeFlags, where its bits are boxes
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,7 +34,7 @@ class Channels:
     clock_us: NDArray[np.int64]  # (N,) the log's own clock
     armed: NDArray[np.bool_]  # (N,)
     exact: bool  # setpoint, gyro and throttle are the bits that the controller had
-    pilot: Pilot  # what was asked for as the log has it, and where it has it from
+    pilot: Pilot  # commands in the log's units, and the field they come from
     setpoint: Floats | None  # (N, 3) [rad/s]; NaN where the stick commanded an angle
     gyro: Floats | None  # (N, 3) [rad/s], filtered
     gyro_unfiltered: Floats | None  # (N, 3) [rad/s]
@@ -42,7 +42,7 @@ class Channels:
     motors: Array | None  # (N, M) fractions 0..1 as an ESC decodes them; NaN where a value is no motor's
     dshot: NDArray[np.uint16] | None  # (N, M) DShot values; of an analog protocol those that mean the same
     digital: bool  # the motors' protocol has such values
-    motors_note: str  # what is to be told of motor values, or keeps them from being read; "" for nothing
+    motors_note: str  # for the user: on motor values, or why there are none; "": nothing
     rpm: Array | None  # (N, M) [rpm] of the rotors
     idle: float | None  # motor fraction at zero thrust
     mix: Mix | None  # of outputs and throttle; None: by another rule than ours
@@ -120,7 +120,7 @@ def _rates(log: Log, name: str, count: float | None, parts: float) -> Floats | N
     """Return a gyro's field [rad/s]; count: rad/s of one gyro count, parts: logged steps per count."""
     values = log.matrix(name, 3)
     if values is None and name == "gyroADC":
-        values = log.matrix("gyroData", 3)  # as it was called at first
+        values = log.matrix("gyroData", 3)  # its name in the first versions
     return None if values is None or count is None else (values * (count / parts)).astype(np.float32)
 
 

@@ -39,10 +39,10 @@ SUPPLY_USUAL, SUPPLY_POSSIBLE = (0.95, 1.25), (0.7, 1.5)  # full pack over the s
 CELL_LOADED_LOW = 3.0  # [V], where ESCs cut off and cells take harm
 UPRIGHT = math.radians(20.0)  # between a propeller's thin axis and z
 UPRIGHT_MOMENT = 1.05  # greatest moment over that about z; equal for one with two blades
-THIN = 0.5  # second moment across a propeller over the next one, above which it is not thin
-STRAIGHT = 0.01  # of a thin axis: what is less along another axis is of the mesh, not of its pose
-OUTER_MIN = 0.05  # of its surface, that the outer halves of its blades take
-UNBALANCED = 0.05  # of a propeller's radius, by which its centre of mass may be off its hub's axis
+THIN = 0.5  # greatest ratio of the least second moment to the next one of a thin propeller
+STRAIGHT = 0.01  # smaller components of a thin axis come from the mesh's shape, not from its pose
+OUTER_MIN = 0.05  # least part of the surface in the outer halves of the blades
+UNBALANCED = 0.05  # in propeller radii: largest offset of the centre of mass from the hub's axis
 CENTRE_OFF = 0.1  # of the hubs' distance: how far the stated centre of thrust may lie from theirs
 
 

@@ -14,7 +14,7 @@ from toolchain.errors import TraceError
 from toolchain.files import replacing
 
 BYTES_MAX = 1 << 30  # of a file's arrays: about three hours at 1 kHz
-EVEN = 1e-6  # of the time from row to row: what rounding makes of even ones
+EVEN = 1e-6  # relative spread of even time steps that is due to rounding
 _MEMBER = ".npy"
 
 
@@ -62,7 +62,7 @@ class Trace:
         if len(self.t) < 2:
             return 0.0
         first, usual = float(self.t[1] - self.t[0]), float(np.median(np.diff(self.t)))
-        # Differences of even times are other numbers by a bit, and figures with them.
+        # Differences of even times vary in the last bit, and results with them: return one exact value.
         return first if abs(first - usual) < EVEN * usual else usual
 
     def by_gyro(self) -> Trace:

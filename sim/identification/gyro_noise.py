@@ -117,7 +117,7 @@ def resting_part(recording: Recording) -> tuple[float, float] | None:
     length = max(1, round(MOTION_S[0] * recording.rate_hz))
     blocks = recording.gyro[: len(recording.gyro) // length * length].reshape(-1, length, 3)
     spread = blocks.std(axis=1).max(axis=1)
-    # A gyro at rest has next to no mean, and the noise of the calmest tenth.
+    # At rest a gyro's mean is near 0 and its noise is like that of the calmest tenth of the recording.
     calm = (np.abs(blocks.mean(axis=1)) < MOTION_RATE).all(axis=1)
     if not calm.any():
         return None

@@ -60,16 +60,16 @@ class Static:
 
 @dataclass(frozen=True, eq=False)
 class Tables:
-    """What files of one propeller hold."""
+    """The measurements in the files of one propeller."""
 
     wind: Measurements
     rest: Static
-    speeds_rpm: tuple[float, ...]  # of the tables of J that tell theirs, rising
+    speeds_rpm: tuple[float, ...]  # of the tables over J that name their speed, ascending
     notes: tuple[str, ...]
 
     @property
     def measurements(self) -> Measurements:
-        """All together: those at rest have J = 0."""
+        """All measurements; those at rest have J = 0."""
         ratio = np.concatenate([self.wind.ratio, np.zeros(len(self.rest.rpm))])
         thrust, torque = (
             np.concatenate([getattr(self.wind, name), getattr(self.rest, name)])
@@ -84,7 +84,7 @@ class _Rows:
 
     values: Array
     at_rest: bool
-    rpm: float | None  # of a table of J, where it tells it
+    rpm: float | None  # of a table over J that names its speed
 
 
 def read_tables(paths: Sequence[Path], rpm: float | None = None) -> Tables:

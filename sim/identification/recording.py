@@ -48,7 +48,7 @@ GYRO, ACCELERATION = (tuple(f"{name}[{axis}]" for axis in range(3)) for name in 
 BLACKBOX = ("time (us)", *GYRO)
 SCALE = "gyro_scale"  # the header
 EXPLORER_SCALE = "gyroScale"  # in the Explorer's export: rad/us of a count
-EXPLORER_LOST = 1e-4  # what it is where the log had none
+EXPLORER_LOST = 1e-4  # its value where the log had none
 FINE = "blackbox_high_resolution"
 LOGS = (".bbl", ".bfl", ".txt")
 PRODUCT = b"H Product:Blackbox"
@@ -59,11 +59,11 @@ _PAIR = 2  # cells of a header line in an export
 
 @dataclass(frozen=True)
 class Choice:
-    """What is taken of a file, and what the user says of it."""
+    """The user's choice of a log, of a part of it, and of the gyro's scale."""
 
     number: int | None = None  # of a log in its file, from 1; None: the last that has frames
     part: Part = WHOLE  # seconds since the first sample
-    unit_deg_s: float | None = None  # of a count of the gyro, where the file does not tell
+    unit_deg_s: float | None = None  # one count of the gyro, where the file does not say
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,12 +74,12 @@ class Recording:
     gyro: Array  # (N, 3) [rad/s], body axes
     acceleration: Array | None  # (N, 3) [m/s^2], specific force, body axes
     gaps: int  # places where samples are missing
-    notes: tuple[str, ...] = ()  # what was taken, and what is wrong with the file, a line each
+    notes: tuple[str, ...] = ()  # on the choice that was made and on damage, a line each
 
 
 @dataclass(frozen=True, eq=False)
 class Samples:
-    """Samples as a file has them."""
+    """The samples of a file."""
 
     time: Array  # (N,) [s]
     gyro: Array  # (N, 3) [rad/s]
@@ -182,7 +182,7 @@ def _of_log(log: Log, unit_deg_s: float | None, notes: Iterable[str] = ()) -> Sa
     if forces is None and (counts := log.matrix("accSmooth", len(ACCELERATION))) is not None:
         forces = _resting(counts.astype(np.float64))
     if forces is not None and not forces.any():
-        forces = None  # switched off
+        forces = None  # the accelerometer was switched off
     gyro, acceleration = told.gyro.astype(np.float64), None if forces is None else forces.astype(np.float64)
     return Samples(log.t, gyro, acceleration, tuple(notes))
 

@@ -1,7 +1,7 @@
 """Tables of numbers in text files, as measuring programs and spreadsheets write them.
 
-What differs is found in the file itself: the encoding, the mark between cells, the decimal mark, and the line
-that names the columns, above which there may be others. Nothing in a file is executed.
+Encoding, separator, decimal mark and the line that names the columns, above which there may be others, are
+found from the file itself. Nothing in a file is executed.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ MARKS = (
 )  # between cells; two blanks: of headings that have single ones in them
 LINES_BEFORE_MAX = 200  # above the heading
 COMMENTS = ("#", "//")  # at the begin of a line below the heading
-FOREIGN_MAX = 0.05  # part of the characters beyond ASCII, above which a file that is no UTF-8 is no text
+FOREIGN_MAX = 0.05  # a file that is not UTF-8 is no text if more of its characters are beyond ASCII
 MISSING = frozenset(("", "nan", "-nan", "n/a", "na", "#n/a", "-", "--", "null", "none"))
 _THOUSANDS = {mark: re.compile(rf"[+-]?[1-9]\d{{0,2}}({re.escape(mark)}\d{{3}})+") for mark in ".,"}
 

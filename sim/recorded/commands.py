@@ -27,8 +27,8 @@ ROWS_MAX = 8_000_000  # an hour at 2 kHz
 class Commands:
     """N commands; each holds from its time to the next, the last for the median of these times.
 
-    What no stick gives, or only one that turns faster than ours at its end, is refused: nothing is flown that
-    the pilot did not ask for. The latter may be cut to full stick, if the user asks for that.
+    Commands that no stick gives are refused, and so are rates beyond our full stick, unless the user has them
+    limited to it: nothing is flown that the pilot did not command.
     """
 
     name: str  # of the file, without its suffix
@@ -36,9 +36,9 @@ class Commands:
     setpoint: NDArray[np.float64]  # (N, 3) [deg/s], body frame, within full stick
     throttle: NDArray[np.float64]  # (N,) pilot's thrust, 0..1
     notes: tuple[str, ...] = ()  # what the user must know of how they were read, a sentence each
-    first_row: int = 0  # of the recording, that they begin with
+    first_row: int = 0  # row of the recording that they begin with
     since_s: float = 0.0  # seconds of the recording before them
-    cut: bool = False  # rates beyond full stick to full stick
+    cut: bool = False  # rates beyond full stick become full stick
 
     def __post_init__(self) -> None:
         """Raises ScenarioError, beginning with the name, on commands that cannot be flown."""

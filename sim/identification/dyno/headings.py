@@ -47,7 +47,7 @@ LENGTH_MAX = 200  # characters of a heading
 
 
 class Quantity(Enum):
-    """What a column of a thrust stand's log holds; the value is its name in options."""
+    """The quantity in a column of a thrust stand's log; the value is its name in options."""
 
     TIME = "time"
     THROTTLE = "throttle"
@@ -56,7 +56,7 @@ class Quantity(Enum):
     TORQUE = "torque"
 
 
-# What turns a unit into s, fractions, rad/s, N and N m. A pulse has no factor: its ends are the ESC's.
+# Factors to s, fractions, rad/s, N and N m. A pulse has none: its ends depend on the ESC.
 UNITS: Mapping[Quantity, Mapping[str, float]] = {
     Quantity.TIME: {"s": 1.0, "sec": 1.0, "secs": 1.0, "second": 1.0, "seconds": 1.0, "ms": 1e-3}
     | {"msec": 1e-3, "us": 1e-6, "usec": 1e-6, "min": 60.0, "minutes": 60.0},
@@ -68,7 +68,7 @@ UNITS: Mapping[Quantity, Mapping[str, float]] = {
     Quantity.THRUST: _FORCES | _FORCE_WORDS,
     Quantity.TORQUE: _TORQUES,
 }
-SHOWN = {  # of those, in a message
+SHOWN = {  # names of these units in messages
     Quantity.TIME: "s, ms, us",
     Quantity.THROTTLE: "fraction, %, us",
     Quantity.SPEED: "rpm, rad/s, Hz",
@@ -109,7 +109,7 @@ class Heading:
     quantity: Quantity
     unit: str | None  # a key of UNITS; None: it names none, or one that is not known
     shown: str  # the unit as it is written, empty where there is none
-    electrical: bool  # a speed by the motor's phases
+    electrical: bool  # a speed counted in electrical turns of the motor
     optical: bool
 
 

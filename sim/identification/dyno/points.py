@@ -1,7 +1,7 @@
 """Thrust and torque coefficients from steady points of a stand, and the speed curve where throttle is known.
 
 Plain least squares through zero: T = K_T w^2, and Q = K_Q T with the thrust of that fit. A stand's averages
-have no noise to be robust against; what is left out are slips of the speed's sensor, told by their number.
+have little noise, so no robust fit is needed; only slips of the speed sensor are left out, and counted.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ from toolchain.errors import DynoError
 Array = NDArray[np.float64]
 Rows = NDArray[np.bool_]
 
-STRONG = 0.25  # of the greatest thrust: rows above it tell the coefficient roughly
+STRONG = 0.25  # part of the greatest thrust: rows above it give a first estimate
 SLIP = 0.2  # of the greatest thrust: a row this far off, and SLIPS_OFF times the others' distance, is a slip
 SLIPS_OFF = 6.0
-SLIPS_MAX = 0.1  # part of the rows: where more are off, thrust does not follow the speed's square
-LEFT_MAX = 0.15  # part of the greatest thrust or torque that the fit may leave (rms)
+SLIPS_MAX = 0.1  # part of the rows: if more are off, thrust is not proportional to speed squared
+LEFT_MAX = 0.15  # greatest rms residual, in parts of the greatest thrust or torque
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +42,7 @@ class PointsFit:
     speed_curve: tuple[Estimate, Estimate, Estimate] | None  # a, b, c of H(u) [rad/s]; None: throttle unknown
     thrust_coefficient: tuple[Estimate, ...]  # polynomial of speed, lowest power first
     torque_ratio: tuple[Estimate, ...]  # likewise; empty: no torque was measured
-    thrust_left: float  # rms of what the fit leaves, in parts of the greatest thrust
+    thrust_left: float  # rms residual in parts of the greatest thrust
     torque_left: float  # likewise of the torque; 0 without one
     reason: str  # why no response is known
     doubts: tuple[str, ...]  # why these are not coefficients of a rotor at rest: they are not to be written
@@ -50,7 +50,7 @@ class PointsFit:
 
     @property
     def response(self) -> None:
-        """None, as of a recording that shows no response."""
+        """None, as for a recording without a usable response."""
         return
 
 
@@ -97,7 +97,7 @@ def fit_points(stands: Sequence[Stand], reason: str, *, speed_dependent: bool = 
     thrust_left = _left(thrust[used] - _at(thrust_terms, w) * load, thrust[used])
     torque_terms: tuple[Estimate, ...] = ()
     torque_left = 0.0
-    if torque is not None:  # of rows of its own, where sensors are read in turns
+    if torque is not None:  # torque may be in other rows than thrust, if the stand reads its sensors in turns
         braked = (speed > 0.0) & np.isfinite(torque) & ~slips
         w, loads = speed[braked], _at(thrust_terms, speed[braked]) * speed[braked] ** 2
         if len(w) < POINTS_MIN:

@@ -40,18 +40,18 @@ from toolchain.errors import DynoError
 Array = NDArray[np.float64]
 
 POINTS_MIN = 3
-APART_MAX_S = 0.1  # between rows; slower ones miss a rotor's response
+APART_MAX_S = 0.1  # longest time between rows that still shows a rotor's response
 PULSE_MIN_US, PULSE_MAX_US = 1.0, 20_000.0  # of --esc-us: the shortest of Multishot to the period of 50 Hz
 POLES_MAX = 100
-FAST = 0.5  # of the greatest speed: rows that are faster tell signs, and how two sensors of speed agree
+FAST = 0.5  # part of the greatest speed: faster rows decide signs and compare speed sensors
 AGREE = 0.02  # part by which two sensors of speed may differ
-REST = 0.02  # of the greatest thrust: what a tared stand reads at rest is less
+REST = 0.02  # part of the greatest thrust: a tared stand reads less at rest
 LEFT_OUT_MAX = 0.1  # part of the rows that a recording may lack
 
 
 @dataclass(frozen=True)
 class Choices:
-    """What the user says of a log because its headings do not."""
+    """The user's answers to what a log's headings leave open."""
 
     columns: Mapping[Quantity, str] = field(default_factory=dict)  # headings
     units: Mapping[Quantity, str] = field(default_factory=dict)  # keys of UNITS
@@ -72,7 +72,7 @@ class Stand:
     speed: Array  # (N,) [rad/s]
     thrust: Array  # (N,) [N]
     torque: Array | None  # (N,) [N m]; None: not measured
-    notes: tuple[str, ...]  # what was taken how, a line each
+    notes: tuple[str, ...]  # how columns were read, a line each
 
 
 def choices(
@@ -192,7 +192,7 @@ def _run(stand: Stand) -> tuple[Array | None, str]:
         return None, "has no clock"
     torque = stand.torque
     whole = np.isfinite(stand.thrust) if torque is None else np.isfinite(stand.thrust) & np.isfinite(torque)
-    # Programs write their first rows while the clock is set; a row that comes from before another is none.
+    # Programs write their first rows while the clock is still being set: drop rows whose time goes back.
     whole[1:] &= stand.time[1:] > np.maximum.accumulate(stand.time)[:-1]
     time = stand.time[whole]
     apart = float(np.median(np.diff(time))) if len(time) > 1 else 0.0
