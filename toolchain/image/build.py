@@ -102,7 +102,8 @@ TARGETS = {
 }
 
 
-# What `check_memories` cannot foresee, as GNU ld tells it; where a policy's part of the region comes from.
+# GNU ld's message when memory runs out in a way that `check_memories` does not foresee, and what to do about
+# it for each region.
 OVERFLOW = re.compile(r"region [`'\"]?(\w+)'? overflowed by (\d+) bytes")
 ADVICE = {
     "BANK": "train fewer layers or fewer kinds of activation",

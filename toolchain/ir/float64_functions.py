@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 Float64 = NDArray[np.float64]
 
-_ERF = np.frompyfunc(math.erf, 1, 1)  # libm's, value by value: scipy's is not in what an image needs
+_ERF = np.frompyfunc(math.erf, 1, 1)  # value by value: an image is built without scipy
 
 
 def erf(x: Float64) -> Float64:

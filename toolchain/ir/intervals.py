@@ -1,4 +1,4 @@
-"""Between which bounds each value of a network lies: interval arithmetic, exact in real arithmetic."""
+"""Bounds of each value of a network by interval arithmetic, exact in real arithmetic."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def value_intervals(network: Network, *, by_weights: bool = True) -> list[Interv
             low, high = _interval(node.operation, [intervals[value] for value in node.inputs], width)
             if not by_weights and isinstance(node.operation, Linear | LayerNorm | RmsNorm):
                 low, high = np.full(width, -np.inf), np.full(width, np.inf)
-            # Infinity times nothing: nothing is known.
+            # Infinity times 0 is NaN: no bound is known.
             intervals.append(
                 (
                     np.nan_to_num(low, nan=-np.inf, neginf=-np.inf, posinf=np.inf),

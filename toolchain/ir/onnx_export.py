@@ -65,7 +65,7 @@ class _Graph:
     nodes: list[onnx.NodeProto] = field(default_factory=list)
     tensors: list[onnx.TensorProto] = field(default_factory=list)
     states: list[tuple[str, str, int]] = field(default_factory=list)  # taken, given, units
-    name: str = ""  # of the nodes that are appended, where they are to have one
+    name: str = ""  # name of the next nodes; "": named after their outputs
     names: set[str] = field(default_factory=set)
 
     def constant(self, values: ArrayLike, dtype: DTypeLike = np.float32) -> str:

@@ -43,7 +43,7 @@ def merge_affine(network: Network) -> Network:
 def fold_affine(network: Network) -> Network:
     """Move affine maps into the weights of the linear layers, recurrent cells and norms beside them.
 
-    Into the layer after it a map moves only where all that takes it are such layers: it vanishes.
+    A map moves into the layers that follow it only if all its readers are such layers, so that it vanishes.
     """
     vanishes = absorbed(network)
 

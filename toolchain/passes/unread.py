@@ -29,8 +29,8 @@ Mask = NDArray[np.bool_]  # (n,): which elements of a value are kept
 def drop_unread(network: Network) -> Network:
     """Drop nodes, and rows of matrices, that cannot reach the output.
 
-    An element is read unless every weight that it meets is exactly 0. The observation keeps its width, a
-    recurrent cell, a norm and a Softmax all of their elements.
+    An element counts as read unless every weight applied to it is exactly 0. The observation keeps its width;
+    recurrent cells, norms and Softmax keep all their elements.
     """
     network = sweep(network)
     kept = kept_elements(network)

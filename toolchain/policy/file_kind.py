@@ -1,4 +1,4 @@
-"""What a file is that people hand over instead of an ONNX model or a checkpoint, and what to do instead."""
+"""Recognition of files that people pass in place of an ONNX model or a checkpoint, with advice."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ def _archive(data: bytes) -> str | None:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             names = archive.namelist()
     except (zipfile.BadZipFile, ValueError, OSError, NotImplementedError):
-        return None  # a checkpoint that is damaged, perhaps
+        return None  # perhaps a damaged checkpoint
     for end, words in ARCHIVES:
         if any(name.endswith(end) for name in names):
             return words

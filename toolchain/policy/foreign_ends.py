@@ -1,6 +1,6 @@
 """The ends of another trainer's model: which inputs are the observation, which output is the action.
 
-What is left of the inputs is state: one that an output gives anew, as recurrent policies are exported.
+The remaining inputs are state, whose new values are outputs, as recurrent policies are exported.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ Sizes = list[int | str]  # of an axis: its name where the exporter left it open
 
 @dataclass(frozen=True)
 class Ends:
-    """What the user says of inputs and outputs, and how many values they are to have."""
+    """The user's choice of inputs and outputs, and how many values they must have."""
 
     output: str | None  # the action's name
     input_order: tuple[str, ...] | None
@@ -71,7 +71,7 @@ def input_shapes(model: onnx.ModelProto, ends: Ends) -> tuple[dict[str, tuple[in
         for axis, size in enumerate(sizes):
             if isinstance(size, str):
                 batch = axis < last or name not in read or (last == 0 and len(inputs) > 1 and size in batches)
-            else:  # states have it behind their layers
+            else:  # a state's batch axis comes after its layers
                 batch = size in batched and axis < last and (axis == 0 or sizes not in observed)
             if batch:
                 changes.append(f"fixed axis {axis} of {shown(name)} to 1 (was {size})")

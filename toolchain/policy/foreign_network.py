@@ -21,15 +21,15 @@ from toolchain.reader.graph import read_nodes
 from toolchain.reader.recurrent import GATE_OPEN
 from toolchain.reader.values import MULTIPLY_ADDS_MAX, Builder, Row, Unread, Value, label, printable, shown
 
-CRITICS = 8  # times as large as a policy may be what is read before it is known which output is the action
+CRITICS = 8  # times a policy's size limit: all outputs are read before the action is known
 
 
 @dataclass(frozen=True, eq=False)
 class Adopted:
-    """A foreign model as the network that it became, and which of its ends are which."""
+    """The network read from a foreign model, and the roles of the model's inputs and outputs."""
 
-    network: Network  # of the observation, without bounds
-    changes: tuple[str, ...]  # in words
+    network: Network  # from observation to action, without limits
+    changes: tuple[str, ...]  # descriptions
     action: str  # the output
     inputs: Mapping[str, tuple[int, ...]]  # of the observation, in its order, and their shapes
     states: Mapping[str, str]  # inputs that the policy carries, and the outputs that give them anew
@@ -38,7 +38,7 @@ class Adopted:
 
 @dataclass(frozen=True)
 class _Reading:
-    """A model's nodes, read. Value 0 is all inputs side by side, each input a slice of it."""
+    """The nodes of a model. Value 0 is the concatenation of all inputs; each input is a slice of it."""
 
     build: Builder
     values: Mapping[str, Value]
@@ -66,7 +66,7 @@ def read_foreign(model: onnx.ModelProto, ends: Ends) -> Adopted:
     reading = _read(model, shapes, CRITICS * MULTIPLY_ADDS_MAX)
     name = find_action(model, reading.values, ends)
     states = find_states(model, reading.values, reading.inputs, name)
-    with contextlib.suppress(PolicyError):  # which the second reading raises again
+    with contextlib.suppress(PolicyError):  # the second reading raises it again if it matters
         states = _needed_states(reading, _action(reading, name, states), states)
     outputs, nodes = keep_outputs(model.graph, {name, *states.values()})
     dropped = f"kept the output {shown(name)}, dropped {outputs} other(s) and {nodes} node(s)"

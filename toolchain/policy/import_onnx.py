@@ -1,7 +1,7 @@
 """Makes a policy of an ONNX model that another trainer exported: opset, ends, state, metadata, range.
 
-The model is read into a network and written anew, so that its own form, whatever it was, ends here. What is
-changed for that is said in a line each; what the network computes is what the model does.
+The model is read into a network, which is written anew: no later stage sees the exporter's form. Each change
+is reported in a line; the network computes the same as the model.
 """
 
 from __future__ import annotations

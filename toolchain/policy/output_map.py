@@ -13,8 +13,8 @@ from toolchain.ir.network import Network, Node
 from toolchain.ir.operations import Affine, Clip
 from toolchain.reader.output_range import meant_range, shown_range
 
-SAMPLES = 400  # observations of unit scale, on which the Clip's work is counted
-HELD = 0.05  # share of outputs that a Clip may hold before freeze warns
+SAMPLES = 400  # observations of unit scale, on which the Clip's effect is counted
+HELD = 0.05  # share of outputs at the Clip's limits above which freeze warns
 
 
 @dataclass(frozen=True)

@@ -1,10 +1,10 @@
-"""Loads a checkpoint as plain data, after proof that it takes no more memory than its file may.
+"""Loads a checkpoint as plain data, after a check that it takes no more memory than allowed for its file.
 
 A small archive may inflate, and a few bytes of pickle may ask torch for gigabytes: a tensor larger than its
 storage (which torch then enlarges), one that repeats its storage, a byte array of any length. So before torch
-reads the file, its archive and its pickle are read here: entries as large as the archive holds them, the
-operations of plain containers, the two functions that a tensor takes, tensors within their storages. Nothing
-of the file is executed by that.
+reads the file, its archive and its pickle are read here: entries must be stored uncompressed, the pickle
+may build plain containers and call only the two functions that make a tensor, and tensors must lie within
+their storages. Nothing in the file is executed by this.
 """
 
 from __future__ import annotations
@@ -118,7 +118,7 @@ def _check_operations(content: bytes) -> None:
 
 
 class _Reader(pickle.Unpickler):
-    """Adds up the bytes of the tensors; makes none."""
+    """A reader of the pickle that adds up the tensors' bytes without making tensors."""
 
     def __init__(self, content: bytes, storages: dict[str, int]) -> None:
         super().__init__(io.BytesIO(content))

@@ -9,7 +9,7 @@
     Swish       x sigmoid(alpha x)
     LogSigmoid  -log(1 + e^-x)
 
-What an exporter writes in parts comes to the same nodes without being known for what it is.
+An exporter that writes these in parts needs no reader here: the parts give the same nodes.
 """
 
 from __future__ import annotations
@@ -48,8 +48,8 @@ def read_gelu(build: Builder, call: Call) -> Row:
     if form == b"none":
         inner = _then(build, call, Erf(), _scaled(build, call, row, math.sqrt(0.5)))
     elif form == b"tanh":
-        # sqrt(2 / pi) x (1 + 0.044715 x^2) is beyond tanh's limits long before x is 10: it stays there, so
-        # that no square leaves float32.
+        # sqrt(2 / pi) x (1 + 0.044715 x^2) passes tanh's limits long before x is 10: x is clipped there, so
+        # that its square stays within float32.
         near = _then(build, call, Clip(-10.0, 10.0), row)
         factor = math.sqrt(2 / math.pi)
         square = _then(build, call, Multiply(), near, near)

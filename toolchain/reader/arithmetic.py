@@ -174,8 +174,8 @@ def reduced_axes(call: Call, row: Row) -> list[int]:
 def constant_row(build: Builder, call: Call, like: Row, values: Float64) -> Row:
     """Append constants in the shape of `like`: a Clip with equal bounds, and what differs is added.
 
-    A product with zeros would be refused when the policy is read back: exporters write one where the state of a
-    recurrent cell has become a constant.
+    A product with zeros would be refused when the policy is read back: exporters write one where the state
+    of a recurrent cell has become a constant.
     """
     same = bool((values == values[0]).all())
     bound = float(np.float32(values[0])) if same else 0.0

@@ -6,8 +6,8 @@
 
 Exporters write these sums and products in many ways: one matrix or eight, gates side by side or each alone,
 n + z (h - n) or (1 - z) n + z h. So the new state is expanded into a polynomial of gates and states, value by
-value, and the sum before each gate is followed back through matrices, slices and sums to the state and to
-what the cell takes. A cell that is found so is proven to compute the same in real arithmetic.
+value, and the sum before each gate is traced back through matrices, slices and sums to the state and to
+the values that the cell reads. A cell that is found so is proven to compute the same in real arithmetic.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from toolchain.ir.operations import (
 from toolchain.reader.recurrent import GATE_OPEN, plain_cell
 
 TERMS_MAX = 16  # of a polynomial; a cell's new state has three
-STEPS_MAX = 400  # of one cell's search, each of which may be a level of recursion; an LSTM takes some 60
+STEPS_MAX = 400  # in one cell's search; each may be a level of recursion, an LSTM takes some 60
 UNITS_MAX = 512  # of a cell: more have more weights than a board takes
 
 Matrix = NDArray[np.float64]
@@ -46,7 +46,7 @@ Polynomial = dict[tuple[Atom, ...], Matrix]  # product of atoms: factor of each 
 
 
 class NoCellError(Exception):
-    """A new state that no cell computes; the message says what is in the way."""
+    """A new state that no known cell computes; the message says why."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +56,7 @@ class Cell:
     operation: Recurrent
     takes: tuple[int, ...]  # the values that it takes, side by side
     result: int  # h'
-    states: tuple[int, ...]  # numbers of the inputs that it makes superfluous
+    states: tuple[int, ...]  # numbers of the state inputs that it replaces
 
 
 @dataclass
@@ -70,7 +70,7 @@ class _Sum:
 
 @dataclass(frozen=True)
 class _Group:
-    """State elements whose new values are all of the value `after`, in its order."""
+    """State elements whose new values are exactly the elements of the value `after`, in its order."""
 
     state: int  # number of the input
     places: Places  # in the input
@@ -117,7 +117,7 @@ class _Search:
         self, nodes: Sequence[Node], widths: Sequence[int], inputs: set[int], states: set[int]
     ) -> None:
         self.nodes, self.widths, self.inputs, self.states = nodes, widths, inputs, states
-        self.results = set[int]()  # of cells found so far, which no state shows through
+        self.results = set[int]()  # results of the cells found so far; no search goes past them
         self.steps = 0
 
     def _step(self) -> None:

@@ -1,4 +1,4 @@
-"""Readers of comparisons and of Where, which takes one of two values by them.
+"""Readers of comparisons, and of Where, which chooses between two values by one.
 
 A comparison is kept as the value that is above 0 where it holds, or, negated, where it does not.
 """
@@ -11,7 +11,7 @@ from toolchain.ir.operations import Add, Affine, Operation, Select, Softplus
 from toolchain.reader.arithmetic import constant_row, mapped
 from toolchain.reader.values import Array, Builder, Call, Condition, Row, Value, joint_shape
 
-# Above it the log(1 + e^x) that exporters take for x is x: e^-16 is 1 / 9 of a float32's last place at 16.
+# Above it log(1 + e^x) rounds to x: the difference e^-16 is 1 / 9 of a float32's last place at 16.
 SOFTPLUS_STRAIGHT = 16.0
 
 

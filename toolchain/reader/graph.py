@@ -43,7 +43,7 @@ FOLDED_BYTES_MAX = 256 << 20  # of all constants that nodes compute: memory, not
 
 
 class RandomError(PolicyError):
-    """A node that draws random numbers: what to say of a model that has one, whatever else it has."""
+    """A node that draws random numbers, reported before any other fault of the model."""
 
 
 def read_network(model: onnx.ModelProto) -> Network:

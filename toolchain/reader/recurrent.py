@@ -1,7 +1,7 @@
 """GRU, LSTM and RNN nodes of one step: the compiled policy carries their state to the next observation.
 
-That is another meaning than the file's own, whose every run starts from the initial state; it is what the
-policy was trained for, and it is the same only if that initial state is zero. A node that takes its state
+In the file every run starts from the initial state; the policy was trained with a state that goes on, and the
+compiled one starts from zero, so other initial states are refused. A node that takes its state
 from an input of the model is read as the sums and products that it stands for: `toolchain.reader.cells` finds
 the cell in them, as it does where an exporter wrote it so.
 """
@@ -29,7 +29,7 @@ from toolchain.reader.values import Builder, Call, Row, Unread, Value, shown
 
 SEQUENCE_LENGTHS, INITIAL_H, INITIAL_C, PEEPHOLES = 4, 5, 6, 7  # places of inputs
 STATES = {INITIAL_H: "h", INITIAL_C: "c"}
-GATE_OPEN = 100.0  # sum of a gate that stands still
+GATE_OPEN = 100.0  # input of a constant gate: its sigmoid is 1, or with a minus 0
 DEFAULTS = {  # attribute: the one value that is accepted
     "direction": b"forward",
     "layout": 0,

@@ -71,11 +71,11 @@ class Condition:
 
 @dataclass(frozen=True)
 class Unread:
-    """An output that the reader does not know, such as the mask of a Dropout; only its use is refused."""
+    """An output that the reader cannot compute, such as a Dropout's mask; an error only if it is used."""
 
     label: str
     error: PolicyError | None = None  # why it could not be read
-    shape: tuple[int, ...] | None = None  # where that is known all the same
+    shape: tuple[int, ...] | None = None  # None if unknown
 
 
 Value = Array | Row | Part | Condition | Unread
@@ -163,7 +163,7 @@ class Builder:
     multiply_adds: int = 0
     multiply_adds_max: int = MULTIPLY_ADDS_MAX
     absorbed: set[int] = field(default_factory=set)  # values that an operation read later contains
-    computed: dict[Part, Row] = field(default_factory=dict)  # parts that are of use outside a pattern
+    computed: dict[Part, Row] = field(default_factory=dict)  # parts whose values are used outside a pattern
 
     def __post_init__(self) -> None:
         """The observation is value 0."""

@@ -20,9 +20,9 @@ from toolchain.policy.foreign_network import Adopted
 from toolchain.policy.model import parse_model
 from toolchain.verification.machines import first_line
 
-STEPS = 300  # of a random observation each, of unit size
-APART_MAX = 1e-4  # of the largest action, or of 1: a hundred times what rounding makes of it
-JUMPS_MAX = 0.05  # part of the steps that may be further apart: where a comparison within jumps the other way
+STEPS = 300  # with a random observation of unit size each
+APART_MAX = 1e-4  # relative to the largest action, at least 1: a hundred times the effect of rounding
+JUMPS_MAX = 0.05  # part of the steps that may differ more: rounding can flip a comparison in the model
 NOT_COMPARED = "not compared with the model itself"
 UNBOUNDED = Clip(float(np.finfo(np.float32).min), float(np.finfo(np.float32).max))
 
@@ -51,7 +51,7 @@ def compare(data: bytes, adopted: Adopted) -> str:
 
 def _compared(machine: str, adopted: Adopted, expected: NDArray[np.float64], observation: Float32) -> str:
     found = _adopted_actions(adopted, observation)
-    usable = np.isfinite(found).all(axis=1)  # a policy's sum beyond float32 is NaN on every motor, by design
+    usable = np.isfinite(found).all(axis=1)  # a policy whose sums overflow gives NaN by design
     if not usable.any():
         return f"{NOT_COMPARED}: its sums leave float32 in all of {STEPS} random steps"
     apart = np.abs(found[usable] - expected[usable]).max(axis=1)
