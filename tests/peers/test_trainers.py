@@ -1,4 +1,4 @@
-"""docs/policies.md's table of trainers: each row's line exports, and what is frozen acts as the trainer does.
+"""docs/policies.md's table of trainers: each row's line exports a policy that, frozen, acts as the trainer's.
 
 Trainers that the project does not bring are installed by pip for one test and removed after it.
 """
@@ -26,8 +26,8 @@ from toolchain.policy.model import read_policy
 PAGE = ROOT / "docs" / "policies.md"
 PROGRAM = Path(__file__).with_name("trainer_policies.py")
 CONSTRAINTS = (ROOT / "constraints.txt").read_text().replace("_", "-").splitlines()
-# What each needs that this environment lacks: whose torch they take, where pip would bring one with CUDA.
-# None: they need no torch, and pip finds out.
+# Packages that each needs and this environment lacks: pip installs only these, and the trainer uses our
+# torch, as pip would choose one with CUDA. None: no torch is needed, so pip resolves everything.
 NEEDS: dict[str, list[str] | None] = {
     "cleanrl": ["gym", "gym-notices", "cloudpickle"],
     "skrl": ["tqdm"],

@@ -259,7 +259,7 @@ def rsl_rl() -> Iterator[Made]:
 
 
 def isaaclab() -> Iterator[Made]:
-    # By its place: the package around it starts Isaac Sim.
+    # Loaded by path: importing the package around it would start Isaac Sim.
     found = find_spec("isaaclab")
     assert found is not None and found.origin is not None
     place = Path(found.origin).parent / "source" / "isaaclab_rl" / "isaaclab_rl" / "rsl_rl" / "exporter.py"

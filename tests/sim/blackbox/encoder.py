@@ -39,7 +39,7 @@ class Field:
 
 @dataclass
 class Written:
-    """A log and what is in it."""
+    """A log and the rows written to it."""
 
     fields: list[Field]
     rows: list[list[int]]

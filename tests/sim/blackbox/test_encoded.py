@@ -38,7 +38,7 @@ from tests.sim.blackbox.encoder import (
 )
 
 CASES = 1000  # of each kind
-FEW = 40  # of them, that the ordinary run takes
+FEW = 40  # of these, in an ordinary run
 ROWS = 70
 EDGES = (0, 1, 137, 138, 1069, 1070, 1500, WORD // 2 - 1)
 
@@ -60,7 +60,7 @@ def fields_of(rng: Generator) -> list[Field]:
         for at in range(count):
             sign = bool(rng.integers(2))
             constant = int(rng.choice([ZERO, MINTHROTTLE, MID, MINMOTOR]))
-            # An unsigned encoding of a value below its prediction is the reason for all this.
+            # A value below its prediction in an unsigned encoding wraps: the case that these tests are about.
             intra = (constant, int(rng.choice([SIGNED_VB, UNSIGNED_VB])))
             inter = (int(rng.choice(predictors)), encoding)
             fields.append(Field(f"{name or f'x{len(fields)}'}[{at}]", sign, intra, inter))
@@ -181,12 +181,12 @@ def test_a_lost_line_is_told_when_the_meaning_of_fields_depends_on_it(tmp_path: 
         notes = [note for note in log.notes if "lost" in note]
         told += bool(notes)
         assert not notes or line in notes[0], (case, line, log.notes)
-        # Steps that are counted wrong may go backwards, and their rows are left out, which is told as well.
+        # If steps are counted wrong they may go backwards: rows are dropped then, which is reported too.
         assert len(log.notes) == len(notes) or (notes and line == "I interval"), (case, line, log.notes)
         if not notes:
             assert not wrong(log, made), (case, line)
         elif line in ("minthrottle", "motorOutput", "vbatref"):
-            # Values of the fields that are named may be wrong; no other is.
+            # Only fields that a note names may have wrong values.
             named = notes[0].partition(f"{line}: values of ")[2].split(" may be wrong")[0].split(", ")
             assert {name.partition("[")[0] for name in wrong(log, made)} <= set(named), (case, line)
     assert told > len(cases) / 10

@@ -148,7 +148,7 @@ def test_the_last_log_with_frames_is_read_when_those_behind_it_have_none(
     assert notes == ["", "", *["no frames that can be read"] * 44]
     with pytest.raises(TraceError, match="log 46 of 46 has no frame that can be read"):
         read_log(path, 46)
-    # What stands behind it and is lost to damage is told.
+    # Damage to the log behind it is reported.
     path = save(tmp_path, *flown, *head, b"\x80" * 500, *flown[:2], flown[-2])
     assert read_log(path).number == 1 and "2 logs behind this one cannot be read" in read_log(path).notes
     path = save(tmp_path, *head, END, *head, END)
@@ -207,7 +207,7 @@ def test_positions_are_kept_with_their_own_time(tmp_path: Path, capsys: pytest.C
     assert rows[1] == f"{start + 63_400},12,521001500,-52000070,10"
     with np.load(npz) as arrays:
         assert arrays["gps/GPS_speed"].tolist() == [9, 10]
-    # Without a home they are nowhere.
+    # Without a home frame positions are unknown.
     path = save(
         tmp_path, *gps_log(first, here, flight(COLUMNS, ROWS[:32], start=start), home=False)[:-2], END
     )

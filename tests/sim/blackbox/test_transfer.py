@@ -1,4 +1,4 @@
-"""A transfer as text is told by what is not in the frames; a log that went through none is never accused."""
+"""A transfer as text is detected by missing bytes, and never reported for a log without such a transfer."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A propeller's mesh that does not lie flat is seen, and the line that mends it does."""
+"""`aircraft check` detects a propeller's mesh that is not flat, and the line it suggests turns it flat."""
 
 from __future__ import annotations
 

@@ -33,7 +33,7 @@ class Actor(nn.Module):
     """A cell between an encoder and a head; `shapes` are those of its states."""
 
     shapes: tuple[tuple[int, ...], ...] = ((1, UNITS),)
-    given: int | None = None  # how many of them it gives anew, where not all
+    given: int | None = None  # number of states with a new value, if not all
 
     def __init__(self) -> None:
         super().__init__()

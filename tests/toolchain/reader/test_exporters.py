@@ -136,7 +136,7 @@ NEW_EXPORTER_ONLY = ("RMSNorm", "Threshold")
 
 
 class SlopedPrelu(nn.PReLU):
-    """Of slopes that differ."""
+    """A PReLU with a slope for each value."""
 
     def __init__(self, width: int) -> None:
         super().__init__(width)

@@ -31,7 +31,7 @@ RCBENCHMARK = (
 
 @dataclass(frozen=True)
 class Fitted:
-    """What the command says."""
+    """The result of `dyno fit`."""
 
     thrust: float
     torque: float | None
