@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from sim.blackbox.encodings import NEG_14BIT, READERS, TAG8_4S16, UNSIGNED_VB
-from sim.blackbox.firmware import Maker, firmware
-from sim.blackbox.scales import gyro_count
+from sim.blackbox.firmware import Maker, firmware, has_mapped_throttle
+from sim.blackbox.scales import gyro_count, is_adc
 from toolchain.errors import TraceError
 from toolchain.files import file_size
 
@@ -35,6 +35,7 @@ DEFAULTS = {"Data version": 2, "I interval": 32, "minthrottle": 1150, "vbatref":
 _BEGIN = re.compile(rb"H (Product:Blackbox flight data recorder|Field I name:)")
 _LINE = re.compile(rb"\nH [A-Za-z][A-Za-z0-9_ .\[\]/-]{0,63}:")
 _ODD = re.compile(r"[^A-Za-z0-9_\[\]. -]")  # in a field's name, which becomes a column's in files
+_COMMIT = re.compile(r"[0-9a-f]{7,9}")  # Cleanflight's whole revision before 2.0
 _NEXT = b"H Product:"  # of another log
 _BLANK = b"\0\xff"
 
@@ -261,12 +262,23 @@ def _lost(headers: Headers) -> dict[str, str]:
         return found  # another program's, of which nothing is known
     need("Firmware revision", True, "whose log it is is not known")
     whose = firmware(told)
+    bare = _COMMIT.fullmatch(told.get("Firmware revision", "")) is not None
+    need("Firmware type", bare, "whose log it is is not known")
     if "gyro.scale" not in told:
         follows = "a count of the gyro is taken as 1 deg/s"
         if gyro_count(told, whose) is None:
             follows = "the gyro cannot be read, tell it by --header gyro_scale=DEG_S"
         need("gyro_scale", {"gyroADC[0]", "gyroData[0]"} & names, follows)
     need("acc_1G", "accSmooth[0]" in names, "what a count of accSmooth is is not known")
+    if has_mapped_throttle(whose):
+        for line, taken in (("minthrottle", DEFAULTS["minthrottle"]), ("maxthrottle", 2000)):
+            follows = f"{taken} us is taken for the throttle, tell it by --header {line}=US"
+            need(line, "rcCommand[3]" in names, follows)
+    if is_adc(whose):
+        need("vbatscale", "vbatLatest" in names, "voltage cannot be read")
+        need("currentMeter", "amperageLatest" in names, "current cannot be read")
+    if whose.maker is Maker.INAV:
+        need("motorOutput", "motor[0]" in names, "what motors have at zero thrust is not known")
     ours = any(name.startswith("nf_") for name in told)
     need("nf_version", ours, "our log is taken for Betaflight's")
     if whose.maker is Maker.BETAFLIGHT and not ours:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,6 +13,7 @@ import pytest
 from cli.main import main
 from sim.blackbox.firmware import Maker
 from sim.blackbox.log import GLANCE_BYTES, floats, glance, list_logs, read_log
+from sim.blackbox.units import channels
 from tests.sim.blackbox.writer import (
     END,
     GROUP,
@@ -227,6 +230,54 @@ def test_sticks_of_data_version_1_are_read(tmp_path: Path) -> None:
     rows = np.stack([log.columns[one.name] for one in columns], axis=1).tolist()
     assert not log.notes and log.time_us.tolist() == [5_000_000, 5_001_000, 5_002_000]
     assert rows == [[10, -20, 30, 1000], [13, -22, -98, 1300], [13 - 32768, -22, -99, 1307]]
+
+
+OLD_HEADERS = {
+    "Betaflight 3.0.1 (48b7b4f) X_RACERSPI": {"Firmware type": "Cleanflight"},
+    "0aac025": {"Firmware type": "Cleanflight"},  # of Cleanflight 1.12
+    "INAV 8.0.1 (ae47bcba) SPEEDYBEEF405AIO": {
+        "Firmware type": "Cleanflight",
+        "motorOutput": "1100,2000",
+        "motor_pwm_protocol": 6,
+    },
+}
+
+
+@pytest.mark.parametrize("revision", OLD_HEADERS)
+def test_a_lost_line_changes_no_number_in_silence(tmp_path: Path, revision: str) -> None:
+    """Each header line of firmwares that scale by many of them, one lost at a time."""
+    lines = {
+        **OLD_HEADERS[revision],
+        "Firmware revision": revision,
+        "I interval": 32,
+        "P interval": "1/1",
+        "gyro_scale": "0x3f800000",
+        "minthrottle": 1070,
+        "maxthrottle": 1850,
+        "vbatref": 200,
+        "vbatscale": 110,
+        "currentMeter": "0,400",
+        "acc_1G": 4096,
+    }
+    names = ("rcCommand[3]", "motor[0]", *(f"gyroADC[{axis}]" for axis in range(3)))
+    columns = [Column(name) for name in (*names, "vbatLatest", "amperageLatest")]
+    rows = [[1070 + 7 * at, 1070 + 8 * at, at, -at, 0, 1800 + at, 40 + at] for at in range(64)]
+
+    def read(kept: Mapping[str, object]) -> tuple[dict[str, Any], str]:
+        path = save(tmp_path, PRODUCT, header(kept), fields(columns), flight(columns, rows), END)
+        log = read_log(path)
+        ch = channels(log)
+        units = ("gyro", "throttle", "motors", "dshot", "voltage", "current", "idle")
+        values = {name: getattr(ch, name) for name in units}
+        return {name: value for name, value in values.items() if value is not None}, "; ".join(log.notes)
+
+    whole, notes = read(lines)
+    assert not notes
+    assert whole["throttle"][-1] == pytest.approx(7 * 63 / (1850 - 1070))
+    for lost in lines:
+        part, notes = read({name: value for name, value in lines.items() if name != lost})
+        same = part.keys() == whole.keys() and all(np.array_equal(part[name], whole[name]) for name in whole)
+        assert same or lost in notes, lost
 
 
 @pytest.mark.parametrize(
