@@ -28,7 +28,11 @@ PREDICTORS = frozenset(range(12))
 MINTHROTTLE, MOTOR_0, STEP, HOME, VBATREF, MINMOTOR = 4, 5, 6, 7, 9, 11  # some of them
 TEXT_MAX = 100  # characters of a header's value in a message
 KINDS = "IPSGH"  # of frames that headers describe
-OUTPUT_FROM, FINE_FROM = (3, 1), (4, 4)  # Betaflight's, since which it writes the lines that `_lost` names
+OUTPUT_FROM, DEADBAND_FROM, FINE_FROM = (
+    (3, 1),
+    (4, 2),
+    (4, 4),
+)  # Betaflight's, since which it writes the lines that `_lost` names
 # What is taken where the line is lost, as blackbox_decode takes it.
 DEFAULTS = {"Data version": 2, "I interval": 32, "minthrottle": 1150, "vbatref": 4095}
 
@@ -288,6 +292,10 @@ def _lost(headers: Headers) -> dict[str, str]:
             "what motor values mean is not known",
         )
         fine = whose.version >= FINE_FROM and {"gyroADC[0]", "setpoint[0]", "rcCommand[0]"} & names
+        by_stick = whose.version >= DEADBAND_FROM and "rcCommand[0]" in names and "setpoint[0]" not in names
+        need("rate_limits", by_stick, "1998 deg/s is taken, tell it by --header rate_limits=ROLL,PITCH,YAW")
+        for line in ("deadband", "yaw_deadband"):
+            need(line, by_stick, f"0 us is taken of the sticks, tell it by --header {line}=US")
         need("blackbox_high_resolution", fine, "numbers are taken as whole deg/s, they may be tenths")
     return found
 

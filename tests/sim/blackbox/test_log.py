@@ -280,6 +280,27 @@ def test_a_lost_line_changes_no_number_in_silence(tmp_path: Path, revision: str)
         assert same or lost in notes, lost
 
 
+def test_lost_lines_of_the_sticks_rates_are_told_when_no_setpoint_was_logged(tmp_path: Path) -> None:
+    lines = {
+        "Firmware revision": "Betaflight 4.3.1 (8d4f005) STM32F7X2",
+        "I interval": 32,
+        "P interval": "1/1",
+        "deadband": 10,
+        "yaw_deadband": 20,
+        "rate_limits": "300,300,300",
+    }
+    for lost in (None, *list(lines)[3:]):
+        kept = header({name: value for name, value in lines.items() if name != lost})
+        for name in ("rcCommand", "setpoint"):
+            columns = [Column(f"{name}[{at}]") for at in range(3)] + [Column("rcCommand[0]")] * (
+                name[0] == "s"
+            )
+            rows = [row[: len(columns)] for row in ROWS[:40]]
+            log = read_log(save(tmp_path, PRODUCT, kept, fields(columns), flight(columns, rows), END))
+            told = [] if lost is None or name == "setpoint" else [lost]
+            assert list(log.headers.lost()) == told
+
+
 @pytest.mark.parametrize(
     ("lost", "told"),
     [
