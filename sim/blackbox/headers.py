@@ -13,7 +13,7 @@ from pathlib import Path
 
 from sim.blackbox.encodings import NEG_14BIT, READERS, TAG8_4S16, UNSIGNED_VB
 from sim.blackbox.firmware import Maker, firmware, has_mapped_throttle
-from sim.blackbox.scales import gyro_count, is_adc
+from sim.blackbox.scales import gyro_count, header_number, is_adc
 from toolchain.errors import TraceError
 from toolchain.files import file_size
 
@@ -40,6 +40,11 @@ _BEGIN = re.compile(rb"H (Product:Blackbox flight data recorder|Field I name:)")
 _LINE = re.compile(rb"\nH [A-Za-z][A-Za-z0-9_ .\[\]/-]{0,63}:")
 _ODD = re.compile(r"[^A-Za-z0-9_\[\]. -]")  # in a field's name, which becomes a column's in files
 _COMMIT = re.compile(r"[0-9a-f]{7,9}")  # Cleanflight's whole revision before 2.0
+_WORDS = ("Firmware revision", "Firmware type", "nf_version")  # whose lines need not hold numbers
+_NUMBER = re.compile(r"0x[0-9a-fA-F]{1,8}|-?\d+(\.\d+)?")
+_PAIR, _AXES = re.compile(r"-?\d+,-?\d+"), re.compile(r"\d+,\d+,\d+")
+_NUMBERS = {"motorOutput": _PAIR, "currentMeter": _PAIR, "rate_limits": _AXES}  # lines that hold several
+_NUMBERS |= {"P interval": re.compile(r"(\d+\s*/\s*)?\d+")}
 _NEXT = b"H Product:"  # of another log
 _BLANK = b"\0\xff"
 
@@ -239,8 +244,12 @@ def _lost(headers: Headers) -> dict[str, str]:
     found: dict[str, str] = {}
 
     def need(line: str, needed: object, follows: str) -> None:
-        if needed and line not in told:
-            found.setdefault(line, follows)
+        if not needed or line in found:
+            return
+        if not told.get(line):
+            found[line] = follows
+        elif line not in _WORDS and not _NUMBERS.get(line, _NUMBER).fullmatch(told[line].strip()):
+            found[line] = f"{told[line][:TEXT_MAX]!r} cannot be read, {follows}"
 
     for kind, described in fields.items():
         if kind != "P" and _signs(kind, told, len(described)) is None:
@@ -266,9 +275,9 @@ def _lost(headers: Headers) -> dict[str, str]:
         return found  # another program's, of which nothing is known
     need("Firmware revision", True, "whose log it is is not known")
     whose = firmware(told)
-    bare = _COMMIT.fullmatch(told.get("Firmware revision", "")) is not None
-    need("Firmware type", bare, "whose log it is is not known")
-    if "gyro.scale" not in told:
+    if whose.maker is Maker.OTHER and _COMMIT.fullmatch(told.get("Firmware revision", "")):
+        found["Firmware type"] = "whose log it is is not known"
+    if header_number(told, "gyro.scale") is None:
         follows = "a count of the gyro is taken as 1 deg/s"
         if gyro_count(told, whose) is None:
             follows = "the gyro cannot be read, tell it by --header gyro_scale=DEG_S"
