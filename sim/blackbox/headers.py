@@ -302,6 +302,7 @@ def _lost(headers: Headers) -> dict[str, str]:
         )
         fine = whose.version >= FINE_FROM and {"gyroADC[0]", "setpoint[0]", "rcCommand[0]"} & names
         by_stick = whose.version >= DEADBAND_FROM and "rcCommand[0]" in names and "setpoint[0]" not in names
+        by_stick &= "rates" in told  # else all of them are asked for
         need("rate_limits", by_stick, "1998 deg/s is taken, tell it by --header rate_limits=ROLL,PITCH,YAW")
         for line in ("deadband", "yaw_deadband"):
             need(line, by_stick, f"0 us is taken of the sticks, tell it by --header {line}=US")

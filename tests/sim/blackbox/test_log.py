@@ -292,8 +292,9 @@ def test_lost_lines_of_the_sticks_rates_are_told_when_no_setpoint_was_logged(tmp
         "deadband": 10,
         "yaw_deadband": 20,
         "rate_limits": "300,300,300",
+        "rates": "70,70,70",
     }
-    for lost in (None, *list(lines)[3:]):
+    for lost in (None, *list(lines)[3:6]):
         kept = header({name: value for name, value in lines.items() if name != lost})
         for name in ("rcCommand", "setpoint"):
             columns = [Column(f"{name}[{at}]") for at in range(3)] + [Column("rcCommand[0]")] * (
