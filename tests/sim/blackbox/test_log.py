@@ -219,6 +219,20 @@ def test_positions_are_kept_with_their_own_time(tmp_path: Path, capsys: pytest.C
     assert "1 GPS frames before a home, or behind damage, left out" in log.notes
 
 
+def test_a_setpoint_of_16_bits_wraps_when_it_reverses_in_tenths(tmp_path: Path) -> None:
+    """+1998 to -1998 deg/s is -39960 tenths, of which 16 bits are written: 25576."""
+    columns = [Column(f"setpoint[{at}]", 8) for at in range(4)] + [
+        Column(f"other[{at}]", 8) for at in range(4)
+    ]
+    frames = intra(0, 5_000_000, [19980, 0, -19980, 500, 19980, 0, 0, 0])
+    up, down = (number.to_bytes(2, "big", signed=True) for number in (25576, -25576))
+    frames += b"P" + signed(1000) + bytes((0b00_11_00_11,)) + up + down + bytes((0b00_00_00_11,)) + up
+    log = read_log(save(tmp_path, PRODUCT, NUMBERS, fields(columns), frames, END))
+    rows = np.stack([log.columns[one.name] for one in columns], axis=1).tolist()
+    assert not log.notes
+    assert rows[1] == [-19980, 0, 19980, 500, 19980 + 25576, 0, 0, 0]
+
+
 def test_sticks_of_data_version_1_are_read(tmp_path: Path) -> None:
     """Its groups of four have the lower of two halves of a byte first, and the lower of two bytes."""
     columns = [Column(f"rcCommand[{at}]", 8) for at in range(4)]
