@@ -23,6 +23,7 @@ _HEADER = re.compile(
     r"(?P<release>(?P<major>\d+)\.(?P<minor>\d+)\S*)(?P<date>" + _DATE + ")?"
 )
 _OURS = re.compile(r"#\s*(?:(?:diff|dump) of \S+ [\d.]+: neuroflight|Neuroflight [\d.]+ on )")
+_PROMPTED = re.compile(r"#\s+(?:set\s+\w+\s*=|aux\s+\d|map\s+\w{4}|feature\s+-?\w)", re.IGNORECASE)
 _RELEASE = re.compile(r"(\d{1,4})\.(\d{1,4})(?:\.\d{1,4})?")
 BETAFLIGHT = "betaflight"
 RELATIVES = frozenset(  # firmwares derived from Betaflight, whose files look alike
@@ -105,6 +106,13 @@ def read_diff(path: Path, release: str | None = None) -> Diff:
         for at, text in enumerate(texts, start=1)
         if text and not text.startswith(COMMENT)
     )
+    prompted = [(at, text) for at, text in enumerate(texts, start=1) if _PROMPTED.match(text)]
+    if len(prompted) > sum(line.assigned is not None for line in lines):
+        first, text = prompted[0]
+        raise LinkError(
+            f"{path}:{first}: {text[:SHOWN]!r}, expected no prompt; {len(prompted)} lines have `# ` before "
+            "them, as comments have: take it away, or save what `diff all` printed"
+        )
     named = [line.text.split()[1] for line in lines if line.words[0] == "board_name" and len(line.words) > 1]
     version = (int(number[1]), int(number[2]))
     return Diff(path, release, version, (named[-1] if named else target).upper(), lines)
@@ -124,6 +132,7 @@ def _read(path: Path) -> str:
     if "\0" in text:
         number = text.count(chr(10), 0, text.index(chr(0))) + 1
         raise LinkError(f"{path}:{number}: a zero byte, expected text")
+    text = text.replace("\N{NO-BREAK SPACE}", " ")  # copied from a page in a browser
     # Parts of the file are printed, so they must not hold escape codes that a terminal would obey.
     return "".join(c if c.isprintable() or c in "\n\r\t" else UNPRINTABLE for c in text)
 

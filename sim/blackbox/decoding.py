@@ -40,9 +40,11 @@ _MAIN_TIME = 10  # a predictor
 # What a field is predicted by: a constant, the frames before, motor[0] of this one, the count of steps, the
 # home's position, the time of the last main frame. The format has several that are constants.
 _CONSTANT, _PREVIOUS, _LINE, _AVERAGE, _MOTOR, _STEPS, _HOME_0, _HOME_1, _TIME = range(9)
+_RATES = frozenset(f"setpoint[{axis}]" for axis in range(3))
+HALF = 1 << 16  # numbers of 16 bits
 _KINDS = {1: _PREVIOUS, 2: _LINE, 3: _AVERAGE, 5: _MOTOR, 6: _STEPS, 7: _HOME_0, _MAIN_TIME: _TIME}
 
-Prediction = tuple[int, int, int]  # kind, constant, the least number that the field can hold
+Prediction = tuple[int, int, int, int]  # kind, constant, the least number of the field, and how many it has
 Plan = tuple[list[tuple[str, Reader, int]], list[Prediction]]  # groups of fields, and each field
 
 
@@ -238,7 +240,7 @@ class _Decoder:
                     weights[name] = weights.get(name, 0) + end - start
                 for value in raws:
                     index = len(values)
-                    kind, constant, least = predictions[index]
+                    kind, constant, least, size = predictions[index]
                     if kind == _PREVIOUS:
                         value += last[index]
                     elif kind == _CONSTANT:
@@ -250,8 +252,8 @@ class _Decoder:
                         value += 2 * last[index] - before[index]
                     else:
                         value += self._prediction(kind, values, last[index])
-                    if not 0 <= value - least < WORD:
-                        value = (value - least) % WORD + least
+                    if not 0 <= value - least < size:
+                        value = (value - least) % size + least
                     values.append(value)
         except (IndexError, ValueError) as error:
             raise _DamageError from error
@@ -427,8 +429,11 @@ def _plan(fields: Sequence[FieldDefinition], headers: Headers) -> Plan:
         kind = _KINDS.get(one.predictor, _CONSTANT)
         if kind == _HOME_0 and index and fields[index - 1].predictor == 7 and predictions[-1][0] == _HOME_0:
             kind = _HOME_1
-        least = -(WORD // 2) if one.signed else 0
-        predictions.append((kind, constants.get(one.predictor, 0), least))
+        # Betaflight's setpoint has 16 bits, so has what is added: a reversal of 3277 deg/s in tenths wraps.
+        half = one.encoding == TAG8_4S16 and kind == _PREVIOUS and one.signed and one.name in _RATES
+        size = HALF if half else WORD
+        least = -(size // 2) if one.signed else 0
+        predictions.append((kind, constants.get(one.predictor, 0), least, size))
     return groups, predictions
 
 

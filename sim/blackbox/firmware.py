@@ -67,6 +67,15 @@ def firmware(headers: Mapping[str, str]) -> Firmware:
     return Firmware(named or Maker.OTHER)
 
 
+def has_mapped_throttle(told: Firmware) -> bool:
+    """Whether rcCommand[3] runs from minthrottle to maxthrottle, rather than from 1000 to 2000 us."""
+    return (
+        told.maker in (Maker.INAV, Maker.BASEFLIGHT)
+        or (told.maker is Maker.CLEANFLIGHT and told.version < (2,))
+        or (told.maker is Maker.BETAFLIGHT and () < told.version < (3, 1, 4))
+    )
+
+
 def has_box_mask(told: Firmware) -> bool:
     """Return True if bit 0 of flightModeFlags is the arm switch, bit 1 ANGLE and bit 2 HORIZON.
 

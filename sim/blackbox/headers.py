@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from sim.blackbox.encodings import NEG_14BIT, READERS, TAG8_4S16, UNSIGNED_VB
-from sim.blackbox.firmware import Maker, firmware
-from sim.blackbox.scales import gyro_count
+from sim.blackbox.firmware import Maker, firmware, has_mapped_throttle
+from sim.blackbox.scales import gyro_count, header_number, is_adc
 from toolchain.errors import TraceError
 from toolchain.files import file_size
 
@@ -28,13 +28,23 @@ PREDICTORS = frozenset(range(12))
 MINTHROTTLE, MOTOR_0, STEP, HOME, VBATREF, MINMOTOR = 4, 5, 6, 7, 9, 11  # predictors
 TEXT_MAX = 100  # characters of a header's value in a message
 KINDS = "IPSGH"  # of frames that headers describe
-OUTPUT_FROM, FINE_FROM = (3, 1), (4, 4)  # Betaflight's versions that first wrote the lines named in `_lost`
+OUTPUT_FROM, DEADBAND_FROM, FINE_FROM = (
+    (3, 1),
+    (4, 2),
+    (4, 4),
+)  # Betaflight's versions that first wrote the lines named in `_lost`
 # The values that blackbox_decode assumes where the line is lost.
 DEFAULTS = {"Data version": 2, "I interval": 32, "minthrottle": 1150, "vbatref": 4095}
 
 _BEGIN = re.compile(rb"H (Product:Blackbox flight data recorder|Field I name:)")
 _LINE = re.compile(rb"\nH [A-Za-z][A-Za-z0-9_ .\[\]/-]{0,63}:")
 _ODD = re.compile(r"[^A-Za-z0-9_\[\]. -]")  # in a field's name, which becomes a column's in files
+_COMMIT = re.compile(r"[0-9a-f]{7,9}")  # Cleanflight's whole revision before 2.0
+_WORDS = ("Firmware revision", "Firmware type", "nf_version")  # whose lines need not hold numbers
+_NUMBER = re.compile(r"0x[0-9a-fA-F]{1,8}|-?\d+(\.\d+)?")
+_PAIR, _AXES = re.compile(r"-?\d+,-?\d+"), re.compile(r"\d+,\d+,\d+")
+_NUMBERS = {"motorOutput": _PAIR, "currentMeter": _PAIR, "rate_limits": _AXES}  # lines that hold several
+_NUMBERS |= {"P interval": re.compile(r"(\d+\s*/\s*)?\d+")}
 _NEXT = b"H Product:"  # of another log
 _BLANK = b"\0\xff"
 
@@ -234,8 +244,12 @@ def _lost(headers: Headers) -> dict[str, str]:
     found: dict[str, str] = {}
 
     def need(line: str, needed: object, follows: str) -> None:
-        if needed and line not in told:
-            found.setdefault(line, follows)
+        if not needed or line in found:
+            return
+        if not told.get(line):
+            found[line] = follows
+        elif line not in _WORDS and not _NUMBERS.get(line, _NUMBER).fullmatch(told[line].strip()):
+            found[line] = f"{told[line][:TEXT_MAX]!r} cannot be read, {follows}"
 
     for kind, described in fields.items():
         if kind != "P" and _signs(kind, told, len(described)) is None:
@@ -261,12 +275,23 @@ def _lost(headers: Headers) -> dict[str, str]:
         return found  # written by an unknown firmware
     need("Firmware revision", True, "whose log it is is not known")
     whose = firmware(told)
-    if "gyro.scale" not in told:
+    if whose.maker is Maker.OTHER and _COMMIT.fullmatch(told.get("Firmware revision", "")):
+        found["Firmware type"] = "whose log it is is not known"
+    if header_number(told, "gyro.scale") is None:
         follows = "a count of the gyro is taken as 1 deg/s"
         if gyro_count(told, whose) is None:
             follows = "the gyro cannot be read, tell it by --header gyro_scale=DEG_S"
         need("gyro_scale", {"gyroADC[0]", "gyroData[0]"} & names, follows)
     need("acc_1G", "accSmooth[0]" in names, "what a count of accSmooth is is not known")
+    if has_mapped_throttle(whose):
+        for line, taken in (("minthrottle", DEFAULTS["minthrottle"]), ("maxthrottle", 2000)):
+            follows = f"{taken} us is taken for the throttle, tell it by --header {line}=US"
+            need(line, "rcCommand[3]" in names, follows)
+    if is_adc(whose):
+        need("vbatscale", "vbatLatest" in names, "voltage cannot be read")
+        need("currentMeter", "amperageLatest" in names, "current cannot be read")
+    if whose.maker is Maker.INAV:
+        need("motorOutput", "motor[0]" in names, "what motors have at zero thrust is not known")
     ours = any(name.startswith("nf_") for name in told)
     need("nf_version", ours, "our log is taken for Betaflight's")
     if whose.maker is Maker.BETAFLIGHT and not ours:
@@ -276,6 +301,11 @@ def _lost(headers: Headers) -> dict[str, str]:
             "what motor values mean is not known",
         )
         fine = whose.version >= FINE_FROM and {"gyroADC[0]", "setpoint[0]", "rcCommand[0]"} & names
+        by_stick = whose.version >= DEADBAND_FROM and "rcCommand[0]" in names and "setpoint[0]" not in names
+        by_stick &= "rates" in told  # else all of them are asked for
+        need("rate_limits", by_stick, "1998 deg/s is taken, tell it by --header rate_limits=ROLL,PITCH,YAW")
+        for line in ("deadband", "yaw_deadband"):
+            need(line, by_stick, f"0 us is taken of the sticks, tell it by --header {line}=US")
         need("blackbox_high_resolution", fine, "numbers are taken as whole deg/s, they may be tenths")
     return found
 

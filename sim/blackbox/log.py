@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 GLANCE_BYTES = 1 << 16  # some I frames at least
-BLOCK_BYTES = 512  # of a card
+PIECE_BYTES = 1 << 20  # of a file, that are looked at together
 
 
 @dataclass(frozen=True)
@@ -216,9 +216,12 @@ def glance(data: bytes, one: Listed) -> float | None:
 
 
 def is_blank(path: Path) -> bool:
-    """Whether a file begins with nothing: one that a card keeps for a log to come."""
+    """Whether a file holds nothing: one that a card keeps for a log to come, or an erased flash chip."""
     with path.open("rb") as file:
-        return not file.read(BLOCK_BYTES).strip(b"\0\xff")
+        while piece := file.read(PIECE_BYTES):
+            if piece.strip(b"\0\xff"):
+                return False
+    return True
 
 
 def choose(path: Path, listed: Sequence[Listed], number: int) -> Listed:

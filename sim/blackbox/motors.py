@@ -56,7 +56,8 @@ def motors(log: Log, firmware: Firmware) -> Motors:
         return _analog(values, 0.0, ROTORFLIGHT_FULL, 0.0, ROTORFLIGHT_FULL)
     if note := _lost_base(log):
         return Motors(note=note)
-    digital, note = _protocol(log, values)
+    # INAV's are pulses, whatever the protocol (in public logs of INAV 8 with DSHOT600): its driver converts.
+    digital, note = (False, "") if firmware.maker is Maker.INAV else _protocol(log, values)
     if digital is None:
         return Motors(note=note)
     if digital:

@@ -234,9 +234,7 @@ def _style(header: Mapping[str, str], maker: Maker) -> Style:
     number = _numbers(header["rates_type"])
     known = [one for one in Style if maker is Maker.ROTORFLIGHT or one is not Style.ROTORFLIGHT]
     if number is None or len(number) != 1 or number[0] not in known:
-        raise RatesError(
-            f"a known style: rates_type is {header['rates_type'][:20]!r}, expected 0 to {known[-1]}"
-        )
+        raise RatesError(f"rates_type is {header['rates_type'][:20]!r}, expected 0 to {known[-1]}")
     return Style(int(number[0]))
 
 
@@ -274,7 +272,7 @@ def _axes(
             return (found[0], found[0], turned[0])
         name, found = own, None
     if found is None or len(found) != 3:
-        raise RatesError(f"three numbers: {name} is {header[name][:20]!r}")
+        raise RatesError(f"{name} is {header[name][:20]!r}, expected three numbers")
     return (found[0], found[1], found[2])
 
 

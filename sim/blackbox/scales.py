@@ -79,7 +79,7 @@ def voltage(columns: Columns, header: Mapping[str, str], firmware: Firmware) -> 
     if _is_converted(firmware):
         return counts / 10.0
     scale = header_number(header, "vbatscale")  # ten times the divider's ratio
-    if scale is None or scale <= 0 or not _is_adc(firmware):
+    if scale is None or scale <= 0 or not is_adc(firmware):
         return None
     volts = np.asarray(counts * (ADC_VOLTS / ADC_FULL * scale / 10.0), np.float64)
     # Development builds of Betaflight 3.1 call themselves 3.0 but log tenths: read as counts they would give
@@ -105,7 +105,7 @@ def current(columns: Columns, header: Mapping[str, str], firmware: Firmware) -> 
         offset_mv, scale = (float(part) for part in header.get("currentMeter", "").split(","))
     except ValueError:
         return None
-    if scale == 0 or not _is_adc(firmware):  # scale: in 0.1 mV an ampere
+    if scale == 0 or not is_adc(firmware):  # scale: in 0.1 mV an ampere
         return None
     return np.asarray((counts * (1e3 * ADC_VOLTS / ADC_FULL) - offset_mv) * 10.0 / scale, np.float64)
 
@@ -127,8 +127,10 @@ def _is_converted(firmware: Firmware) -> bool:
     )
 
 
-def _is_adc(firmware: Firmware) -> bool:
+def is_adc(firmware: Firmware) -> bool:
     """Return True if voltage and current are logged as counts of the analog-to-digital converter."""
+    if _is_converted(firmware):
+        return False
     return firmware.maker in (Maker.CLEANFLIGHT, Maker.BASEFLIGHT, Maker.INAV) or (
         firmware.maker is Maker.BETAFLIGHT and firmware.version != ()
     )

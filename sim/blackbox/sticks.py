@@ -12,7 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.blackbox.firmware import Firmware, Maker, has_box_mask
+from sim.blackbox.firmware import Firmware, Maker, has_box_mask, has_mapped_throttle
+from sim.blackbox.headers import DEFAULTS
 from sim.blackbox.log import Log
 from sim.blackbox.proof import choose
 from sim.blackbox.rates import SETTINGS, RatesError, readings
@@ -115,15 +116,13 @@ def _ends(throttle: Array) -> Array:
 
 def _throttle_range(log: Log, firmware: Firmware) -> tuple[float, float]:
     """Return rcCommand[3] [us] at zero and at full stick."""
-    maker = firmware.maker
-    mapped = (
-        maker in (Maker.INAV, Maker.BASEFLIGHT)
-        or (maker is Maker.CLEANFLIGHT and firmware.version < (2,))
-        or (maker is Maker.BETAFLIGHT and () < firmware.version < (3, 1, 4))
-    )
-    low, high = header_number(log.header, "minthrottle"), header_number(log.header, "maxthrottle")
-    if mapped and low is not None and high is not None and CHANNEL_MIN_US <= low < high:
-        return low, high
+    if has_mapped_throttle(firmware):
+        low = header_number(log.header, "minthrottle")
+        high = header_number(log.header, "maxthrottle")
+        low = DEFAULTS["minthrottle"] if low is None else low  # from which its numbers were counted, too
+        high = CHANNEL_MAX_US if high is None else high
+        if CHANNEL_MIN_US <= low < high:
+            return float(low), float(high)
     return float(CHANNEL_MIN_US), float(CHANNEL_MAX_US)
 
 

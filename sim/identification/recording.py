@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from sim.blackbox.flight import WHOLE, Part, part_rows
 from sim.blackbox.headers import Headers
 from sim.blackbox.log import Frames, Log, list_logs, read_log
+from sim.blackbox.scales import fine
 from sim.blackbox.units import channels
 from sim.flight.trace import load_trace
 from sim.recorded.log import split_number
@@ -271,15 +272,23 @@ def _of_table(path: Path, unit_deg_s: float | None) -> Samples:
     if scales is None:
         counts = np.rint(table).astype(np.int64)
         found = dict(zip(("time", *GYRO, *ACCELERATION), counts.T, strict=False))
-        sidecar = path.with_suffix(".headers.csv")
-        if not values and sidecar.is_file():
-            values = _sidecar(sidecar)
+        values = _told_beside(path, values)
         samples = _of_log(_made_log(path, found, _log_headers(values)), unit_deg_s)
         time_us = table[:, 0] * SECONDS[_unit(names, "time") or "us"] / SECONDS["us"]
         return Samples((time_us - time_us[:1]) / 1e6, samples.gyro, samples.acceleration)
     if unit_deg_s is not None:
         raise TraceError(f"log {path}: its gyro is in deg/s, a unit is for raw counts; leave it out")
-    return Samples(table[:, 0] * scales[0], table[:, 1:4] * scales[1], _forces(acceleration, names))
+    # blackbox_decode --unit-rotation does not know high resolution: what it calls deg/s are tenths of it.
+    parts = 1.0 if values or set(OURS) <= set(names) else fine(_told_beside(path, values))
+    notes = [f"{path.name}: its header tells {FINE}, its rates are taken as tenths"] if parts != 1.0 else []
+    gyro = table[:, 1:4] * (scales[1] / parts)
+    return Samples(table[:, 0] * scales[0], gyro, _forces(acceleration, names), tuple(notes))
+
+
+def _told_beside(path: Path, values: dict[str, str]) -> dict[str, str]:
+    """Header lines of a table: those above its heading, else those in the file beside it."""
+    sidecar = path.with_suffix(".headers.csv")
+    return _sidecar(sidecar) if not values and sidecar.is_file() else values
 
 
 def _forces(values: Array | None, names: list[str]) -> Array | None:

@@ -87,6 +87,10 @@ def test_lines_are_the_same_whoever_saved_them(file: Path, newline: str, encodin
         (b"# Neuroflight 0.1.0 on HOST\n", "`neuroflight msp restore` takes them"),
         ((HEADER + HEADER.replace("4.0.0", "4.1.0")).encode(), ":2: a second one, of Betaflight 4.1.0"),
         (HEADER.encode() + b"\0\1\2", ":2: a zero byte"),
+        (
+            HEADER.encode() + b"\n# map TAER1234\n# set small_angle = 180\nsmall_angle set to 180\n",
+            "2 lines have `# `",
+        ),
         (b"#" * (FILE_BYTES_MAX + 1), "bytes at most"),
     ],
 )
@@ -96,6 +100,14 @@ def test_one_line_says_why_a_file_is_not_taken(file: Path, data: bytes, words: s
         read_diff(file)
     assert words in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_settings_that_betaflight_prints_as_comments_are_no_prompts(file: Path) -> None:
+    """`diff all showdefaults` has `#set` for what is at its default; headings are comments, too."""
+    file.write_text(
+        f"{HEADER}\n# map\nmap AETR1234\n# feature\n#set small_angle = 25\nset\xa0yaw_expo\xa0= 3\n"
+    )
+    assert [line.text for line in read_diff(file).lines] == ["map AETR1234", "set yaw_expo = 3"]
 
 
 def test_the_version_can_be_told_where_the_file_does_not(file: Path) -> None:

@@ -303,11 +303,13 @@ def test_list_tells_each_file_of_a_cards_folder(tmp_path: Path, capsys: pytest.C
     save(tmp_path, bytes(100_000), "LOG00003.BBL")
     save(tmp_path, b"notes of a pilot", "README.TXT")
     save(tmp_path, b"\x12\x34" * 500, "LOG00004.BBL")
+    save(tmp_path, b"\xff" * (2 << 20) + data, "LOG00005.BBL")  # of a chip whose first sectors are erased
     rows = as_json(capsys, "list", str(tmp_path))
     assert [(row["file"], row["log"]) for row in rows] == [
         ("LOG00001.BBL", 1),
         ("LOG00003.BBL", None),
         ("LOG00004.BBL", None),
+        ("LOG00005.BBL", 1),
         ("log00002.bfl", 1),
         ("log00002.bfl", 2),
     ]

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,6 +13,7 @@ import pytest
 from cli.main import main
 from sim.blackbox.firmware import Maker
 from sim.blackbox.log import GLANCE_BYTES, floats, glance, list_logs, read_log
+from sim.blackbox.units import channels
 from tests.sim.blackbox.writer import (
     END,
     GROUP,
@@ -216,6 +219,20 @@ def test_positions_are_kept_with_their_own_time(tmp_path: Path, capsys: pytest.C
     assert "1 GPS frames before a home, or behind damage, left out" in log.notes
 
 
+def test_a_setpoint_of_16_bits_wraps_when_it_reverses_in_tenths(tmp_path: Path) -> None:
+    """+1998 to -1998 deg/s is -39960 tenths, of which 16 bits are written: 25576."""
+    columns = [Column(f"setpoint[{at}]", 8) for at in range(4)] + [
+        Column(f"other[{at}]", 8) for at in range(4)
+    ]
+    frames = intra(0, 5_000_000, [19980, 0, -19980, 500, 19980, 0, 0, 0])
+    up, down = (number.to_bytes(2, "big", signed=True) for number in (25576, -25576))
+    frames += b"P" + signed(1000) + bytes((0b00_11_00_11,)) + up + down + bytes((0b00_00_00_11,)) + up
+    log = read_log(save(tmp_path, PRODUCT, NUMBERS, fields(columns), frames, END))
+    rows = np.stack([log.columns[one.name] for one in columns], axis=1).tolist()
+    assert not log.notes
+    assert rows[1] == [-19980, 0, 19980, 500, 19980 + 25576, 0, 0, 0]
+
+
 def test_sticks_of_data_version_1_are_read(tmp_path: Path) -> None:
     """Read groups of four fields whose half bytes and 16-bit values come with the lower half first."""
     columns = [Column(f"rcCommand[{at}]", 8) for at in range(4)]
@@ -227,6 +244,80 @@ def test_sticks_of_data_version_1_are_read(tmp_path: Path) -> None:
     rows = np.stack([log.columns[one.name] for one in columns], axis=1).tolist()
     assert not log.notes and log.time_us.tolist() == [5_000_000, 5_001_000, 5_002_000]
     assert rows == [[10, -20, 30, 1000], [13, -22, -98, 1300], [13 - 32768, -22, -99, 1307]]
+
+
+OLD_HEADERS = {
+    "Betaflight 3.0.1 (48b7b4f) X_RACERSPI": {"Firmware type": "Cleanflight"},
+    "0aac025": {"Firmware type": "Cleanflight"},  # of Cleanflight 1.12
+    "INAV 8.0.1 (ae47bcba) SPEEDYBEEF405AIO": {
+        "Firmware type": "Cleanflight",
+        "motorOutput": "1100,2000",
+        "motor_pwm_protocol": 6,
+    },
+}
+
+
+@pytest.mark.parametrize("revision", OLD_HEADERS)
+def test_a_lost_line_changes_no_number_in_silence(tmp_path: Path, revision: str) -> None:
+    """Each header line of firmwares that scale by many of them, one lost at a time."""
+    lines = {
+        **OLD_HEADERS[revision],
+        "Firmware revision": revision,
+        "I interval": 32,
+        "P interval": "1/1",
+        "gyro_scale": "0x3f800000",
+        "minthrottle": 1070,
+        "maxthrottle": 1850,
+        "vbatref": 200,
+        "vbatscale": 110,
+        "currentMeter": "0,400",
+        "acc_1G": 4096,
+    }
+    names = ("rcCommand[3]", "motor[0]", *(f"gyroADC[{axis}]" for axis in range(3)))
+    columns = [Column(name) for name in (*names, "vbatLatest", "amperageLatest")]
+    rows = [[1070 + 7 * at, 1070 + 8 * at, at, -at, 0, 1800 + at, 40 + at] for at in range(64)]
+
+    def read(kept: Mapping[str, object]) -> tuple[dict[str, Any], str]:
+        path = save(tmp_path, PRODUCT, header(kept), fields(columns), flight(columns, rows), END)
+        log = read_log(path)
+        ch = channels(log)
+        units = ("gyro", "throttle", "motors", "dshot", "voltage", "current", "idle")
+        values = {name: getattr(ch, name) for name in units}
+        return {name: value for name, value in values.items() if value is not None}, "; ".join(log.notes)
+
+    whole, notes = read(lines)
+    assert not notes
+    assert whole["throttle"][-1] == pytest.approx(7 * 63 / (1850 - 1070))
+    for lost, value in lines.items():
+        kept = {name: value for name, value in lines.items() if name != lost}
+        for damaged in ({}, {lost: f"{value}?"}, {lost: ""}):
+            part, notes = read(kept | damaged)
+            same = part.keys() == whole.keys() and all(
+                np.array_equal(part[name], whole[name]) for name in whole
+            )
+            assert same or lost in notes, (lost, damaged)
+
+
+def test_lost_lines_of_the_sticks_rates_are_told_when_no_setpoint_was_logged(tmp_path: Path) -> None:
+    lines = {
+        "Firmware revision": "Betaflight 4.3.1 (8d4f005) STM32F7X2",
+        "I interval": 32,
+        "P interval": "1/1",
+        "deadband": 10,
+        "yaw_deadband": 20,
+        "rate_limits": "300,300,300",
+        "rates": "70,70,70",
+    }
+    for lost in (None, *list(lines)[3:6]):
+        kept = header({name: value for name, value in lines.items() if name != lost})
+        for name in ("rcCommand", "setpoint"):
+            columns = [Column(f"{name}[{at}]") for at in range(3)] + [Column("rcCommand[0]")] * (
+                name[0] == "s"
+            )
+            rows = [row[: len(columns)] for row in ROWS[:40]]
+            log = read_log(save(tmp_path, PRODUCT, kept, fields(columns), flight(columns, rows), END))
+            told = [] if lost is None or name == "setpoint" else [lost]
+            assert list(log.headers.lost()) == told
 
 
 @pytest.mark.parametrize(

@@ -171,7 +171,7 @@ def test_controllers_before_betaflight_3_count_in_the_gyros_steps() -> None:
         ({}, BETAFLIGHT, "rc_rates"),
         ({"rc_rates": "1,1,1", "rates": "1,1,1"}, BETAFLIGHT, "rc_expo"),
         ({"rcRate": "100", "rates": "1,1,1"}, Firmware(Maker.BETAFLIGHT, (3, 1, 7)), "rc_rate_yaw"),
-        ({"rc_rates": "a,1,1"}, BETAFLIGHT, "three numbers: rc_rates is 'a,1,1'"),
+        ({"rc_rates": "a,1,1"}, BETAFLIGHT, "rc_rates is 'a,1,1', expected three numbers"),
         ({"rates_type": "7"}, BETAFLIGHT, "rates_type is '7', expected 0 to 4"),
         ({"rates_type": "5"}, BETAFLIGHT, "rates_type is '5', expected 0 to 4"),
         ({"rcRate": "100"}, Firmware(Maker.CLEANFLIGHT), "rates"),

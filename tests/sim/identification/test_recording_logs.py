@@ -137,6 +137,19 @@ def test_a_scale_is_told_once_and_never_guessed(
         read_recording(tmp_path / "a.csv")
 
 
+@pytest.mark.parametrize("fine", [0, 1])
+def test_rates_of_blackbox_decode_are_tenths_when_the_header_beside_says_so(
+    tmp_path: Path, fine: int
+) -> None:
+    """Its --unit-rotation passes over blackbox_high_resolution; --save-headers keeps that line."""
+    rows = at_rest()
+    path = save(tmp_path / "a.csv", decoded(rows, "deg/s", 1.0).encode())
+    save(tmp_path / "a.headers.csv", f"fieldname,fieldvalue\nblackbox_high_resolution,{fine}\n".encode())
+    seen = read_recording(path)
+    assert seen.gyro == pytest.approx(np.deg2rad(rows[:, :3] / (10.0 if fine else 1.0)), abs=1e-6)
+    assert any("taken as tenths" in note for note in seen.notes) == bool(fine)
+
+
 def test_a_scale_that_the_explorer_did_not_find_is_asked_for(tmp_path: Path) -> None:
     path = save(tmp_path / "a.csv", explorer(at_rest(), CLEANFLIGHT, EXPLORER_LOST).encode())
     with pytest.raises(TraceError, match="nothing tells what a count"):
