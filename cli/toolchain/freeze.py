@@ -176,8 +176,10 @@ def _claims(args: argparse.Namespace) -> dict[str, object]:
 
 def _reject_claims(args: argparse.Namespace) -> None:
     from toolchain.errors import PolicyError
+    from toolchain.policy.freeze import load_checkpoint
 
     if given := [name for name, value in _claims(args).items() if value is not None]:
+        load_checkpoint(args.source)  # which says so if it is another trainer's
         raise PolicyError(
             f"{args.source} is a checkpoint, which knows its own observation, rate, filters, idle, mix "
             f"and aircraft; leave out {', '.join(given)}"

@@ -68,7 +68,7 @@ def firmware(headers: Mapping[str, str]) -> Firmware:
 
 
 def has_mapped_throttle(told: Firmware) -> bool:
-    """Whether rcCommand[3] runs from minthrottle to maxthrottle, rather than from 1000 to 2000 us."""
+    """Return True if rcCommand[3] runs from minthrottle to maxthrottle, rather than from 1000 to 2000 us."""
     return (
         told.maker in (Maker.INAV, Maker.BASEFLIGHT)
         or (told.maker is Maker.CLEANFLIGHT and told.version < (2,))

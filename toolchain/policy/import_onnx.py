@@ -109,9 +109,14 @@ def import_onnx(
         )
         policy = parse_policy(imported)
         if policy.action_count != claims.motors:
+            mend = (
+                "if half of these are standard deviations, export the mean alone"
+                if policy.action_count == 2 * claims.motors
+                else "name the aircraft it was trained for"
+            )
             raise PolicyError(
                 f"the policy drives {policy.action_count} motors, aircraft {claims.aircraft} has "
-                f"{claims.motors}; name the aircraft it was trained for"
+                f"{claims.motors}; {mend}"
             )
     except PolicyError as error:
         raise PolicyError(f"{source}: {error}") from error

@@ -15,6 +15,8 @@ from toolchain.reader.output_range import meant_range, shown_range
 
 SAMPLES = 400  # observations of unit scale, on which the Clip's effect is counted
 HELD = 0.05  # share of outputs at the Clip's limits above which freeze warns
+APART_MIN = 1e-3  # between the ends of a range, of the larger one: float32 holds 1e-7 of that
+ENDS_MAX, ENDS_MIN = 1e9, 1e-6  # of the larger end: actions are fractions, microseconds, rad/s or rpm
 
 
 @dataclass(frozen=True)
@@ -25,10 +27,15 @@ class OutputRange:
     high: float
 
     def __post_init__(self) -> None:
-        """Raise PolicyError unless it is a range."""
+        """Raise PolicyError unless it is a range that float32 can map."""
+        asked = f"--output-range {self.low:g},{self.high:g}"
         if not (math.isfinite(self.low) and math.isfinite(self.high) and self.low < self.high):
+            raise PolicyError(f"{asked}: expected two finite numbers, the lower one first")
+        largest = max(abs(self.low), abs(self.high))
+        if not ENDS_MIN <= largest <= ENDS_MAX or self.high - self.low < APART_MIN * largest:
             raise PolicyError(
-                f"--output-range {self.low:g},{self.high:g}: expected two finite numbers, the lower one first"
+                f"{asked}: expected ends of at most {ENDS_MAX:g} that differ by a thousandth of the larger "
+                f"one, which is {ENDS_MIN:g} at least"
             )
 
     @staticmethod
@@ -51,12 +58,16 @@ def map_output(network: Network, asked: OutputRange) -> tuple[Network, list[str]
         )
     words = [f"mapped outputs from {asked.low:g} to {asked.high:g} to motor fractions from 0 to 1"]
     if low < asked.low or high > asked.high:
-        beyond = (
-            f"may lie in {shown_range(low, high)}"
-            if low > -math.inf and high < math.inf
-            else "may lie beyond"
-        )
+        known = low > -math.inf and high < math.inf
+        beyond = f"may lie in {shown_range(low, high)}" if known else "may lie beyond"
         words.append(f"appended a Clip to [0, 1]: outputs {beyond}")
+        below, above = _beyond(network, asked.low, asked.high)
+        if below + above > (HELD if known else HELD_UNBOUNDED):
+            words.append(
+                "warning: the Clip holds motors at 0 or full: on observations of unit scale "
+                f"{below:.0%} of the outputs are below {asked.low:g} and {above:.0%} above {asked.high:g}; "
+                "is this the range that they had in training?"
+            )
     scale = 1 / (asked.high - asked.low)
     factors, offsets = np.full(network.outputs, scale), np.full(network.outputs, -asked.low * scale)
     return _then(network, Affine(factors, offsets)), words
@@ -66,9 +77,7 @@ def clip_output(network: Network) -> tuple[Network, list[str]]:
     """Return the network with a Clip to [0, 1] at its end, and a description of what that changes."""
     words = ["appended a Clip to [0, 1]"]
     low, high = meant_range(network)
-    observation = np.random.default_rng(0).normal(size=(1, SAMPLES, network.inputs)).astype(np.float32)
-    outputs = reference(network, observation)
-    below, above = float((outputs < 0).mean()), float((outputs > 1).mean())
+    below, above = _beyond(network, 0.0, 1.0)
     known = low > -math.inf and high < math.inf and (low < 0 or high > 1)
     if known or below + above > HELD:
         cause = f"its outputs lie in {shown_range(low, high)}" if known else "its outputs leave 0 to 1"
@@ -79,6 +88,13 @@ def clip_output(network: Network) -> tuple[Network, list[str]]:
             f"use --output-range {asked} instead of --clip"
         )
     return _then(network, Clip(0.0, 1.0)), words
+
+
+def _beyond(network: Network, low: float, high: float) -> tuple[float, float]:
+    """Return the shares of outputs below `low` and above `high`, on observations of unit scale."""
+    observation = np.random.default_rng(0).normal(size=(1, SAMPLES, network.inputs)).astype(np.float32)
+    outputs = reference(network, observation)
+    return float((outputs < low).mean()), float((outputs > high).mean())
 
 
 def _then(network: Network, operation: Affine | Clip) -> Network:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import onnx
@@ -42,11 +43,12 @@ def embed_weights(model: onnx.ModelProto, folder: Path) -> list[str]:
 
 def _read(folder: Path, name: str, limit: int) -> bytes:
     # protobuf gives bytes instead of str for what is not UTF-8
-    if not isinstance(name, str) or not name or not name.isprintable() or Path(name).name != name:
+    # Path takes the ./ away that some exporters write before a name
+    if not isinstance(name, str) or not name.isprintable() or Path(name).name != str(Path(name)):
         raise PolicyError(f"the model keeps weights in {shown(str(name))}, expected a file beside it")
     path = folder / name
     try:
-        if path.resolve().parent != folder.resolve():
+        if Path(os.path.realpath(path, strict=True)).parent != folder.resolve():
             raise PolicyError(f"{path} is a link out of the model's folder; put the weights themselves there")
         if (size := file_size(path)) > limit:
             raise PolicyError(f"{path} is {size} bytes, expected at most {limit}; is it a policy?")
@@ -60,7 +62,10 @@ def _part(data: bytes, entries: dict[str, str], name: str) -> bytes:
         start = int(entries.get("offset", "0"))
         count = int(entries.get("length", str(len(data) - start)))
     except ValueError as error:
-        raise PolicyError(f"initializer {shown(name)} has no sound offset and length: {error}") from error
+        raise PolicyError(
+            f"initializer {shown(name)} has no sound offset and length, expected numbers of bytes; save the "
+            "model again"
+        ) from error
     if start < 0 or count < 0 or start + count > len(data):
         raise PolicyError(
             f"initializer {shown(name)} is kept in bytes {start} to {start + count} of a file of "

@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable
 
 import numpy as np
+from numpy.typing import NDArray
 from onnx import TensorProto
 
 from toolchain.ir.operations import (
@@ -40,6 +41,7 @@ from toolchain.reader.activations import (
     read_thresholded,
 )
 from toolchain.reader.arithmetic import (
+    constant_row,
     mapped,
     read_arithmetic,
     read_gemm,
@@ -80,7 +82,7 @@ def _clip(build: Builder, call: Call) -> Row:
 
 
 def _min_or_max(build: Builder, call: Call) -> Row:
-    """Read Min and Max: with a constant a Clip with one bound, of two values a Select."""
+    """Read Min and Max: with one number a Clip with one bound, of two values or many numbers a Select."""
     places = [place for place, value in enumerate(call.inputs) if isinstance(value, Row)]
     if len(call.inputs) != 2:
         raise call.error(f"takes {len(call.inputs)} values, expected two")
@@ -91,11 +93,23 @@ def _min_or_max(build: Builder, call: Call) -> Row:
         above = build.append(call, Add(), first, negative, shape=shape)
         ordered = (first, second) if call.operator == "Max" else (second, first)
         return build.append(call, Select(), above, *ordered, shape=shape)
-    row, bound, constant = call.row(places[0]), call.scalar(1 - places[0]), call.constant(1 - places[0])
+    row, constant = call.row(places[0]), call.constant(1 - places[0])
     assert constant is not None
-    row = build.broadcast(call, row, joint_shape(call, row.shape, constant.shape))
+    row = build.broadcast(call, row, shape := joint_shape(call, row.shape, constant.shape))
+    if np.unique(constant).size > 1:
+        return _bounded_each(build, call, row, np.broadcast_to(call.numbers(1 - places[0]), shape).ravel())
+    bound = call.scalar(1 - places[0])
     low, high = (None, bound) if call.operator == "Min" else (bound, None)
     return _clipped(build, call, row, low, high)
+
+
+def _bounded_each(build: Builder, call: Call, row: Row, bounds: NDArray[np.float64]) -> Row:
+    """Min or Max with a bound of its own for each value, as the least and largest action of each motor."""
+    bounds = bounds.astype(np.float32).astype(np.float64)
+    held = constant_row(build, call, row, bounds)
+    above = mapped(build, call, row, 1.0, -bounds, row.shape)
+    ordered = (row, held) if call.operator == "Max" else (held, row)
+    return build.append(call, Select(), above, *ordered, shape=row.shape)
 
 
 def _clipped(build: Builder, call: Call, row: Row, low: float | None, high: float | None) -> Row:

@@ -13,10 +13,12 @@ import numpy as np
 import onnx
 import onnxruntime
 import pytest
+import torch
 
 from cli.main import main
 from sim.aircraft.model import load_aircraft
 from sim.control.estimator import model_constants
+from toolchain import contract
 from toolchain.contract import POLICY_FILE_BYTES_MAX, Mix
 from toolchain.errors import PolicyError
 from toolchain.ir.interpreter import evaluate
@@ -291,12 +293,36 @@ def test_freeze_warns_when_a_clip_holds_what_the_model_means(
 
 
 @pytest.mark.parametrize(
+    ("last", "asked", "words"),
+    [
+        ([("Tanh",)], "2,3", "100% of the outputs are below 2 and 0% above 3"),
+        ([("Tanh",)], "-0.05,0.05", "of the outputs are below -0.05 and"),
+        ([("Add", np.float32(1500))], "-1,1", "0% of the outputs are below -1 and 100% above 1"),
+        ([("Tanh",)], "-2,2", None),
+        ([("Tanh",), ("Mul", np.float32(1.0001))], "-1,1", None),
+        ([], "-1,1", None),
+    ],
+)
+def test_freeze_warns_when_outputs_lie_beyond_the_range_that_is_told(
+    kit: Kit, tmp_path: Path, capsys: Capture, last: list[tuple[Any, ...]], asked: str, words: str | None
+) -> None:
+    path, out = ending(kit, tmp_path, *last), tmp_path / "policy.onnx"
+    assert main(["freeze", str(path), *OPTIONS, "--output-range", asked, "--out", str(out)]) == 0
+    printed = capsys.readouterr().out
+    assert ("warning: the Clip holds motors at 0 or full" in printed) == (words is not None)
+    assert words is None or words in printed
+
+
+@pytest.mark.parametrize(
     ("last", "options", "words"),
     [
         ([("Sigmoid",)], ("--output-range", "-1,1"), "its outputs stay within 0 to 1 by themselves"),
         ([("Tanh",)], ("--output-range", "1,-1"), "expected two finite numbers, the lower one first"),
         ([("Tanh",)], ("--output-range", "-1"), "expected LO,HI, such as -1,1"),
         ([("Tanh",)], ("--output-range", "0,inf"), "expected two finite numbers"),
+        ([("Tanh",)], ("--output-range", "0,1e-45"), "expected ends of at most 1e+09 that differ by"),
+        ([("Tanh",)], ("--output-range", "1e30,3e38"), "expected ends of at most 1e+09"),
+        ([("Tanh",)], ("--output-range", "1e8,100000001"), "differ by a thousandth of the larger one"),
         ([("Tanh",)], ("--output-range", "-1,1", "--clip"), "leave out --clip"),
     ],
 )
@@ -327,17 +353,42 @@ def test_weights_are_refused_when_a_link_leads_out_of_the_folder(
     words = "is a link out of the model's folder; put the weights themselves there"
     assert words in refused([str(folder / "model.onnx"), *OPTIONS, "--out", str(out)], capsys)
     (folder / "weights").unlink()
+    (folder / "weights").symlink_to("weights")
+    line = refused([str(folder / "model.onnx"), *OPTIONS, "--out", str(out)], capsys)
+    assert "cannot read the weights" in line
+    assert "symbolic links" in line
+    (folder / "weights").unlink()
     (folder / "kept").write_bytes((elsewhere / "weights").read_bytes())
     (folder / "weights").symlink_to("kept")  # within the folder it may lead
     assert main(["freeze", str(folder / "model.onnx"), *OPTIONS, "--out", str(out)]) == 0
 
 
+def test_refusal_asks_for_the_mean_when_outputs_are_twice_the_motors(
+    kit: Kit, tmp_path: Path, capsys: Capture
+) -> None:
+    path = tmp_path / "model.onnx"
+    path.write_bytes(foreign(kit.mlp((6, 8, 8))))
+    line = refused([str(path), *OPTIONS, "--out", str(tmp_path / "policy.onnx")], capsys)
+    assert "drives 8 motors, aircraft nf1 has 4; if half of these are standard deviations, export" in line
+
+
 def test_checkpoint_is_refused_when_it_is_told_what_it_knows(tmp_path: Path, capsys: Capture) -> None:
     path = tmp_path / "model.onnx"  # content decides, not the name
-    path.write_bytes(b"PK\x03\x04")
+    form = {"format": contract.CHECKPOINT_FORMAT, "version": contract.CHECKPOINT_VERSION}
+    torch.save({**form, "config": "{}", "state_dict": {}}, path)
     line = refused([str(path), "--rate", "1000", "--out", str(tmp_path / "policy.onnx")], capsys)
     assert "is a checkpoint, which knows its own" in line
     assert "leave out --rate" in line
+
+
+@pytest.mark.parametrize("content", [torch.nn.Linear(6, 4), torch.nn.Linear(6, 4).state_dict()])
+def test_file_of_another_trainer_is_not_called_a_checkpoint_when_claims_are_made(
+    tmp_path: Path, capsys: Capture, content: object
+) -> None:
+    torch.save(content, tmp_path / "actor.pt")
+    line = refused([str(tmp_path / "actor.pt"), *OPTIONS, "--out", str(tmp_path / "policy.onnx")], capsys)
+    assert "is no checkpoint" in line
+    assert "if it is of another trainer, export its actor with torch.onnx.export" in line
 
 
 @pytest.mark.parametrize(
@@ -414,10 +465,12 @@ def with_data_beside(kit: Kit, folder: Path, **edits: str) -> Path:
     return path
 
 
-def test_weights_are_embedded_when_they_lie_beside_the_model(kit: Kit, tmp_path: Path) -> None:
+@pytest.mark.parametrize("location", ["weights.data", "./weights.data"])
+def test_weights_are_embedded_when_they_lie_beside_the_model(kit: Kit, tmp_path: Path, location: str) -> None:
     out = tmp_path / "out" / "policy.onnx"
-    policy, changes = import_onnx(with_data_beside(kit, tmp_path), out, CLAIMS, clip=False)
-    assert changes[0] == "took the weights out of 'weights.data'"
+    path = with_data_beside(kit, tmp_path, location=location)
+    policy, changes = import_onnx(path, out, CLAIMS, clip=False)
+    assert changes[0].startswith(f"took the weights out of '{location}'")
     observation = kit.observations(20, 6)
     expected = evaluate(parse_policy(kit.mlp((6, 8, 4)).data()).network, observation)
     np.testing.assert_array_equal(evaluate(read_policy(out).network, observation), expected)
@@ -434,6 +487,7 @@ def test_weights_are_embedded_when_they_lie_beside_the_model(kit: Kit, tmp_path:
         ({"offset": "-4"}, "is kept in bytes -4 to"),
         ({"length": "100000"}, "do model and weights belong together?"),
         ({"length": "many"}, "has no sound offset and length"),
+        ({"offset": "9" * 5000}, "has no sound offset and length, expected numbers of bytes"),
         ({"length": "8"}, "raw_data size (8 bytes) is too small"),
     ],
 )

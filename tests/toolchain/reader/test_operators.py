@@ -167,6 +167,9 @@ ACCEPTED: dict[str, str] = {
     "Where by a constant": "x = Where(some, observation, six) " + END,
     "a comparison as a number": "g = Less(observation, six) p = Cast<to=1>(g) x = Mul(p, observation) " + END,
     "Max of two": "p = Neg(observation) q = Max(observation, p) r = Min(q, p) x = Add(q, r) " + END,
+    "Max and Min of bounds for each": "p = Max(observation, six) x = Min(positive, p) " + END,
+    "Max and Min of bounds of other rank": "p = Neg(six) q = Min(p, observation) r = Unsqueeze(six, axis0) "
+    "x = Max(r, q) " + END,
     "Abs": "p = Abs(observation) x = Mul(p, observation) " + END,
     "ReduceMean": "m = ReduceMean<axes=[1]>(observation) x = Mul(observation, m) " + END,
     "ReduceMean of a part": "p = Reshape(observation, cube) m = ReduceMean<axes=[1]>(p) q = Sub(p, m) "
