@@ -216,7 +216,7 @@ def glance(data: bytes, one: Listed) -> float | None:
 
 
 def is_blank(path: Path) -> bool:
-    """Return True if a file holds nothing: one that a card keeps for a log to come, or an erased flash chip."""
+    """Return True if a file holds nothing: made for a log to come, or of an erased flash chip."""
     with path.open("rb") as file:
         while piece := file.read(PIECE_BYTES):
             if piece.strip(b"\0\xff"):

@@ -15,6 +15,7 @@ from toolchain.reader.output_range import meant_range, shown_range
 
 SAMPLES = 400  # observations of unit scale, on which the Clip's effect is counted
 HELD = 0.05  # share of outputs at the Clip's limits above which freeze warns
+HELD_UNBOUNDED = 0.9  # likewise of outputs that nothing bounds, once their range is told: many lie beyond it
 APART_MIN = 1e-3  # between the ends of a range, of the larger one: float32 holds 1e-7 of that
 ENDS_MAX, ENDS_MIN = 1e9, 1e-6  # of the larger end: actions are fractions, microseconds, rad/s or rpm
 
