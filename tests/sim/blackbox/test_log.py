@@ -290,7 +290,8 @@ def test_a_lost_line_changes_no_number_in_silence(tmp_path: Path, revision: str)
     assert whole["throttle"][-1] == pytest.approx(7 * 63 / (1850 - 1070))
     for lost, value in lines.items():
         kept = {name: value for name, value in lines.items() if name != lost}
-        for damaged in ({}, {lost: f"{value}?"}, {lost: ""}):
+        damages: list[dict[str, object]] = [{}, {lost: f"{value}?"}, {lost: ""}]
+        for damaged in damages:
             part, notes = read(kept | damaged)
             same = part.keys() == whole.keys() and all(
                 np.array_equal(part[name], whole[name]) for name in whole
