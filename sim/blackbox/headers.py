@@ -28,11 +28,8 @@ PREDICTORS = frozenset(range(12))
 MINTHROTTLE, MOTOR_0, STEP, HOME, VBATREF, MINMOTOR = 4, 5, 6, 7, 9, 11  # predictors
 TEXT_MAX = 100  # characters of a header's value in a message
 KINDS = "IPSGH"  # of frames that headers describe
-OUTPUT_FROM, DEADBAND_FROM, FINE_FROM = (
-    (3, 1),
-    (4, 2),
-    (4, 4),
-)  # Betaflight's versions that first wrote the lines named in `_lost`
+# Betaflight's versions that first wrote the lines named in `_lost`
+OUTPUT_FROM, DEADBAND_FROM, FINE_FROM = (3, 1), (4, 2), (4, 4)
 # The values that blackbox_decode assumes where the line is lost.
 DEFAULTS = {"Data version": 2, "I interval": 32, "minthrottle": 1150, "vbatref": 4095}
 

@@ -7,6 +7,7 @@ damage, or a field that was read wrong: nothing may be flown from it (`check`).
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -93,7 +94,7 @@ def _throttle(log: Log, firmware: Firmware, parts: float) -> Array | None:
     counts = log.columns.get("rcCommand[3]")
     if counts is None or firmware.maker is Maker.ROTORFLIGHT:  # Rotorflight's rcCommand[3] is the collective
         return None
-    low, high = _throttle_range(log, firmware)
+    low, high = throttle_range(log.header, firmware)
     us = counts / parts
     raw = (us - CHANNEL_MIN_US) / (CHANNEL_MAX_US - CHANNEL_MIN_US)
     return np.where(is_stick(raw), np.clip((us - low) / (high - low), 0.0, 1.0), raw)
@@ -114,11 +115,11 @@ def _ends(throttle: Array) -> Array:
     return np.where(is_stick(throttle), np.clip(throttle, 0.0, 1.0), throttle)
 
 
-def _throttle_range(log: Log, firmware: Firmware) -> tuple[float, float]:
+def throttle_range(header: Mapping[str, str], firmware: Firmware) -> tuple[float, float]:
     """Return rcCommand[3] [us] at zero and at full stick."""
     if has_mapped_throttle(firmware):
-        low = header_number(log.header, "minthrottle")
-        high = header_number(log.header, "maxthrottle")
+        low = header_number(header, "minthrottle")
+        high = header_number(header, "maxthrottle")
         low = DEFAULTS["minthrottle"] if low is None else low  # from which its numbers were counted, too
         high = CHANNEL_MAX_US if high is None else high
         if CHANNEL_MIN_US <= low < high:

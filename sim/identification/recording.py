@@ -15,7 +15,6 @@ import warnings
 import zipfile
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from itertools import islice
 from pathlib import Path
 from typing import TextIO
 
@@ -29,6 +28,7 @@ from sim.blackbox.scales import fine
 from sim.blackbox.units import channels
 from sim.flight.trace import load_trace
 from sim.recorded.log import split_number
+from sim.recorded.sidecar import headers_beside
 from toolchain.contract import GRAVITY
 from toolchain.errors import TraceError
 from toolchain.files import file_size
@@ -272,23 +272,17 @@ def _of_table(path: Path, unit_deg_s: float | None) -> Samples:
     if scales is None:
         counts = np.rint(table).astype(np.int64)
         found = dict(zip(("time", *GYRO, *ACCELERATION), counts.T, strict=False))
-        values = _told_beside(path, values)
+        values = values or headers_beside(path)
         samples = _of_log(_made_log(path, found, _log_headers(values)), unit_deg_s)
         time_us = table[:, 0] * SECONDS[_unit(names, "time") or "us"] / SECONDS["us"]
         return Samples((time_us - time_us[:1]) / 1e6, samples.gyro, samples.acceleration)
     if unit_deg_s is not None:
         raise TraceError(f"log {path}: its gyro is in deg/s, a unit is for raw counts; leave it out")
     # blackbox_decode --unit-rotation does not know high resolution: what it calls deg/s are tenths of it.
-    parts = 1.0 if values or set(OURS) <= set(names) else fine(_told_beside(path, values))
+    parts = 1.0 if values or set(OURS) <= set(names) else fine(headers_beside(path))
     notes = [f"{path.name}: its header tells {FINE}, its rates are taken as tenths"] if parts != 1.0 else []
     gyro = table[:, 1:4] * (scales[1] / parts)
     return Samples(table[:, 0] * scales[0], gyro, _forces(acceleration, names), tuple(notes))
-
-
-def _told_beside(path: Path, values: dict[str, str]) -> dict[str, str]:
-    """Header lines of a table: those above its heading, else those in the file beside it."""
-    sidecar = path.with_suffix(".headers.csv")
-    return _sidecar(sidecar) if not values and sidecar.is_file() else values
 
 
 def _forces(values: Array | None, names: list[str]) -> Array | None:
@@ -353,18 +347,6 @@ def _columns(
             f"or {', '.join(BLACKBOX)}"
         )
     return places, (SECONDS[clock or "us"], ROTATION[turn]) if turn else None
-
-
-def _sidecar(path: Path) -> dict[str, str]:
-    """Read the header lines that `log decode --csv` or blackbox_decode --save-headers wrote to a file."""
-    if file_size(path) > BYTES_MAX >> 6:
-        raise TraceError(f"log {path}: {file_size(path)} bytes, expected the header lines of a log")
-    values: dict[str, str] = {}
-    with path.open(encoding="utf-8-sig", errors="replace", newline="") as file:
-        for cells in islice(csv.reader(file, skipinitialspace=True), LINES_BEFORE_MAX):
-            if len(cells) == _PAIR:
-                values.setdefault(cells[0].strip(), cells[1].strip())
-    return values
 
 
 def _log_headers(values: Mapping[str, str]) -> dict[str, str]:

@@ -10,13 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.blackbox.flight import WHOLE, Part
+from sim.blackbox.sticks import TELL_RATES
 from sim.flight.scenario import Scenario, load_scenario
 from sim.physics.world import Mount
 from sim.recorded.commands import ROWS_MAX, Commands, Recording, part_of
 from sim.recorded.log import SUFFIXES as LOG_SUFFIXES
 from sim.recorded.log import read_commands, split_number
+from sim.recorded.sidecar import headers_beside
 from sim.recorded.table import parse_table
-from toolchain.errors import ScenarioError
+from toolchain.errors import ScenarioError, TraceError
 from toolchain.files import file_size
 
 CSV, NPZ = ".csv", ".npz"
@@ -56,7 +58,11 @@ def load_commands(
             raise ScenarioError(f"{where}: {size} bytes, expected at most {BYTES_MAX[suffix]}; cut it")
         if suffix == NPZ:
             return _from_arrays(path, where, part, cut=cut)
-        return parse_table(path.read_bytes(), where, path.stem, part, told, cut=cut)
+        lines = {**headers_beside(path), **(told or {})}
+        chosen = not TELL_RATES.isdisjoint(told or {})
+        return parse_table(path.read_bytes(), where, path.stem, part, lines, cut=cut, chosen=chosen)
+    except TraceError as error:
+        raise ScenarioError(f"recording {error}") from error
     except OSError as error:
         raise ScenarioError(f"{where}: cannot be read: {error}") from error
 

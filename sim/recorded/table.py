@@ -9,9 +9,9 @@ Known columns:
     rcCommand[0..2]                                 sticks, -500 to 500, where no setpoint was logged
     setpoint[3], 0 to 1000, or rcCommand[3], 1000 to 2000, is the throttle
 
-Other columns are passed over. Of the settings that the Explorer writes before the heading, those count that
-say that setpoint[0..2] and rcCommand are in tenths, and the rates: sticks are flown by these, held against
-gyroADC[0..2] if the table has it.
+Other columns are passed over. Settings stand before the heading, as the Explorer writes them, or in the file
+NAME.headers.csv beside the table. Those count that say that setpoint[0..2] and rcCommand are in tenths, the
+throttle's range, and the rates: sticks are flown by these, held against gyroADC[0..2] if the table has it.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from sim.blackbox.flight import WHOLE, Part
 from sim.blackbox.proof import choose
 from sim.blackbox.rates import RatesError, readings
 from sim.blackbox.scales import fine, gyro_count
-from sim.blackbox.sticks import AIRBORNE, ANGLE_BITS, ANGLE_FLAGS, TELL_RATES, ask_rates
+from sim.blackbox.sticks import AIRBORNE, ANGLE_BITS, ANGLE_FLAGS, ask_rates, is_stick, throttle_range
 from sim.recorded.commands import ROWS_MAX, Commands, Recording, part_of
 from toolchain.contract import CHANNEL_MAX_US, CHANNEL_MIN_US
 from toolchain.errors import ScenarioError
@@ -50,11 +50,11 @@ SETPOINT, TARGET, STICKS, GYRO = (
 KINDS = ((PLAIN, PLAIN_TIMES), (SETPOINT, LOG_TIMES), (TARGET, LOG_TIMES), (STICKS, LOG_TIMES))
 FLAGS = ("flightModeFlags (flags)", "flightModeFlags")
 LEVEL = ("ANGLE", "HORIZON")  # modes in which a stick commands an angle
-# Column of the throttle: its value at none, and from there to full.
+# Column of the throttle: its value at none and at full.
 THROTTLES = {
     "throttle": (0.0, 1.0),
     "setpoint[3]": (0.0, 1000.0),
-    "rcCommand[3]": (CHANNEL_MIN_US, CHANNEL_MAX_US - CHANNEL_MIN_US),
+    "rcCommand[3]": (CHANNEL_MIN_US, CHANNEL_MAX_US),
 }
 Array = NDArray[np.float64]
 Rows = NDArray[np.bool_]
@@ -88,10 +88,12 @@ def parse_table(
     told: Mapping[str, str] | None = None,
     *,
     cut: bool = False,
+    chosen: bool = False,
 ) -> Commands:
     """Read commands from the bytes of a CSV file; `where` names it in messages. Raises ScenarioError.
 
-    part: the part to read; told: settings of the log that the user gives, by name; cut: see Commands.
+    part: the part to read; told: settings of the log that stand elsewhere, by name; cut: see Commands;
+    chosen: the user told the rates.
     """
     try:
         rows = csv.reader(io.StringIO(data.decode("utf-8-sig"), newline=""), strict=True)
@@ -105,13 +107,21 @@ def parse_table(
     time, rates, notes = values[:, 0] * columns.unit_s, values[:, 1:4] / parts, tuple[str, ...]()
     throttle = np.zeros(len(values))
     if columns.throttle is not None:
-        least, span = THROTTLES[columns.throttle]
-        throttle = (
-            values[:, 4] / (parts if columns.throttle.startswith("rcCommand") else 1.0) - least
-        ) / span
+        least, most = THROTTLES[columns.throttle]
+        counts = values[:, 4] / (parts if columns.throttle == "rcCommand[3]" else 1.0)
+        throttle = (counts - least) / (most - least)
+        if columns.throttle == "rcCommand[3]":
+            low, high = throttle_range(columns.settings, firmware(columns.settings))
+            throttle = np.where(
+                is_stick(throttle), np.clip((counts - low) / (high - low), 0.0, 1.0), throttle
+            )
+    if columns.rates != PLAIN and not columns.settings:
+        notes = (
+            f"{where}: no header of the log above or beside it: rates are taken as whole deg/s; where they "
+            "are tenths, add --header blackbox_high_resolution=1",
+        )
     if columns.rates == STICKS:
         gyro = values[:, -3:] / parts if columns.gyro else None
-        chosen = not TELL_RATES.isdisjoint(told or {})
         flown = throttle >= AIRBORNE
         rates, note = _by_rates(rates, gyro, flown, time, columns.settings, level, where, told=chosen)
         notes = (f"{where}: {note}",)

@@ -246,7 +246,7 @@ def test_sticks_of_data_version_1_are_read(tmp_path: Path) -> None:
     assert rows == [[10, -20, 30, 1000], [13, -22, -98, 1300], [13 - 32768, -22, -99, 1307]]
 
 
-OLD_HEADERS = {
+OLD_HEADERS: dict[str, dict[str, object]] = {
     "Betaflight 3.0.1 (48b7b4f) X_RACERSPI": {"Firmware type": "Cleanflight"},
     "0aac025": {"Firmware type": "Cleanflight"},  # of Cleanflight 1.12
     "INAV 8.0.1 (ae47bcba) SPEEDYBEEF405AIO": {
@@ -260,7 +260,7 @@ OLD_HEADERS = {
 @pytest.mark.parametrize("revision", OLD_HEADERS)
 def test_a_lost_line_changes_no_number_in_silence(tmp_path: Path, revision: str) -> None:
     """Each header line of firmwares that scale by many of them, one lost at a time."""
-    lines = {
+    lines: dict[str, object] = {
         **OLD_HEADERS[revision],
         "Firmware revision": revision,
         "I interval": 32,
@@ -290,7 +290,8 @@ def test_a_lost_line_changes_no_number_in_silence(tmp_path: Path, revision: str)
     assert whole["throttle"][-1] == pytest.approx(7 * 63 / (1850 - 1070))
     for lost, value in lines.items():
         kept = {name: value for name, value in lines.items() if name != lost}
-        for damaged in ({}, {lost: f"{value}?"}, {lost: ""}):
+        damages: list[dict[str, object]] = [{}, {lost: f"{value}?"}, {lost: ""}]
+        for damaged in damages:
             part, notes = read(kept | damaged)
             same = part.keys() == whole.keys() and all(
                 np.array_equal(part[name], whole[name]) for name in whole

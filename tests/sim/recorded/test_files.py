@@ -42,7 +42,8 @@ def test_a_betaflight_table_has_its_setpoints_and_throttle_when_read(text: str, 
     assert commands.setpoint.tolist() == [[10, -20, 30], [11, -20, 30], [12, -20, 30]]
     assert commands.throttle.tolist() == [0.0, 0.25, 0.5]
     assert commands.length_s == pytest.approx(0.012)
-    assert commands.warnings() == ()
+    told = commands.warnings()
+    assert [("no header of the log" in each) for each in told] == ([True] if text is DECODED else [])
 
 
 def test_tenths_are_read_when_the_settings_before_the_table_say_so(tmp_path: Path) -> None:
@@ -126,7 +127,7 @@ def test_a_stick_a_little_beyond_its_end_is_at_its_end(tmp_path: Path) -> None:
     path.write_text(
         "time (us),setpoint[0],setpoint[1],setpoint[2],setpoint[3]\n0,1000.4,0,0,-4\n4000,0,0,-1000,1003"
     )
-    scenario, words = load_flight(str(path), seed=1, count=1)
+    scenario, words = load_flight(str(path), seed=1, count=1, told={"blackbox_high_resolution": "0"})
     assert not words
     channels, _ = scenario.timeline(1000)
     assert np.rint(np.rad2deg(sticks.setpoint(channels))).tolist() == [[1000, 0, 0]] * 4 + [[0, 0, -1000]] * 4
@@ -231,3 +232,22 @@ def test_an_invalid_recording_is_rejected_in_one_line(
     assert message in str(error.value)
     assert str(error.value).startswith(f"recording {tmp_path / name}: ")
     assert "\n" not in str(error.value)
+
+
+def test_the_header_beside_a_table_tells_tenths_and_the_throttles_range(tmp_path: Path) -> None:
+    """`log decode --csv` writes it; without it, whole deg/s are taken and told."""
+    path = tmp_path / "a.csv"
+    path.write_text(
+        "time (us),setpoint[0],setpoint[1],setpoint[2],rcCommand[3]\n0,1000,0,0,1100\n1000,-500,0,0,1850\n"
+    )
+    alone = load_commands(path)
+    assert alone.setpoint[:, 0].tolist() == [1000, -500]
+    assert any("blackbox_high_resolution=1" in note for note in alone.warnings())
+    (tmp_path / "a.headers.csv").write_text(
+        "fieldname,fieldvalue\nFirmware revision,INAV 8.0.1 (ae47bcba) X\nblackbox_high_resolution,1\n"
+        "minthrottle,1100\nmaxthrottle,1850\n"
+    )
+    path.write_text(path.read_text().replace("1100", "11000").replace("1850", "18500"))
+    told = load_commands(path)
+    assert told.setpoint[:, 0].tolist() == [100, -50]
+    assert told.throttle.tolist() == [0.0, 1.0] and not told.warnings()
