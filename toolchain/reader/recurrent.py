@@ -153,12 +153,15 @@ def _initial(call: Call, units: int, *places: int) -> list[Row] | None:
             raise call.error(
                 f"has an initial state {STATES[place]} other than zero; policy_init clears the state"
             )
+        if not isinstance(value, Row | np.ndarray):
+            continue
+        # a constant may have the axis of a batch, of which one policy is taken
+        fits = value.width == units if isinstance(value, Row) else value.shape[-1:] == (units,)
+        if not fits:
+            raise call.error(
+                f"has an initial state {STATES[place]} of shape {list(value.shape)}, expected [1, 1, {units}]"
+            )
         if isinstance(value, Row):
-            if value.width != units:
-                raise call.error(
-                    f"has an initial state {STATES[place]} of shape {list(value.shape)}, "
-                    f"expected [1, 1, {units}]"
-                )
             given.append(value)
     if given and len(given) < len(places):
         raise call.error(

@@ -173,6 +173,11 @@ REFUSED: dict[str, tuple[str, dict[str, Any], Callable[[onnx.ModelProto], None] 
     "has sequence_lens, expected none": ("GRU", {}, constant("n", np.array([1], np.int32), 4)),
     "has an initial state h other than zero": ("GRU", {}, constant("h", ONES, 5)),
     "has an initial state c other than zero": ("LSTM", {}, constant("c", ONES, 6)),
+    "has an initial state c of shape [1, 1, 8], expected [1, 1, 5]": (  # torch's LSTM with proj_size
+        "LSTM",
+        {},
+        constant("c", np.zeros((1, 1, 8), np.float32), 6),
+    ),
     "has peepholes, expected none": ("LSTM", {}, constant("P", np.zeros((1, 3 * UNITS), np.float32), 7)),
     "takes 'Y_c', the cell state of node 'cell' (LSTM)": ("LSTM", {}, take_cell_state),
     "takes a sequence of shape [2, 1, 3], expected one step": ("GRU", {}, two_steps),
