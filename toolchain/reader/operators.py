@@ -97,14 +97,16 @@ def _min_or_max(build: Builder, call: Call) -> Row:
     assert constant is not None
     row = build.broadcast(call, row, shape := joint_shape(call, row.shape, constant.shape))
     if np.unique(constant).size > 1:
-        return _bounded_each(build, call, row, np.broadcast_to(call.numbers(1 - places[0]), shape).ravel())
+        bounds = call.numbers(1 - places[0])
+        assert bounds is not None
+        return _bounded_each(build, call, row, np.broadcast_to(bounds, shape).ravel())
     bound = call.scalar(1 - places[0])
     low, high = (None, bound) if call.operator == "Min" else (bound, None)
     return _clipped(build, call, row, low, high)
 
 
 def _bounded_each(build: Builder, call: Call, row: Row, bounds: NDArray[np.float64]) -> Row:
-    """Min or Max with a bound of its own for each value, as the least and largest action of each motor."""
+    """Read Min or Max with a bound of its own for each value, as the least and largest action of each motor."""
     bounds = bounds.astype(np.float32).astype(np.float64)
     held = constant_row(build, call, row, bounds)
     above = mapped(build, call, row, 1.0, -bounds, row.shape)
