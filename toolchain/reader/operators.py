@@ -106,7 +106,7 @@ def _min_or_max(build: Builder, call: Call) -> Row:
 
 
 def _bounded_each(build: Builder, call: Call, row: Row, bounds: NDArray[np.float64]) -> Row:
-    """Read Min or Max with a bound of its own for each value, as the least and largest action of each motor."""
+    """Read Min or Max with a bound of its own for each value, such as limits of each motor."""
     bounds = bounds.astype(np.float32).astype(np.float64)
     held = constant_row(build, call, row, bounds)
     above = mapped(build, call, row, 1.0, -bounds, row.shape)
