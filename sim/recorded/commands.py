@@ -50,7 +50,14 @@ class Commands:
                 raise ScenarioError(f"{self.name}: {what} has shape {array.shape}, expected {(rows, *width)}")
         for what, array in (("time", self.time), ("setpoint", self.setpoint), ("throttle", self.throttle)):
             if not np.isfinite(array).all():
-                raise ScenarioError(f"{self.name}: {what} has a value that is no number")
+                bad = ~np.isfinite(array.reshape(rows, -1)).all(axis=1)
+                row = self.first_row + int(bad.argmax())
+                words = f"{what} has a value that is no number in row {row} and {int(bad.sum()) - 1} more"
+                if what == "setpoint":  # as `log decode --npz` writes it
+                    words += (
+                        ": there the stick commands an angle (ANGLE or HORIZON mode), or nothing is known"
+                    )
+                raise ScenarioError(f"{self.name}: {words}; leave them out by --from and --to")
         back = np.flatnonzero(~(np.diff(self.time) > 0))
         if len(back):
             at = int(back[0])
