@@ -134,8 +134,12 @@ def _describe(metadata: Mapping[str, str], sha256: str, network: Network) -> Pol
     except ValueError as error:
         raise _wrong(contract.META_OBSERVATION, names, f"known blocks: {error}") from error
     rate = _value(metadata, contract.META_CONTROL_RATE)
-    if not re.fullmatch("[1-9][0-9]{0,5}", rate):
-        raise _wrong(contract.META_CONTROL_RATE, rate, "a whole number of hertz")
+    if not re.fullmatch("[1-9][0-9]{0,3}", rate) or int(rate) > contract.GYRO_EDGE_RATE_HZ:
+        raise _wrong(
+            contract.META_CONTROL_RATE,
+            rate,
+            f"a whole number of hertz up to {contract.GYRO_EDGE_RATE_HZ}, the most that a gyro samples at",
+        )
     try:
         contract.check_cutoffs(blocks, int(rate))
     except ValueError as error:

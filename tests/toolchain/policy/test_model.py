@@ -330,6 +330,8 @@ def test_policy_is_refused_when_a_key_of_its_metadata_is_missing(kit: Kit, key: 
         ("observation", "rate_error,rate_of_climb"),
         ("control_rate_hz", "fast"),
         ("control_rate_hz", "-1000"),
+        ("control_rate_hz", "8001"),
+        ("control_rate_hz", "999999"),
         ("filters", "{}"),
         ("filters", "["),
         ("observation", "rate_error@17,rate"),
