@@ -183,14 +183,9 @@ def value_text(name: str, value: Value) -> str:
         return _mode_text(int(value))
     if setting is not None and value in range(len(setting.choices)):
         return setting.choices[int(value)]
-    if setting is not None and setting.kind == "float" and value == 1.0 and 1.0 in _tops(setting):
-        return "1.0"  # with a point, so that nobody reads it as one percent
+    if setting is not None and setting.kind == "float" and value == 1.0:
+        return "1.0"  # with a point, so that nobody reads the whole of a ratio as one percent
     return shortest(value)
-
-
-def _tops(setting: Setting) -> tuple[float, ...]:
-    """Return the setting's upper limits, of both styles of rates where these differ."""
-    return (setting.high,) if setting.betaflight is None else (setting.high, setting.betaflight.high)
 
 
 def shortest(value: float) -> str:

@@ -87,7 +87,7 @@ static uint64_t decimal_count(uint32_t fraction, unsigned shift, unsigned places
 	const uint64_t scaled = fraction * decimal_power_of_ten(places);
 
 	if (shift > 63)
-		return 0;
+		return shift == 64 && scaled > UINT64_C(1) << 63;
 	const uint64_t count = scaled >> shift, rest = scaled - (count << shift), half = (UINT64_C(1) << shift) / 2u;
 	return count + (rest > half || (rest == half && rest > 0 && count % 2u == 1u));
 }

@@ -331,8 +331,8 @@ size_t settings_text_format(const struct setting *setting, const union setting_v
 		break;
 	case SETTING_float:
 		ink.at += decimal_format(value->as_float, text);
-		/* The whole of a ratio has its point, so that nobody takes it for a percent. */
-		if (value->as_float == 1.0f && settings_limits(setting)->high.as_float == 1.0f)
+		/* 1 has its point, so that nobody takes the whole of a ratio for a percent. */
+		if (value->as_float == 1.0f)
 			settings_text_put(&ink, ".0", 2, false);
 		break;
 	case SETTING_mode:

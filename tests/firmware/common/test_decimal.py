@@ -65,6 +65,7 @@ def test_a_float_is_written_with_the_fewest_places_and_reads_back_when_it_is_of_
 @given(bits=st.integers(0, LEAST - 1))
 @example(bits=1)
 @example(bits=LEAST - 1)
+@example(bits=722255053)  # a little more than 5e-13
 def test_a_float_is_rounded_to_twelve_places_when_it_is_smaller(scripted: Any, bits: int) -> None:
     value = of_bits(bits)
     text = format_(scripted, value)

@@ -67,6 +67,7 @@ NAME = SETTINGS[BY_NAME["craft_name"][0]]
 @effort(max_examples=2000, deadline=None)
 @given(case=CASES)
 @example(case=(SETTINGS[BY_NAME["filter4_hz"][0]], 1024.53125))  # half way between two texts
+@example(case=(SETTINGS[BY_NAME["yaw_max"][0]], 1.0))  # a whole of one style of rates, 1 deg/s of the other
 @example(case=(NAME, "-"))
 @example(case=(NAME, '"'))
 @example(case=(NAME, '""'))

@@ -284,7 +284,7 @@ def rates(plan: Plan) -> list[str]:
     return [told[name] for name in names if name in told]
 
 
-BF_DEFAULT = ["betaflight", *["1", "0.7", "0"] * 3]
+BF_DEFAULT = ["betaflight", *["1.0", "0.7", "0"] * 3]
 ACTUAL_DEFAULT = ["actual", *["70", "670", "0"] * 3]
 
 
@@ -293,7 +293,7 @@ def test_what_a_file_leaves_out_is_the_old_default_to_4_2(make: Make, version: s
     assert rates(make("rateprofile 0\n", version)) == BF_DEFAULT
     expo = "yaw_expo" if version > "3.3" else "rc_yaw_expo"
     told = rates(make(f"rateprofile 0\nset roll_srate = 75\nset {expo} = 1\n", version))
-    assert told == ["betaflight", "1", "0.75", "0", "1", "0.7", "0", "1", "0.7", "0.01"]
+    assert told == ["betaflight", "1.0", "0.75", "0", "1.0", "0.7", "0", "1.0", "0.7", "0.01"]
 
 
 @pytest.mark.parametrize(
