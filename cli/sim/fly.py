@@ -21,7 +21,7 @@ from cli.sim.fly_emulator import (
 )
 from cli.sim.fly_jobs import Crew, Show, usable_cores
 from cli.sim.fly_output import Flown, conditions, document, print_flight, print_several
-from cli.sim.fly_ports import Entry, open_firmware, open_pid, prepare, quiet
+from cli.sim.fly_ports import RECEIVERS, Entry, open_firmware, open_pid, prepare, quiet
 from cli.sim.fly_telemetry import add_telemetry_arguments, asks_telemetry, check_telemetry, save_telemetry
 from toolchain.contract import GYRO_RATE_DEFAULT_HZ, GYRO_RATES_HZ
 from toolchain.errors import NeuroflightError
@@ -91,6 +91,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=[],
         metavar="NAME=VALUE",
         help="fly with this setting of the firmware, see docs/settings.md",
+    )
+    parser.add_argument(
+        "--receiver", choices=RECEIVERS, default=RECEIVERS[0], help="what brings the pilot's sticks"
     )
     parser.add_argument("--mount", choices=MOUNTS, help="what holds the aircraft; default: the scenario's")
     parser.add_argument(
@@ -180,6 +183,8 @@ def _check(args: argparse.Namespace) -> None:
         raise NeuroflightError(f"--jobs: got {args.jobs}, expected at least 1")
     if args.on == "betaflight" and args.set:
         raise NeuroflightError("--set: Betaflight has settings of its own; leave it out")
+    if args.on == "betaflight" and args.receiver != RECEIVERS[0]:
+        raise NeuroflightError("--receiver: Betaflight takes the sticks from the simulator; leave it out")
     if len(args.scenario) > 1:
         for name in SINGLE:
             if getattr(args, name) not in (None, []):

@@ -29,10 +29,8 @@ if TYPE_CHECKING:
     from sim.ports.emulator_report import EmulatedReport
 
 STOPPED = 3  # exit code of a flight with faults in which the firmware stopped the motors before the end
-RECEIVERS = ("sbus", "crsf")
 ESCS = {"dshot300": 300, "dshot600": 600}
 OPTIONS: dict[str, object] = {  # and their defaults
-    "receiver": "sbus",
     "gyro": CHIPS[0],
     "card": None,
     "esc": None,
@@ -41,16 +39,12 @@ OPTIONS: dict[str, object] = {  # and their defaults
     "gdb": None,
     "profile": None,
 }
-BY_OPTION = {"gyro_rate_hz": "--gyro-hz", "receiver_protocol": "--receiver"}  # settings that have one
 SLICE = 216_000  # cycles between two checks of serial line and Ctrl-C, at most: 1 ms
 
 
 def add_emulator_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare what only the emulated board takes."""
     group = parser.add_argument_group("with --on emulator", "see docs/emulated-board.md")
-    group.add_argument(
-        "--receiver", choices=RECEIVERS, default=RECEIVERS[0], help="what speaks on the receiver's line"
-    )
     add_gyro_argument(group)
     add_card_argument(group)
     group.add_argument(
@@ -120,7 +114,6 @@ def open_image(
         image,
         args.gyro_hz,
         settings,
-        receiver=args.receiver,
         gyro=GYROS[args.gyro],
         card=card,
         dshot=None if args.esc is None else ESCS[args.esc],

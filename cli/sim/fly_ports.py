@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from cli.sim.fly_blackbox import FlightLog, emulated_settings
-from cli.sim.fly_emulator import BY_OPTION, keep_profile, open_image, save_profile
+from cli.sim.fly_emulator import keep_profile, open_image, save_profile
 from toolchain.errors import NeuroflightError
 
 if TYPE_CHECKING:
@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     from toolchain.contract import Mix
 
 BUILD = Path(__file__).resolve().parents[2] / "build" / "HOST"
+RECEIVERS = ("sbus", "crsf")  # in the order of the setting's choices
+BY_OPTION = {"gyro_rate_hz": "--gyro-hz", "receiver_protocol": "--receiver"}  # settings that have one
 BETAFLIGHT, BOARD = BUILD.with_name("BETAFLIGHT"), BUILD.with_name("MATEKF722")
 
 
@@ -74,6 +76,8 @@ def _open_firmware(args: argparse.Namespace, aircraft: Aircraft, log: FlightLog 
     for name, option in BY_OPTION.items():
         if name in settings:
             raise NeuroflightError(f"--set {name}: has an option of its own; use {option}")
+    if args.receiver != RECEIVERS[0]:
+        settings["receiver_protocol"] = RECEIVERS.index(args.receiver)
     settings = {name: int(value) if value == int(value) else value for name, value in settings.items()}
     check_known(flight_settings(settings))
     if args.on == "emulator":

@@ -33,11 +33,12 @@ from sim.board.devices.sd_card import SdCard
 from sim.board.matekf722 import FULL_VOLTS, GYRO, Gyro
 from sim.board.serial.idle_board import configured
 from sim.ports.port import Logged, Reply, Sample, control_divider, flight_settings
-from sim.ports.receiver_frames import RECEIVERS
+from sim.ports.receiver_frames import RECEIVERS, Receiver
 from toolchain.contract import (
     GYRO_EDGE_RATE_HZ,
     GYRO_RATE_DEFAULT_HZ,
     SETTINGS,
+    Setting,
     FlightState,
     StopCause,
 )
@@ -108,7 +109,6 @@ class EmulatedPort:
         gyro_rate_hz: int = GYRO_RATE_DEFAULT_HZ,
         settings: Mapping[str, float] | None = None,
         *,
-        receiver: str = "sbus",
         gyro: Gyro = GYRO,
         card: SdCard | Path | None = None,
         dshot: int | None = None,
@@ -119,8 +119,8 @@ class EmulatedPort:
     ) -> None:
         """Power a board with `image` in its flash, and boot it; its ELF lies beside it.
 
-        settings: other than the image's own; they, the gyro rate and the receiver are stored by the image
-        itself before, as `configured` does. receiver: of RECEIVERS. gyro: what is fitted.
+        settings: other than the image's own; they and the gyro rate are stored by the image itself before, as
+        `configured` does. The receiver speaks what they say. gyro: what is fitted.
         card: in its slot, or its image file; the port closes it. None: the slot is empty.
         dshot: the speed that the ESCs are set to, 300 or 600; None: as the setting motor_protocol says.
         profile: keep the tree of calls.
@@ -138,11 +138,11 @@ class EmulatedPort:
                 raise LinkError(f"{path}: not built yet; build it with `make firmware TARGET=MATEKF722`")
         names = (_STATUS, _SAMPLES, _DIVIDER, _RATE, *_LOG)
         self._variables = dict(zip(names, read_variables(elf, *names), strict=True))
-        self._receiver = RECEIVERS[receiver]
         self._alignment = gyro.alignment
         self._plan = FaultPlan(faults, gyro_rate_hz)
         self._begin()
-        wanted = _stored(settings, gyro_rate_hz, receiver)
+        wanted = _stored(settings, gyro_rate_hz)
+        self._receiver = _receiver(wanted)
         flashed = read_flashable(image)
         self.image_sha256 = hashlib.sha256(flashed).hexdigest()
         try:
@@ -397,17 +397,29 @@ def _same(values: NDArray[np.uint16], before: NDArray[np.uint16]) -> bool:
     return values is before or values.tobytes() == before.tobytes()
 
 
-def _stored(settings: Mapping[str, float] | None, gyro_rate_hz: int, receiver: str) -> dict[str, float]:
+def _stored(settings: Mapping[str, float] | None, gyro_rate_hz: int) -> dict[str, float]:
     """Settings that the image must have stored to fly so."""
     wanted = flight_settings(settings)
     if gyro_rate_hz != GYRO_RATE_DEFAULT_HZ:
         wanted["gyro_rate_hz"] = gyro_rate_hz
-    if receiver != "sbus":
-        wanted["receiver_protocol"] = RECEIVER_SETTING.choices.index(receiver)
     return wanted
+
+
+def _choice(setting: Setting, settings: Mapping[str, float]) -> str:
+    """What is chosen of `setting`."""
+    return setting.choices[int(settings.get(setting.name, setting.default))]
+
+
+def _receiver(settings: Mapping[str, float]) -> Receiver:
+    """What speaks on the receiver's line of a board that is set so."""
+    protocol = _choice(RECEIVER_SETTING, settings)
+    if protocol not in RECEIVERS:
+        raise LinkError(
+            f"receiver_protocol: got {protocol}, expected {' or '.join(RECEIVERS)} to be flown by"
+        )
+    return RECEIVERS[protocol]
 
 
 def _dshot(settings: Mapping[str, float]) -> int:
     """The speed that these settings ask for: "dshot600" is 600."""
-    choice = MOTOR_SETTING.choices[int(settings.get(MOTOR_SETTING.name, MOTOR_SETTING.default))]
-    return int(choice.removeprefix("dshot"))
+    return int(_choice(MOTOR_SETTING, settings).removeprefix("dshot"))

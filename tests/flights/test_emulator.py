@@ -27,6 +27,7 @@ BUSY = Scenario(
     "busy",
     tuple(Segment(0.1, (150.0 * (-1) ** k, 40.0 * k, -30.0 * k), 0.1 * k) for k in range(8)),
 )
+CRSF = 1  # the setting receiver_protocol
 STILL = Sample(0.0, np.zeros(3), np.eye(3), np.zeros(3), np.zeros(3), np.array([0.0, 0.0, 9.80665]))
 
 
@@ -39,7 +40,7 @@ def image(board_image: Path) -> Path:
 def test_crsf_at_another_gyro_rate_flies_the_same_bits_when_the_image_is_set_so(
     image: Path, reference_library: Path, flown: Flown
 ) -> None:
-    on_board = flown(EmulatedPort(image, 1000, receiver="crsf"), BUSY)
+    on_board = flown(EmulatedPort(image, 1000, {"receiver_protocol": CRSF}), BUSY)
     assert flown(ReferencePort(reference_library, 1000), BUSY).same(on_board)
 
 

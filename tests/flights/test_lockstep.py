@@ -44,6 +44,19 @@ def test_library_and_host_program_fly_the_same_bits_when_the_scenario_is_busy(
     assert flown(ReferencePort(reference_library, gyro_rate_hz), BUSY).same(over_sockets)
 
 
+@pytest.mark.parametrize("port", ["host", "library"])
+def test_crsf_flies_the_same_bits_as_sbus_on_the_host(
+    host_program: Path, reference_library: Path, flown: Flown, port: str
+) -> None:
+    crsf = {"receiver_protocol": 1}
+    by_crsf = (
+        HostPort(host_program, settings=crsf)
+        if port == "host"
+        else ReferencePort(reference_library, settings=crsf)
+    )
+    assert flown(by_crsf, BUSY).same(flown(ReferencePort(reference_library), BUSY))
+
+
 def test_the_toolchains_interpreter_flies_the_compiled_policys_bits_when_behind_the_port(
     shipped_policy: Path, reference_library: Path, flown: Flown
 ) -> None:

@@ -2,13 +2,14 @@
 
 #include <math.h>
 
+#include "common/crc8.h"
 #include "storage/settings.h"
 
 #define DEG_PER_RAD (180.0 / 3.14159265358979323846)
 #define STANDARD_GRAVITY 9.80665 /* m/s^2 */
 #define ACCEL_COUNTS_PER_G 2048.0 /* 16 g over 32768 counts */
-#define SBUS_ZERO_US 880u
-#define SBUS_VALUE_MAX 2047u
+#define CHANNEL_ZERO_US 880u
+#define CHANNEL_VALUE_MAX 2047u
 
 /* Chip axis i is body axis (x forward, y left, z up) `axis[i]` times `sign[i]`: the chip is turned clockwise
  * seen from above. Written from the chip's side; the core holds the inverse. */
@@ -89,31 +90,59 @@ struct power_sample convert_power(double volts, double amps)
 	};
 }
 
-/* The SBUS value that reads back as `us`: the inverse of 880 + (5 value + 4) / 8. */
-static uint32_t convert_sbus_value(uint16_t us)
+/* The value of 11 bits that reads back as `us`: the inverse of 880 + (5 value + 4) / 8. */
+static uint32_t convert_channel(uint16_t us)
 {
-	if (us <= SBUS_ZERO_US)
+	if (us <= CHANNEL_ZERO_US)
 		return 0;
-	const uint32_t value = (us - SBUS_ZERO_US) * 8u / 5u;
-	return value < SBUS_VALUE_MAX ? value : SBUS_VALUE_MAX;
+	const uint32_t value = (us - CHANNEL_ZERO_US) * 8u / 5u;
+	return value < CHANNEL_VALUE_MAX ? value : CHANNEL_VALUE_MAX;
 }
 
-void convert_channels(const uint16_t channels_us[NF_CHANNEL_COUNT], uint8_t frame[NF_SBUS_FRAME_BYTES])
+static void convert_channels(const uint16_t channels_us[NF_CHANNEL_COUNT], uint8_t packed[CHANNELS_PACKED_BYTES])
 {
-	uint8_t *next = frame;
 	uint32_t bits = 0;
 	unsigned held = 0;
 
-	*next++ = NF_SBUS_HEADER;
 	for (int i = 0; i < NF_CHANNEL_COUNT; ++i) {
-		bits |= convert_sbus_value(channels_us[i]) << held;
+		bits |= convert_channel(channels_us[i]) << held;
 		for (held += 11; held >= 8; held -= 8) {
-			*next++ = (uint8_t)bits;
+			*packed++ = (uint8_t)bits;
 			bits >>= 8;
 		}
 	}
-	*next++ = 0; /* flags */
-	*next = NF_SBUS_FOOTER;
+}
+
+static size_t convert_sbus(const uint16_t channels_us[NF_CHANNEL_COUNT], uint8_t *frame)
+{
+	frame[0] = NF_SBUS_HEADER;
+	convert_channels(channels_us, frame + 1);
+	frame[NF_SBUS_FRAME_BYTES - 2] = 0; /* flags */
+	frame[NF_SBUS_FRAME_BYTES - 1] = NF_SBUS_FOOTER;
+	return NF_SBUS_FRAME_BYTES;
+}
+
+static size_t convert_crsf(const uint16_t channels_us[NF_CHANNEL_COUNT], uint8_t *frame)
+{
+	frame[0] = NF_CRSF_SYNC;
+	frame[1] = 1 + CHANNELS_PACKED_BYTES + 1; /* type, channels, CRC */
+	frame[2] = NF_CRSF_TYPE_CHANNELS;
+	convert_channels(channels_us, frame + 3);
+	frame[CONVERT_FRAME_BYTES_MAX - 1] = crc8(0, frame + 2, 1 + CHANNELS_PACKED_BYTES);
+	return CONVERT_FRAME_BYTES_MAX;
+}
+
+size_t convert_frame(uint32_t protocol, const uint16_t channels_us[NF_CHANNEL_COUNT],
+		     uint8_t frame[CONVERT_FRAME_BYTES_MAX])
+{
+	switch (protocol) {
+	case NF_RECEIVER_PROTOCOL_SBUS:
+		return convert_sbus(channels_us, frame);
+	case NF_RECEIVER_PROTOCOL_CRSF:
+		return convert_crsf(channels_us, frame);
+	default:
+		return 0;
+	}
 }
 
 float convert_dshot(uint16_t value)

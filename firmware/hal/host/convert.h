@@ -3,11 +3,13 @@
 #define NF_HOST_CONVERT_H
 
 #include <stdbool.h>
+#include <stddef.h>
 #include <stdint.h>
 
 #include "common/imu.h"
 #include "housekeeping/power_sample.h"
 #include "nf_contract.h"
+#include "receiver/channels.h"
 
 /* Body rates [rad/s], axes forward, right, down, to the counts of a chip with this alignment, +-2000 deg/s over int16,
  * rounded half to even and saturated. Returns false, `counts` left alone, if a rate is NaN, which has no count. */
@@ -21,9 +23,14 @@ void convert_force(const double force_frd[3], enum board_alignment alignment, in
  * settings. Not valid if one is NaN or negative. */
 struct power_sample convert_power(double volts, double amps);
 
-/* One SBUS frame. Channels [us] outside 880..2159 are sent as the nearer end; each whole microsecond in
+#define CONVERT_FRAME_BYTES_MAX (CHANNELS_PACKED_BYTES + 4u) /* CRSF: sync, length and type before them, a CRC behind */
+_Static_assert(NF_SBUS_FRAME_BYTES <= CONVERT_FRAME_BYTES_MAX, "SBUS is shorter");
+
+/* One frame of a receiver that speaks `protocol`, NF_RECEIVER_PROTOCOL_...; returns its bytes, 0 for a protocol that does
+ * not use the receiver's line. Channels [us] outside 880..2159 are sent as the nearer end; each whole microsecond in
  * between comes out of the frame as it went in. */
-void convert_channels(const uint16_t channels_us[NF_CHANNEL_COUNT], uint8_t frame[NF_SBUS_FRAME_BYTES]);
+size_t convert_frame(uint32_t protocol, const uint16_t channels_us[NF_CHANNEL_COUNT],
+		     uint8_t frame[CONVERT_FRAME_BYTES_MAX]);
 
 /* The motor fraction of a DShot value, as an ESC decodes it: 0 for 0, else (value - 48) / 1999. */
 float convert_dshot(uint16_t value);

@@ -32,6 +32,7 @@ static struct host {
 	struct log_file log;
 	struct hal hal;              /* of the board */
 	double time_s;               /* of the last state packet; NaN: there was none */
+	bool deaf;                   /* receiver packets came, but no protocol for them is set */
 	unsigned long bad;           /* samples whose rate was NaN */
 	sigset_t while_waiting;      /* signals let through only there */
 	uint64_t answered_ns;        /* when the last state packet was answered */
@@ -162,6 +163,15 @@ static void host_pass_silence(const struct hal_handlers *handlers, double time_s
 		handlers->gyro_silent(handlers->context);
 }
 
+/* A pilot who flies by packets that nothing reads is told, once. */
+static void host_say_deaf(void)
+{
+	if (!host.deaf)
+		fprintf(stderr, "neuroflight: receiver packets are ignored: receiver_protocol is msp, expected sbus or "
+				"crsf; with msp channels come by SET_RAW_RC\n");
+	host.deaf = true;
+}
+
 /* Takes the receiver and power packets that arrived before a state packet. */
 static void host_take_receiver_and_power(void)
 {
@@ -169,7 +179,8 @@ static void host_take_receiver_and_power(void)
 	struct link_power power;
 
 	while (link_take_receiver(&host.link, channels_us))
-		receiver_line_put(&host.board.line, channels_us);
+		if (!receiver_line_put(&host.board.line, channels_us))
+			host_say_deaf();
 	while (link_take_power(&host.link, &power)) {
 		host.board.power = convert_power(power.volts, power.amps);
 		host.board.control_us = power.control_us;
@@ -231,7 +242,7 @@ static void host_print_problems(void)
 
 int hal_run(const struct hal_handlers *handlers, const struct nf_settings *settings)
 {
-	(void)settings;
+	receiver_line_start(&host.board.line, settings->receiver_protocol);
 	if (host.options.replay)
 		return replay_stream_run(((const struct program *)handlers->context)->firmware, host.options.replay);
 	int code = host_print_ready() ? 0 : 1;

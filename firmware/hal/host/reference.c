@@ -73,6 +73,7 @@ int reference_init(void *self, unsigned gyro_hz, const char *const settings[], s
 	};
 	const enum nf_err err = background_start(&r->background, &config);
 
+	receiver_line_start(&r->board.line, r->background.settings.receiver_protocol);
 	log_ring_init(&r->log, r->background.settings.blackbox_device != NF_BLACKBOX_DEVICE_NONE);
 	return err;
 }
@@ -81,7 +82,7 @@ void reference_receiver(void *self, const uint16_t channels_us[NF_CHANNEL_COUNT]
 {
 	struct reference *r = self;
 
-	receiver_line_put(&r->board.line, channels_us);
+	(void)receiver_line_put(&r->board.line, channels_us);
 }
 
 void reference_power(void *self, double volts, double amps, double control_us)

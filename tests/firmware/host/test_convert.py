@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from fractions import Fraction
 from typing import Any
 
 import numpy as np
 import pytest
+
+SBUS, CRSF, MSP = range(3)  # choices of the setting receiver_protocol
 
 
 def counts_of(core: Any, rates_frd: list[float], alignment: int = 0) -> list[int] | None:
@@ -65,25 +68,49 @@ def test_the_core_reads_the_true_body_rates_back_when_the_chip_is_turned(
         np.testing.assert_allclose(list(rate), body, atol=1.01 * half_count)
 
 
-def test_channels_come_through_the_parser_unchanged_when_sbus_can_say_them(scripted: Any) -> None:
-    parser, frame = scripted.new("struct sbus *"), scripted.new("struct sbus_frame *")
-    scripted.lib.sbus_reset(parser)
-    wire = scripted.new("uint8_t[25]")
+@pytest.fixture(params=["sbus", "crsf"])
+def carried(scripted: Any, request: pytest.FixtureRequest) -> Callable[[list[int]], list[int]]:
+    """Channels as they come through a frame of the protocol and the firmware's parser of it."""
+    lib, wire = scripted.lib, scripted.new("uint8_t[26]")
+    parser, frame = scripted.new(f"struct {request.param} *"), scripted.new(f"struct {request.param}_frame *")
+    getattr(lib, f"{request.param}_reset")(parser)
+
+    def by_sbus(channels: list[int]) -> list[int]:
+        assert lib.convert_frame(SBUS, channels, wire) == 25
+        assert [lib.sbus_push(parser, byte, frame) for byte in wire[0:25]] == [False] * 24 + [True]
+        assert (frame.frame_lost, frame.failsafe) == (False, False)
+        return list(frame.channels_us)
+
+    def by_crsf(channels: list[int]) -> list[int]:
+        assert lib.convert_frame(CRSF, channels, wire) == 26
+        taken = 0
+        while taken < 26:
+            assert not lib.crsf_take(parser, frame)
+            taken += lib.crsf_put(parser, wire + taken, 26 - taken)
+        assert lib.crsf_take(parser, frame)
+        assert frame.kind == lib.CRSF_CHANNELS
+        return list(frame.channels_us)
+
+    return by_sbus if request.param == "sbus" else by_crsf
+
+
+def test_channels_come_through_the_parser_unchanged_when_the_protocol_can_say_them(
+    carried: Callable[[list[int]], list[int]],
+) -> None:
     for us in range(880, 2160):
         channels = [880 + (us - 880 + 80 * index) % 1280 for index in range(16)]
-        scripted.lib.convert_channels(channels, wire)
-        assert [scripted.lib.sbus_push(parser, byte, frame) for byte in wire] == [False] * 24 + [True]
-        assert list(frame.channels_us) == channels
-        assert (frame.frame_lost, frame.failsafe) == (False, False)
+        assert carried(channels) == channels
 
 
-def test_channels_are_sent_as_the_nearer_end_when_sbus_cannot_say_them(scripted: Any) -> None:
-    parser, frame = scripted.new("struct sbus *"), scripted.new("struct sbus_frame *")
-    wire = scripted.new("uint8_t[25]")
+def test_channels_are_sent_as_the_nearer_end_when_the_protocol_cannot_say_them(
+    carried: Callable[[list[int]], list[int]],
+) -> None:
     for us, end in [(0, 880), (879, 880), (2160, 2159), (65535, 2159)]:
-        scripted.lib.convert_channels([us] * 16, wire)
-        assert [scripted.lib.sbus_push(parser, byte, frame) for byte in wire][-1]
-        assert list(frame.channels_us) == [end] * 16
+        assert carried([us] * 16) == [end] * 16
+
+
+def test_nothing_is_sent_when_the_protocol_has_no_line(scripted: Any) -> None:
+    assert scripted.lib.convert_frame(MSP, [1500] * 16, scripted.new("uint8_t[26]")) == 0
 
 
 def test_dshot_is_decoded_as_an_esc_does_when_a_motor_runs_or_stops(scripted: Any) -> None:
