@@ -38,8 +38,8 @@ from toolchain.contract import (
     GYRO_EDGE_RATE_HZ,
     GYRO_RATE_DEFAULT_HZ,
     SETTINGS,
-    Setting,
     FlightState,
+    Setting,
     StopCause,
 )
 from toolchain.errors import LinkError

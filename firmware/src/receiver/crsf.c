@@ -12,16 +12,11 @@
 /* Values of the length: type, payload and CRC. */
 #define LENGTH_MIN 2u
 #define LENGTH_MAX (NF_CRSF_FRAME_BYTES_MAX - 2u)
+/* At least: a newer sender may have more to say behind what is known. */
 #define CHANNELS_LENGTH (CHANNELS_PACKED_BYTES + 2u)
-#define LINK_LENGTH (10u + 2u) /* at least; RSSI of two antennas stands before the uplink's quality */
+#define LINK_LENGTH (10u + 2u) /* RSSI of two antennas stands before the uplink's quality */
 #define LINK_QUALITY (PAYLOAD + 2)
 #define PERCENT_MAX 100u
-
-void crsf_reset(struct crsf *crsf)
-{
-	crsf->count = 0;
-	crsf->needed = 1;
-}
 
 size_t crsf_put(struct crsf *crsf, const uint8_t *bytes, size_t count)
 {
@@ -54,7 +49,7 @@ static bool crsf_decode(const uint8_t *bytes, struct crsf_frame *frame)
 {
 	const size_t length = bytes[LENGTH];
 
-	if (bytes[TYPE] == NF_CRSF_TYPE_CHANNELS && length == CHANNELS_LENGTH) {
+	if (bytes[TYPE] == NF_CRSF_TYPE_CHANNELS && length >= CHANNELS_LENGTH) {
 		frame->kind = CRSF_CHANNELS;
 		channels_unpack(bytes + PAYLOAD, frame->channels_us);
 		return true;
@@ -68,15 +63,19 @@ static bool crsf_decode(const uint8_t *bytes, struct crsf_frame *frame)
 	return false;
 }
 
-/* Terminates: each round removes at least one byte. The rest is shorter than the longest frame. */
-bool crsf_take(struct crsf *crsf, struct crsf_frame *frame)
+/* Terminates: each round removes at least one byte. The rest is shorter than the longest frame, or nothing after a
+ * pause. */
+bool crsf_take(struct crsf *crsf, bool paused, struct crsf_frame *frame)
 {
-	size_t from = 0, done;
+	size_t from = 0;
 	bool taken = false;
 
-	while (!taken && (done = crsf_check(crsf->bytes + from, crsf->count - from)) > 0) {
+	while (!taken && from < crsf->count) {
+		size_t done = crsf_check(crsf->bytes + from, crsf->count - from);
+		if (done == 0 && !paused)
+			break;
 		taken = done > 1 && crsf_decode(crsf->bytes + from, frame);
-		from += done;
+		from += done > 0 ? done : 1;
 	}
 	crsf->count = (uint8_t)(crsf->count - from);
 	if (from > 0)

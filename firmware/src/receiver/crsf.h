@@ -11,6 +11,7 @@
 
 #include "nf_contract.h"
 
+/* Empty when all is 0. */
 struct crsf {
 	uint8_t bytes[NF_CRSF_FRAME_BYTES_MAX];
 	uint8_t count;
@@ -28,15 +29,14 @@ struct crsf_frame {
 	uint8_t quality;                        /* of the uplink, 0..100 % */
 };
 
-/* Empty. Also called when the line has been silent for longer than a gap inside a frame can be. */
-void crsf_reset(struct crsf *crsf);
-
-/* Takes bytes until there may be a frame, at most `count`; returns how many. Then crsf_take is called until it returns
- * false; before that no more is taken. */
+/* Takes bytes until there may be a frame, at most `count`; returns how many. Before it, the first time as well,
+ * crsf_take is called until it returns false: until then no more is taken. */
 size_t crsf_put(struct crsf *crsf, const uint8_t *bytes, size_t count);
 
 /* Takes out the next whole frame of a kind above; returns whether there was one. One byte may complete several frames:
- * when a supposed frame is none, the search continues after its first byte. */
-bool crsf_take(struct crsf *crsf, struct crsf_frame *frame);
+ * when a supposed frame is none, the search continues after its first byte. So it does with `paused`, which says that
+ * the line has been silent for longer than a gap inside a frame can be, where a frame is incomplete: what such a one
+ * only seemed to begin may hide frames, whose channels would else be lost. Nothing is left when that returns false. */
+bool crsf_take(struct crsf *crsf, bool paused, struct crsf_frame *frame);
 
 #endif

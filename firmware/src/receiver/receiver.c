@@ -122,11 +122,11 @@ static void receiver_hear_quality(struct receiver *receiver, uint8_t percent)
 }
 
 /* Takes waiting frames up to the first with channels; returns whether there was one. */
-static bool receiver_take_crsf(struct receiver *receiver)
+static bool receiver_take_crsf(struct receiver *receiver, bool paused)
 {
 	struct crsf_frame frame;
 
-	while (crsf_take(&receiver->line.crsf, &frame)) {
+	while (crsf_take(&receiver->line.crsf, paused, &frame)) {
 		if (frame.kind == CRSF_CHANNELS) {
 			if (receiver->flagged > 0)
 				receiver_frame_heard(receiver, false);
@@ -143,60 +143,40 @@ static bool receiver_take_crsf(struct receiver *receiver)
 static bool receiver_read_crsf(struct receiver *receiver, const uint8_t **bytes, size_t *count)
 {
 	const uint8_t *at = *bytes, *const end = at + *count;
-	bool frame = receiver_take_crsf(receiver);
+	bool frame = receiver_take_crsf(receiver, false);
 
 	while (at < end && !frame) {
 		at += crsf_put(&receiver->line.crsf, at, (size_t)(end - at));
-		frame = receiver_take_crsf(receiver);
+		frame = receiver_take_crsf(receiver, false);
 	}
 	*bytes = at;
 	*count = (size_t)(end - at);
 	return frame;
 }
 
-/* MSP has its own serial line: bytes on this one are noise. */
-static bool receiver_read_nothing(struct receiver *receiver, const uint8_t **bytes, size_t *count)
+/* Silence separates frames: after a gap a frame that began before it is none. Returns whether one with channels came out
+ * of what is left. */
+static bool receiver_pause(struct receiver *receiver)
 {
-	(void)receiver;
-	*bytes += *count;
-	*count = 0;
+	if (receiver->protocol == NF_RECEIVER_PROTOCOL_CRSF)
+		return receiver_take_crsf(receiver, true);
+	sbus_reset(&receiver->line.sbus);
 	return false;
 }
 
-static void receiver_reset_nothing(struct receiver *receiver)
-{
-	(void)receiver;
-}
-
-static void receiver_reset_sbus(struct receiver *receiver)
-{
-	sbus_reset(&receiver->line.sbus);
-}
-
-static void receiver_reset_crsf(struct receiver *receiver)
-{
-	crsf_reset(&receiver->line.crsf);
-}
-
-static const struct protocol {
-	void (*reset)(struct receiver *receiver);
-	bool (*read)(struct receiver *receiver, const uint8_t **bytes, size_t *count);
-} protocols[] = {
-	[NF_RECEIVER_PROTOCOL_SBUS] = { receiver_reset_sbus, receiver_read_sbus },
-	[NF_RECEIVER_PROTOCOL_CRSF] = { receiver_reset_crsf, receiver_read_crsf },
-	[NF_RECEIVER_PROTOCOL_MSP] = { receiver_reset_nothing, receiver_read_nothing },
-};
-
 bool receiver_push(struct receiver *receiver, const uint8_t **bytes, size_t *count)
 {
-	const struct protocol *protocol = &protocols[receiver->protocol];
-
-	/* Silence separates frames: after a gap an incomplete frame is dropped. */
-	if (*count > 0 && receiver->silent >= receiver->gap_after)
-		protocol->reset(receiver);
+	if (receiver->silent >= receiver->gap_after && receiver_pause(receiver))
+		return true;
 	if (*count > 0)
 		receiver->silent = 0;
-	return protocol->read(receiver, bytes, count);
+	if (receiver->protocol == NF_RECEIVER_PROTOCOL_SBUS)
+		return receiver_read_sbus(receiver, bytes, count);
+	if (receiver->protocol == NF_RECEIVER_PROTOCOL_CRSF)
+		return receiver_read_crsf(receiver, bytes, count);
+	*bytes += *count; /* MSP has its own serial line: bytes on this one are noise */
+	*count = 0;
+	return false;
 }
 
 bool receiver_waits(const struct receiver *receiver)

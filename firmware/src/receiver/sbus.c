@@ -6,7 +6,7 @@
 
 #define FLAGS (NF_SBUS_FRAME_BYTES - 2)
 #define FOOTER (NF_SBUS_FRAME_BYTES - 1)
-#define FLAGS_UNUSED 0xF0u /* always 0 in a true frame */
+#define FLAGS_UNUSED 0xF0u /* always 0 in a true frame, as those of the footer are */
 _Static_assert(1 + CHANNELS_PACKED_BYTES == FLAGS, "header, channels, flags, footer");
 
 void sbus_reset(struct sbus *sbus)
@@ -21,20 +21,10 @@ static void sbus_decode(const uint8_t bytes[NF_SBUS_FRAME_BYTES], struct sbus_fr
 	frame->failsafe = bytes[FLAGS] & NF_SBUS_FLAG_FAILSAFE;
 }
 
-static bool sbus_ends(uint8_t footer)
-{
-	static const uint8_t numbered[NF_SBUS2_FOOTERS_COUNT] = NF_SBUS2_FOOTERS;
-	bool found = footer == NF_SBUS_FOOTER;
-
-	for (size_t i = 0; i < NF_SBUS2_FOOTERS_COUNT; ++i)
-		found |= footer == numbered[i];
-	return found;
-}
-
-/* The format has no checksum. The unused flags reveal most frames that begin a byte early or late. */
+/* The format has no checksum. The unused bits reveal most frames that begin a byte early or late. */
 static bool sbus_framed(const uint8_t bytes[NF_SBUS_FRAME_BYTES])
 {
-	return sbus_ends(bytes[FOOTER]) && (bytes[FLAGS] & FLAGS_UNUSED) == 0;
+	return (bytes[FOOTER] & NF_SBUS_FOOTER_UNUSED) == 0 && (bytes[FLAGS] & FLAGS_UNUSED) == 0;
 }
 
 /* Drops the first byte and all others before the next that can begin a frame. */

@@ -60,7 +60,7 @@ class Format:
 
 
 SBUS = Format(100_000, parity="E", stop_bits=2.0, inverted=True)
-CRSF = Format(420_000)
+CRSF = Format(416_666)
 
 
 class Usart(Device):

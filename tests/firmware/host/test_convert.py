@@ -73,7 +73,6 @@ def carried(scripted: Any, request: pytest.FixtureRequest) -> Callable[[list[int
     """Channels as they come through a frame of the protocol and the firmware's parser of it."""
     lib, wire = scripted.lib, scripted.new("uint8_t[26]")
     parser, frame = scripted.new(f"struct {request.param} *"), scripted.new(f"struct {request.param}_frame *")
-    getattr(lib, f"{request.param}_reset")(parser)
 
     def by_sbus(channels: list[int]) -> list[int]:
         assert lib.convert_frame(SBUS, channels, wire) == 25
@@ -85,9 +84,9 @@ def carried(scripted: Any, request: pytest.FixtureRequest) -> Callable[[list[int
         assert lib.convert_frame(CRSF, channels, wire) == 26
         taken = 0
         while taken < 26:
-            assert not lib.crsf_take(parser, frame)
+            assert not lib.crsf_take(parser, False, frame)
             taken += lib.crsf_put(parser, wire + taken, 26 - taken)
-        assert lib.crsf_take(parser, frame)
+        assert lib.crsf_take(parser, False, frame)
         assert frame.kind == lib.CRSF_CHANNELS
         return list(frame.channels_us)
 

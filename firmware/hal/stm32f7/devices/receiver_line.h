@@ -1,4 +1,4 @@
-/* The receiver's line: SBUS (inverted, 100 kbaud, 8E2) or CRSF (420 kbaud, 8N1). */
+/* The receiver's line: SBUS (inverted, 100 kbaud, 8E2) or CRSF (416,666 baud, 8N1). */
 #ifndef STM32F7_RECEIVER_LINE_H
 #define STM32F7_RECEIVER_LINE_H
 

@@ -47,7 +47,7 @@ def test_format_is_the_lines_when_set_by_registers(fast: Bench) -> None:
     usart = fast.hardware.usarts["USART2"]
     assert usart.format == SBUS
     assert SBUS.byte_cycles == 120 * 216
-    assert CRSF.byte_cycles == round(10 / 420_000 * 216e6)
+    assert CRSF.byte_cycles == round(10 / 416_666 * 216e6)
 
 
 def test_frame_lies_in_the_ring_when_its_time_has_passed(fast: Bench) -> None:
