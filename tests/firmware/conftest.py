@@ -495,9 +495,11 @@ class Program:
         fields = (contract.SIM_POWER_MAGIC, 0.0, volts, amps, control_us)
         self.send("power", struct.pack(contract.SIM_POWER_FORMAT, *fields))
 
-    def sticks(self, arm: int = 1000, throttle: int = 1000, roll: int = 1500, pid: int = 1500) -> None:
+    def sticks(
+        self, arm: int = 1000, throttle: int = 1000, roll: int = 1500, pid: int = 1500, time_s: float = 0.0
+    ) -> None:
         channels = [roll, 1500, throttle, 1500, arm, pid, *[1500] * 10]
-        self.send("receiver", struct.pack(contract.SIM_RECEIVER_FORMAT, 0.0, *channels))
+        self.send("receiver", struct.pack(contract.SIM_RECEIVER_FORMAT, time_s, *channels))
 
     def motors(self) -> tuple[float, ...]:
         return struct.unpack(contract.SIM_MOTOR_FORMAT, self.motor.recv(100))

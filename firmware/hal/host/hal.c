@@ -35,13 +35,14 @@ static struct host {
 	bool deaf;                   /* receiver packets came, but no protocol for them is set */
 	unsigned long bad;           /* samples whose rate was NaN */
 	sigset_t while_waiting;      /* signals let through only there */
-	uint64_t answered_ns;        /* when the last state packet was answered */
+	uint64_t answered_ns;        /* when motors were sent last; 0: never */
 	bool spins;                  /* the packet before it came within SPIN_NS of an answer */
 } host;
 
 /* A simulator that sends its next packet so soon after the answer is awaited without sleeping: a wake-up takes as long as
  * a sample does. A simulator that keeps to real time never does. */
 #define SPIN_NS 50000
+#define LINK_SOCKETS 3 /* of the simulator: state, receiver, power */
 #define LOOK_NS 500000 /* between two looks at signals and MSP while packets are awaited so */
 
 /* The longest silence that is counted: a longer one has the same effect. */
@@ -172,7 +173,7 @@ static void host_say_deaf(void)
 	host.deaf = true;
 }
 
-/* Takes the receiver and power packets that arrived before a state packet. */
+/* Takes the receiver and power packets that have arrived. */
 static void host_take_receiver_and_power(void)
 {
 	uint16_t channels_us[NF_CHANNEL_COUNT];
@@ -206,6 +207,20 @@ static bool host_step(const struct hal_handlers *handlers)
 	return true;
 }
 
+/* A simulator that awaits motors before it tells its state, or lost a packet, would wait as long as we do. Returns how
+ * long it is until the motors are due again without a state packet; call it when that has passed. */
+static struct timespec host_call(void)
+{
+	const uint64_t period_ns = host.options.motor_ms * 1000000ull, now_ns = host_now_ns();
+
+	if (now_ns - host.answered_ns >= period_ns) {
+		link_send_motors(&host.link, host.board.dshot, POLICY_ACTION_COUNT);
+		host.answered_ns = now_ns;
+	}
+	const uint64_t left_ns = host.answered_ns + period_ns - now_ns;
+	return (struct timespec){ (time_t)(left_ns / 1000000000u), (long)(left_ns % 1000000000u) };
+}
+
 /* Answers state packets for LOOK_NS at most, as long as each comes within SPIN_NS of the answer before. Meanwhile the
  * processor is lent to whoever needs it. */
 static void host_spin(const struct hal_handlers *handlers)
@@ -236,6 +251,9 @@ static void host_print_problems(void)
 {
 	if (host.link.ignored > 0)
 		fprintf(stderr, "neuroflight: ignored %lu packets of a wrong size\n", host.link.ignored);
+	if (host.link.late > 0)
+		fprintf(stderr, "neuroflight: dropped %lu receiver packets that came behind a newer one\n",
+			host.link.late);
 	if (host.bad > 0)
 		fprintf(stderr, "neuroflight: %lu gyro samples were NaN\n", host.bad);
 }
@@ -248,13 +266,20 @@ int hal_run(const struct hal_handlers *handlers, const struct nf_settings *setti
 	int code = host_print_ready() ? 0 : 1;
 
 	while (!ended && code == 0) {
-		const struct timespec now = { 0 };
-		struct pollfd wait[1 + MSP_TCP_SOCKETS] = { { .fd = host.link.state, .events = POLLIN } };
+		struct timespec limit = { 0 };
+		struct pollfd wait[LINK_SOCKETS + MSP_TCP_SOCKETS] = {
+			{ .fd = host.link.state, .events = POLLIN },
+			{ .fd = host.link.receiver, .events = POLLIN },
+			{ .fd = host.link.power, .events = POLLIN },
+		};
 		bool called = false;
 
 		host_spin(handlers);
-		msp_tcp_await(&host.tcp, wait + 1);
-		if (ppoll(wait, sizeof wait / sizeof wait[0], host.spins ? &now : NULL, &host.while_waiting) < 0) {
+		msp_tcp_await(&host.tcp, wait + LINK_SOCKETS);
+		if (!host.spins && host.options.motor_ms > 0)
+			limit = host_call();
+		const bool limited = host.spins || host.options.motor_ms > 0;
+		if (ppoll(wait, sizeof wait / sizeof wait[0], limited ? &limit : NULL, &host.while_waiting) < 0) {
 			if (errno == EINTR)
 				continue;
 			fprintf(stderr, "neuroflight: cannot wait for packets: %s\n", strerror(errno));
@@ -265,8 +290,11 @@ int hal_run(const struct hal_handlers *handlers, const struct nf_settings *setti
 			host.spins = host_now_ns() - host.answered_ns < SPIN_NS;
 			host_step(handlers);
 		}
-		for (unsigned i = 1; i <= MSP_TCP_SOCKETS; ++i)
-			called |= wait[i].revents != 0;
+		/* Before their socket is full: it keeps the oldest packets, and what counts is the newest. */
+		if (wait[1].revents || wait[2].revents)
+			host_take_receiver_and_power();
+		for (unsigned i = 0; i < MSP_TCP_SOCKETS; ++i)
+			called |= wait[LINK_SOCKETS + i].revents != 0;
 		if (called)
 			msp_tcp_serve(&host.tcp, handlers);
 	}

@@ -3,6 +3,7 @@
 
 #include <arpa/inet.h>
 #include <errno.h>
+#include <math.h>
 #include <netinet/in.h>
 #include <stdio.h>
 #include <string.h>
@@ -16,6 +17,7 @@ _Static_assert(__BYTE_ORDER__ == __ORDER_LITTLE_ENDIAN__, "packets are read and 
 #define MOTOR_PACKET_MOTORS 4
 #define SERVO_PACKET_MOTORS 16
 #define PACKET_MAX 256 /* longer than any good packet, so that a longer one shows */
+#define LATE_MAX_S 1.0 /* no packet is so long on its way over loopback */
 
 /* The packets of toolchain/contract/simulator_link.py. */
 struct state_packet {
@@ -77,6 +79,7 @@ bool link_open(struct link *link, const struct options *options)
 		.state = -1,
 		.receiver = -1,
 		.power = -1,
+		.heard_s = (double)NAN,
 		.motor_port = options->motor_port,
 		.servo_port = options->servo_port,
 		.trace_port = options->trace_port,
@@ -116,6 +119,14 @@ static size_t link_take(int bound, uint8_t packet[PACKET_MAX])
 	return size < 0 ? 0 : size == 0 ? 1 : (size_t)size;
 }
 
+/* Whoever sends such packets may wait for answers: the first is told at once. */
+static void link_ignore(struct link *link, const char *name, size_t size, size_t expected)
+{
+	if (link->ignored++ == 0)
+		fprintf(stderr, "neuroflight: a %s packet of %zu bytes, expected %zu: ignored, as all such will be\n",
+			name, size, expected);
+}
+
 bool link_take_state(struct link *link, struct link_state *state)
 {
 	uint8_t bytes[PACKET_MAX];
@@ -123,7 +134,8 @@ bool link_take_state(struct link *link, struct link_state *state)
 	const size_t size = link_take(link->state, bytes);
 
 	if (size != sizeof packet) {
-		link->ignored += size > 0;
+		if (size > 0)
+			link_ignore(link, "state", size, sizeof packet);
 		return false;
 	}
 	memcpy(&packet, bytes, sizeof packet);
@@ -139,12 +151,18 @@ bool link_take_receiver(struct link *link, uint16_t channels_us[NF_CHANNEL_COUNT
 	struct receiver_packet packet;
 
 	for (size_t size; (size = link_take(link->receiver, bytes)) > 0;) {
-		if (size == sizeof packet) {
-			memcpy(&packet, bytes, sizeof packet);
-			memcpy(channels_us, packet.channels_us, sizeof packet.channels_us);
-			return true;
+		if (size != sizeof packet) {
+			link_ignore(link, "receiver", size, sizeof packet);
+			continue;
 		}
-		++link->ignored;
+		memcpy(&packet, bytes, sizeof packet);
+		if (packet.time_s < link->heard_s && packet.time_s > link->heard_s - LATE_MAX_S) {
+			++link->late;
+			continue;
+		}
+		link->heard_s = packet.time_s;
+		memcpy(channels_us, packet.channels_us, sizeof packet.channels_us);
+		return true;
 	}
 	return false;
 }
@@ -162,7 +180,7 @@ bool link_take_power(struct link *link, struct link_power *power)
 			power->control_us = (double)packet.control_us;
 			return true;
 		}
-		++link->ignored;
+		link_ignore(link, "power", size, sizeof packet);
 	}
 	return false;
 }
