@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from flash import messages, records
 from flash.client import Client, RefusedError
 from flash.hints import betaflight_reasons
-from flash.messages import ApiVersion, BoardInfo, BuildInfo, PolicyInfo
+from flash.messages import ApiVersion, BoardInfo, BuildInfo, Identity, PolicyInfo
 from toolchain.contract import MSP_API_MAJOR, MSP_PROTOCOL_VERSION, Msp
 from toolchain.errors import LinkError
 
@@ -29,13 +29,23 @@ class Info:
     policy: PolicyInfo | None  # None from a firmware of another make
 
 
-def is_ours(client: Client) -> bool:
-    """Whether it is this project's firmware, whatever FC_VARIANT says. Raises LinkError."""
+def own_identity(client: Client) -> Identity | None:
+    """Read who a firmware of this project is; None from one of another make. Raises LinkError."""
     try:
-        client.request(Msp.IDENTITY)
+        return messages.identity(client.request(Msp.IDENTITY))
     except RefusedError:
-        return False
-    return True
+        return None
+
+
+def is_ours(client: Client) -> bool:
+    """Return True if it is this project's firmware. Raises LinkError."""
+    return own_identity(client) is not None
+
+
+def version_of(client: Client) -> str:
+    """Read its own version, as FC_VERSION of ours tells Betaflight's. Raises LinkError."""
+    own = own_identity(client)
+    return own.version if own is not None else messages.fc_version(client.request(Msp.FC_VERSION))
 
 
 def check_ours(client: Client, consequence: str) -> None:
@@ -63,15 +73,15 @@ def check_api(client: Client) -> ApiVersion:
 def read_info(client: Client) -> Info:
     """Read a firmware's identity and state. Raises LinkError."""
     api = check_api(client)
-    ours = is_ours(client)
+    own = own_identity(client)
     extended = messages.status_ex(client.request(Msp.STATUS_EX))
-    if ours:
+    if own is not None:
         reasons = messages.arming_reasons(records.safety(client.request(Msp.SAFETY)).arming_flags)
     else:
         reasons = betaflight_reasons(extended.arming_flags, extended.arming_flag_count)
     return Info(
         variant=messages.fc_variant(client.request(Msp.FC_VARIANT)),
-        version=messages.fc_version(client.request(Msp.FC_VERSION)),
+        version=own.version if own is not None else messages.fc_version(client.request(Msp.FC_VERSION)),
         api=api,
         board=messages.board_info(client.request(Msp.BOARD_INFO)),
         build=messages.build_info(client.request(Msp.BUILD_INFO)),
@@ -80,5 +90,5 @@ def read_info(client: Client) -> Info:
         control_period_us=extended.status.cycle_time_us,
         armed=extended.status.armed,
         arming_reasons=reasons,
-        policy=messages.policy_info(client.request(Msp.POLICY_INFO)) if ours else None,
+        policy=messages.policy_info(client.request(Msp.POLICY_INFO)) if own is not None else None,
     )

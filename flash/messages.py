@@ -1,6 +1,6 @@
 """Decodes the replies: payload bytes in, frozen dataclasses out.
 
-Layouts are those of Betaflight's MSP at API 1.46, little-endian; POLICY_INFO and those of flash/records.py
+Layouts are those of Betaflight's MSP at API 1.47, little-endian; POLICY_INFO and those of flash/records.py
 are this project's own. MSP grows at a payload's end, so bytes after the known ones are ignored and missing
 ones refused.
 """
@@ -14,6 +14,8 @@ from enum import IntEnum
 from flash import records, requests
 from flash.payload import Reader
 from toolchain.contract import MSP_MODE_ARMED, MSP_POLICY_NONE, ArmingReason, Mix, Msp
+
+FIRST_YEAR = 10  # of FC_VERSION: from here on its first number counts years, as Betaflight's app takes it
 
 
 @dataclass(frozen=True)
@@ -82,7 +84,7 @@ class RawImu:
     """Sensors as whole numbers, each (x, y, z); zeros for a sensor that is not there."""
 
     acceleration: tuple[int, int, int]  # counts, the scale depends on the board
-    gyro: tuple[int, int, int]  # deg/s
+    gyro: tuple[int, int, int]  # counts, the scale depends on the firmware
     magnetometer: tuple[int, int, int]  # counts
 
 
@@ -165,8 +167,28 @@ def fc_variant(payload: bytes) -> str:
 
 
 def fc_version(payload: bytes) -> str:
-    """Decode FC_VERSION, as `major.minor.patch`."""
-    return ".".join(str(part) for part in Reader(Msp.FC_VERSION, payload).fields("3B"))
+    """Decode FC_VERSION: `major.minor.patch`, or where that is a year and a month the text behind it."""
+    reader = Reader(Msp.FC_VERSION, payload)
+    numbers = reader.fields("3B")
+    return reader.counted_text() if numbers[0] >= FIRST_YEAR else ".".join(map(str, numbers))
+
+
+@dataclass(frozen=True)
+class Identity:
+    """What a firmware of this project is, whatever FC_VARIANT and FC_VERSION say."""
+
+    firmware: str
+    version: str
+    target: str
+
+
+def identity(payload: bytes) -> Identity:
+    """Decode IDENTITY up to the target."""
+    reader = Reader(Msp.IDENTITY, payload)
+    firmware = reader.counted_text()
+    version = ".".join(str(part) for part in reader.fields("3B"))
+    reader.fields("BB")  # the API, which API_VERSION tells too
+    return Identity(firmware, version, reader.counted_text())
 
 
 def board_info(payload: bytes) -> BoardInfo:

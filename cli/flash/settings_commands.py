@@ -110,13 +110,14 @@ def dump(args: argparse.Namespace) -> int:
 
 def _print_lines(args: argparse.Namespace, wanted: Callable[[Stored], bool]) -> int:
     from flash import messages
+    from flash.info import version_of
     from flash.setting_text import set_line
     from flash.settings import Settings, in_order
     from toolchain.contract import Msp
 
     with connect(args) as client:
         board = messages.board_info(client.request(Msp.BOARD_INFO))
-        version = messages.fc_version(client.request(Msp.FC_VERSION))
+        version = version_of(client)
         found = {stored.name: stored.value for stored in Settings(client).read() if wanted(stored)}
     if args.json:
         print_json({name: _plain(name, value) for name, value in found.items()})

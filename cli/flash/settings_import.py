@@ -22,6 +22,7 @@ def import_(args: argparse.Namespace) -> int:
     from flash.betaflight.plan import fitted, needed
     from flash.betaflight.planner import make_plan
     from flash.image.settings_kept import write_backup
+    from flash.info import version_of
     from flash.settings import Settings
     from toolchain.contract import Msp
 
@@ -37,8 +38,8 @@ def import_(args: argparse.Namespace) -> int:
             print("nothing is changed" + (": a dry run" if args.dry_run else "; all of it is so already"))
             return 0
         if args.backup is not None:
-            version = messages.fc_version(client.request(Msp.FC_VERSION))
-            write_backup(args.backup, board, str(version), present)
+            version = version_of(client)
+            write_backup(args.backup, board, version, present)
         if not args.yes:
             confirm(client, f"set and store {_count(len(changes), 'setting')}")
         settings.change(changes, save=True)

@@ -9,7 +9,6 @@ from flash.client import Client, RefusedError
 from flash.image.messages import Banks, image_info
 from flash.info import check_api
 from flash.messages import BatteryLevel, BatteryState
-from flash.payload import Reader
 from flash.policy.slots import Policies, read_policies
 from toolchain.contract import IMAGE_LAYOUT, MSP_FIRMWARE, Msp
 from toolchain.errors import LinkError
@@ -64,13 +63,12 @@ def _check_is_ours(client: Client) -> tuple[str, str]:
             f"{client.name}: {_other_firmware(client)}, expected {MSP_FIRMWARE}; {_RESCUE} if this is a "
             "board that it is meant for"
         ) from None
-    reader = Reader(Msp.IDENTITY, payload)
-    firmware = reader.counted_text()
-    if firmware != MSP_FIRMWARE:
-        raise LinkError(f"{client.name}: a firmware that calls itself {firmware!r}, expected {MSP_FIRMWARE}")
-    version = ".".join(str(part) for part in reader.fields("3B"))
-    reader.fields("BB")
-    return reader.counted_text(), version
+    told = messages.identity(payload)
+    if told.firmware != MSP_FIRMWARE:
+        raise LinkError(
+            f"{client.name}: a firmware that calls itself {told.firmware!r}, expected {MSP_FIRMWARE}"
+        )
+    return told.target, told.version
 
 
 def _other_firmware(client: Client) -> str:

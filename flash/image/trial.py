@@ -12,6 +12,7 @@ from flash.hints import FAULTS
 from flash.image.files import Image, bank_name
 from flash.image.messages import Banks, image_info
 from flash.image.update import Clock, hash_of
+from flash.info import version_of
 from flash.messages import PolicyInfo
 from flash.restart import opened
 from flash.transport import Transport
@@ -78,7 +79,7 @@ def await_image(
 
 def _judge(client: Client, image: Image, banks: Banks, clock: Clock) -> Trial:
     policy = messages.policy_info(client.request(Msp.POLICY_INFO))
-    version = messages.fc_version(client.request(Msp.FC_VERSION))
+    version = version_of(client)
 
     def ended(ending: Ending, why: str) -> Trial:
         return Trial(ending, why, version, policy)

@@ -9,7 +9,7 @@ from functools import cached_property
 from flash import messages, records, requests
 from flash.channels import receiver
 from flash.client import Client, NoAnswerError, RefusedError
-from flash.info import check_api, is_ours
+from flash.info import check_api, is_ours, version_of
 from flash.mavlink.parameters import Parameter, parameter_list
 from flash.mavlink.sticks import Sticks, sticks_of
 from flash.mavlink.telemetry import Vehicle
@@ -47,7 +47,7 @@ class Firmware:
         values: dict[str, Value] = {one.name: one.value for one in stored}
         self._values = values
         self.policy: PolicyInfo = messages.policy_info(client.request(Msp.POLICY_INFO))
-        version = messages.fc_version(client.request(Msp.FC_VERSION)).split(".")
+        version = version_of(client).split(".")
         self.vehicle = Vehicle(
             motor_count=self.policy.action_count,
             version=(int(version[0]), int(version[1]), int(version[2])),

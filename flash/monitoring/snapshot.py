@@ -9,10 +9,13 @@ from flash.client import Client
 from flash.info import Info
 from flash.overview import Overview, read_overview
 from flash.records import Tasks
-from toolchain.contract import CHANNEL_COUNT, Msp
+from toolchain.contract import CHANNEL_COUNT, GYRO_COUNTS, GYRO_FULL_SCALE_DEG_S, MSP_GYRO_COUNTS, Msp
 
 # MSP tells the channels in this order, whatever the receiver's is.
 CHANNELS = ("roll", "pitch", "yaw", "throttle", *(f"aux{n}" for n in range(1, CHANNEL_COUNT - 3)))
+
+GYRO_COUNTS_SINCE = 47  # minor of the API at which this project's RAW_IMU has counts; before, deg/s
+BETAFLIGHT_GYRO_COUNTS = GYRO_COUNTS / GYRO_FULL_SCALE_DEG_S  # a deg/s: the chip's, read in 4.6 and 2025.12
 
 
 @dataclass(frozen=True)
@@ -34,11 +37,21 @@ def read_snapshot(client: Client, info: Info) -> Snapshot:
     count = info.policy.action_count if info.policy is not None else None
     return Snapshot(
         overview=overview,
-        rates_deg_s=messages.raw_imu(client.request(Msp.RAW_IMU)).gyro,
+        rates_deg_s=_rates(messages.raw_imu(client.request(Msp.RAW_IMU)).gyro, info),
         channels_us=dict(zip(CHANNELS, widths, strict=False)),
         motors_us=_there(messages.motor(client.request(Msp.MOTOR)), count),
         tasks=records.tasks(client.request(Msp.TASKS)) if ours else None,
     )
+
+
+def _rates(counts: tuple[int, int, int], info: Info) -> tuple[int, int, int]:
+    """Scale a gyro's counts to deg/s."""
+    if info.policy is None:
+        scale = BETAFLIGHT_GYRO_COUNTS
+    else:
+        scale = MSP_GYRO_COUNTS if info.api.minor >= GYRO_COUNTS_SINCE else 1.0
+    roll, pitch, yaw = (round(count / scale) for count in counts)
+    return roll, pitch, yaw
 
 
 def _there(outputs: tuple[int, ...], count: int | None) -> tuple[int, ...]:

@@ -110,7 +110,7 @@ def test_yamspy_reads_who_and_how_it_is_when_it_opens_the_pseudo_terminal(
     with serial.Serial(board.port, 115_200, timeout=5) as line:
         peer.conn = line
         peer.basic_info()
-    assert peer.CONFIG["apiVersion"] == "1.46.0"
+    assert peer.CONFIG["apiVersion"] == "1.47.0"
     assert peer.CONFIG["flightControllerIdentifier"] == "BTFL"
     assert peer.CONFIG["boardIdentifier"] == "S7X2"
 

@@ -49,8 +49,8 @@ def test_every_reply_is_found_when_something_else_comes_before_it(
 ) -> None:
     with fast_client(pty_line(resting_host, up=lambda data: before + data)) as client:
         for _ in range(3):
-            assert messages.api_version(client.request(Msp.API_VERSION)).minor == 46
-            assert client.request(Msp.FC_VERSION) == b"\x00\x01\x00"
+            assert messages.api_version(client.request(Msp.API_VERSION)).minor == 47
+            assert client.request(Msp.FC_VERSION) == b"\x19\x0c\x00\x092025.12.0"
 
 
 def test_the_lines_own_echo_is_no_reply_when_it_comes_first(resting_host: str, pty_line: LayLine) -> None:

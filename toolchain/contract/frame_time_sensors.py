@@ -28,8 +28,8 @@ class GyroIdentity(IntEnum):
     MPU9250 = 0x71
 
 
-# The same chips in the numbers of the ecosystem's app, as its versions up to MSP API 1.47 know them; 0: any.
-MSP_GYRO_HARDWARE = (7, 13, 10, 9, 11, 8)
+# The same chips in the ecosystem's numbers at MSP API 1.47, which left two chips out; 0: any.
+MSP_GYRO_HARDWARE = (5, 11, 8, 7, 9, 6)
 GYRO_FULL_SCALE_DEG_S = 2000  # +-2000 deg/s over int16
 GYRO_COUNTS = 32768  # counts at full scale: 16.384 LSB per deg/s
 GYRO_SATURATED_COUNTS = 32760  # from here on to either side the rate may be any

@@ -143,7 +143,10 @@ class Msp(IntEnum):
 
 
 MSP_PROTOCOL_VERSION = 0
-MSP_API_MAJOR, MSP_API_MINOR = 1, 46
+MSP_API_MAJOR, MSP_API_MINOR = 1, 47
+# The release of the ecosystem's firmware that has this API. FC_VERSION and logs tell it, as programs choose
+# by it how they read us; our own version is in IDENTITY, BOARD_INFO and GET_TEXT. Years count from 2000.
+MSP_RELEASE, MSP_RELEASE_NUMBERS = "2025.12.0", (25, 12, 0)
 MSP_VARIANT = "NRFL"  # the setting msp_variant chooses which of the two FC_VARIANT tells
 MSP_VARIANT_BETAFLIGHT = "BTFL"
 MSP_FIRMWARE = "Neuroflight"  # that IDENTITY tells
@@ -152,6 +155,9 @@ MSP_FIRMWARE = "Neuroflight"  # that IDENTITY tells
 MSP_PID_SCALES = (0.032029, 0.244381, 0.000529)
 MSP_PID_SUM = 1000
 MSP_FEATURE_RX_SERIAL, MSP_FEATURE_MOTOR_STOP, MSP_FEATURE_RX_MSP, MSP_FEATURE_AIRMODE = 3, 4, 14, 22  # bits
+# Counts of RAW_IMU: what the ecosystem's app takes for 1 deg/s (16.4 / 4) and, since API 1.46, for 1 g. Its
+# firmware tells 16.4 a deg/s, so that the app shows four times the rate.
+MSP_GYRO_COUNTS, MSP_ACCELERATION_COUNTS = 4.1, 2048.0
 MSP_PROVIDER_SBUS, MSP_PROVIDER_CRSF = 2, 9
 MSP_RATES_BETAFLIGHT, MSP_RATES_ACTUAL = 0, 3
 MSP_ADJUSTMENT_SLOTS = 30  # all unused
@@ -169,6 +175,7 @@ MSP_IMAGE_FITS, MSP_IMAGE_NUMBERED, MSP_IMAGE_CONFIRMED, MSP_IMAGE_REJECTED, MSP
     1 << bit for bit in range(5)
 )
 VERSION = (0, 1, 0)
+VERSION_TEXT = ".".join(map(str, VERSION))
 CRC8_DVB_S2_POLY = 0xD5
 
 

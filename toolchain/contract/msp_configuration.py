@@ -111,12 +111,12 @@ _RECEIVER = (
         *zeros("u8", "spi_channels camera_angle"),
         bound("u8", "interpolation_channels", unused()),
         bound("u8", "smoothing_type", unused()),
-        *zeros("u8", "smoothing_setpoint_hz smoothing_feedforward_hz"),
-        bound("u8", "smoothing_setpoint_type", unused()),
+        *zeros("u8", "smoothing_setpoint_hz smoothing_throttle_hz smoothing_throttle_auto_factor"),
         bound("u8", "smoothing_derivative_type", unused()),
         *zeros("u8", "usb_hid smoothing_auto_factor"),
         bound("u8", "smoothing", scaled("interpolation"), "", "a ramp between two frames"),
         bound("u8", "elrs_uid", constant(0), count=6),
+        *zeros("u8", "elrs_model"),
     ),
     pair(
         Msp.RX_MAP,
@@ -140,7 +140,7 @@ _RECEIVER = (
         Msp.FAILSAFE_CONFIG,
         Msp.SET_FAILSAFE_CONFIG,
         bound("u8", "delay", scaled("failsafe_delay_ms", 0.01), "0.1 s", "from the last frame to the stage"),
-        bound("u8", "off_delay", scaled("failsafe_descend_ms", 0.01), "0.1 s", "then the motors stop"),
+        bound("u8", "off_delay", scaled("failsafe_descend_ms", 0.001), "s", "then the motors stop"),
         bound("u16", "throttle", scaled("failsafe_throttle", 1000, 1000), "us", "while descending"),
         *zeros("u8", "switch_mode"),
         *zeros("u16", "throttle_low_delay"),
@@ -178,28 +178,33 @@ _MOTOR_REST = (bound("u8", "poles", constant(MOTOR_POLES)), *zeros("u8", "dshot_
 _ALIGNMENT = (
     bound(
         "u8",
-        "gyro_1_align",
+        "gyro_align",
         scaled("gyro_alignment"),
         "",
         "0 the board's, 1 to 4: turned by 0, 90, 180, 270 deg",
     ),
-    *zeros("u8", "gyro_2_align"),
+    told("u8", "acc_align", scaled("gyro_alignment"), "", "as gyro_align: one chip has both"),
+    *zeros("u8", "mag_align"),
 )
-_OLD_ALIGNMENT = (
-    told("u8", "gyro_align", scaled("gyro_alignment"), "", "as gyro_1_align, which counts"),
-    *zeros("u8", "acc_align mag_align"),
+# Up to API 1.46 a SET had three bytes behind these, which say nothing here.
+_ALIGNMENT_REST = (
+    bound("u8", "gyros_enabled", unused(1), "bits"),
+    bound("i16", "mag_roll", unused(), "0.1 deg"),
+    bound("i16", "mag_pitch", unused(), "0.1 deg"),
+    bound("i16", "mag_yaw", unused(), "0.1 deg"),
 )
 _GYRO = bound(
     "u8",
     "gyro_hardware",
     source(MspSource.GYRO_HARDWARE),
     "",
-    "7 MPU6500, 8 MPU9250, 9 ICM20601, 10 ICM20602, 11 ICM20608G, 13 ICM20689, 0 another",
+    "5 MPU6500, 6 MPU9250, 7 ICM20601, 8 ICM20602, 9 ICM20608G, 11 ICM20689, 0 another",
 )
 _SENSORS = (
     bound("u8", "acc_hardware", constant(PRESENT), "", "0 any, 1 none"),
     bound("u8", "baro_hardware", constant(ABSENT_PART)),
     bound("u8", "mag_hardware", constant(ABSENT_PART)),
+    *zeros("u8", "range_finder_hardware optical_flow_hardware"),
 )
 _BLACKBOX = (
     bound("u8", "device", choice("blackbox_device", 0, 3, 2), "", "0 none, 2 SD card, 3 serial"),
@@ -233,6 +238,7 @@ _GENERAL = (
         *zeros("u8", "auto_disarm_delay"),
         bound("u8", "kill_switch", unused()),
         bound("u8", "small_angle", source(MspSource.SMALL_ANGLE), "deg", "tilt that arming allows; 180: any"),
+        *zeros("u8", "calibrate_on_first_arm"),
     ),
     Configuration(
         reply(Msp.ADVANCED_CONFIG, *_ADVANCED, bound("u8", "debug_modes", constant(1))),
@@ -277,20 +283,14 @@ _GENERAL = (
     Configuration(
         reply(
             Msp.SENSOR_ALIGNMENT,
-            *_OLD_ALIGNMENT,
-            bound("u8", "gyros_found", constant(1), "bits"),
-            *zeros("u8", "gyro_to_use"),
             *_ALIGNMENT,
+            bound("u8", "gyros_found", constant(1), "bits"),
+            *_ALIGNMENT_REST,
         ),
-        request(
-            Msp.SET_SENSOR_ALIGNMENT, *_OLD_ALIGNMENT, *zeros("u8", "gyro_to_use"), *_ALIGNMENT, required=1
-        ),
+        request(Msp.SET_SENSOR_ALIGNMENT, *_ALIGNMENT, *_ALIGNMENT_REST, required=1),
         read_first=True,
     ),
-    Configuration(
-        reply(Msp.SENSOR_CONFIG, *_SENSORS, *zeros("u8", "sonar_hardware")),
-        request(Msp.SET_SENSOR_CONFIG, *_SENSORS, *zeros("u8", "sonar_hardware"), required=1),
-    ),
+    pair(Msp.SENSOR_CONFIG, Msp.SET_SENSOR_CONFIG, *_SENSORS),
     pair(Msp.COMPASS_CONFIG, Msp.SET_COMPASS_CONFIG, *zeros("i16", "declination")),
     pair(Msp.ACC_TRIM, Msp.SET_ACC_TRIM, *zeros("i16", "pitch roll")),
     read_only(Msp.SONAR, bound("i32", "distance", constant(-1), "cm", "-1: there is no range finder")),
@@ -301,12 +301,7 @@ _GENERAL = (
     ),
     read_only(Msp.PID_CONTROLLER, *zeros("u8", "controller")),
     read_only(Msp.DEBUG, bound("u16", "values", constant(0), count=8)),
-    read_only(
-        Msp.SENSOR_CONFIG_ACTIVE,
-        _GYRO,
-        *_SENSORS,
-        *zeros("u8", "sonar_hardware"),
-    ),
+    read_only(Msp.SENSOR_CONFIG_ACTIVE, _GYRO, *_SENSORS),
     read_only(Msp.GYRO_SENSOR, bound("u8", "gyros", constant(1)), _GYRO),
     read_only(Msp.DATAFLASH_SUMMARY, *zeros("u8", "flags"), *zeros("u32", "sectors total_size used_size")),
     read_only(

@@ -1,6 +1,6 @@
 """Layouts of the MSP messages that are no configuration by settings alone, and of all together.
 
-Those of the ecosystem are as at API 1.46; those from 0x4E00 on are this project's.
+Those of the ecosystem are as at API 1.47; those from 0x4E00 on are this project's.
 """
 
 from __future__ import annotations
@@ -48,7 +48,11 @@ def _array(kind: str, name: str, count: int, unit: str = "", meaning: str = "") 
 _IDENTITY = (
     reply(Msp.API_VERSION, *numbers("u8", "protocol major minor")),
     reply(Msp.FC_VARIANT, _text("variant", 4, "as the setting msp_variant says")),
-    reply(Msp.FC_VERSION, *numbers("u8", "major minor patch")),
+    reply(
+        Msp.FC_VERSION,
+        *numbers("u8", "year month patch"),
+        _counted("release", "of Betaflight, that has this API"),
+    ),
     reply(
         Msp.BOARD_INFO,
         _text("board", 4),
@@ -87,7 +91,10 @@ _IDENTITY = (
         meaning="who this is, whatever FC_VARIANT says",
     ),
     reply(Msp.MCU_INFO, number("u8", "mcu", "", "255: not told"), _counted("name")),
-    request(Msp.GET_TEXT, number("u8", "kind", "", "1 pilot, 2 craft, 3 PID profile, 4 rate profile")),
+    request(
+        Msp.GET_TEXT,
+        number("u8", "kind", "", "1 pilot, 2 craft, 3 PID profile, 4 rate profile, 6 firmware and policy"),
+    ),
     reply(Msp.GET_TEXT, number("u8", "kind"), _counted("text")),
     request(Msp.SET_TEXT, number("u8", "kind"), _counted("text", f"at most {SETTING_TEXT_BYTES} characters")),
 )
@@ -107,14 +114,15 @@ _ARMING = (
     number("u32", "arming_flags", "bits", "the ecosystem's numbers, see Numbers"),
     number("u8", "configuration_state", "bits"),
     number("u16", "core_temperature", "deg C"),
+    number("u8", "rate_profiles"),
 )
 _LIVE = (
     reply(Msp.STATUS, *_STATUS, number("u16", "gyro_cycle_time", _US), *_ARMING),
     reply(Msp.STATUS_EX, *_STATUS, *numbers("u8", "profiles rate_profile"), *_ARMING),
     reply(
         Msp.RAW_IMU,
-        _array("i16", "acceleration", 3, "1/512 g"),
-        _array("i16", "gyro", 3, "deg/s"),
+        _array("i16", "acceleration", 3, "1/2048 g"),
+        _array("i16", "gyro", 3, "4/16.4 deg/s"),
         _array("i16", "magnetometer", 3),
     ),
     reply(Msp.MOTOR, _array("u16", "motors", MOTOR_COUNT_MAX, _US, "1000 stopped, 0: there is none")),

@@ -166,6 +166,7 @@ TUNING = (
         bound("u8", "throttle_limit_percent", constant(100), "%"),
         *(bound("u16", f"{axis}_rate_limit", constant(RATE_LIMIT), "deg/s") for axis in AXES),
         bound("u8", "type", source(MspSource.RATES_TYPE), "", "0 Betaflight, 3 actual"),
+        bound("u8", "throttle_hover", constant(50), "%"),
     ),
     pair(Msp.FILTER_CONFIG, Msp.SET_FILTER_CONFIG, *_FILTERS),
     pair(Msp.SIMPLIFIED_TUNING, Msp.SET_SIMPLIFIED_TUNING, *_SLIDERS),

@@ -112,10 +112,11 @@ class ArmingReason(IntEnum):
 
 
 ARMING_REASON_COUNT = max(ArmingReason) + 1  # bits that a field of reasons takes
-# Bit of each reason, by its number, in the flags of STATUS and STATUS_EX. Up to 24 they are the ecosystem's:
-# its programs show their names; an image on probation is in its boot grace. 25 no controller, 26 battery,
-# 27 fault, 28 storing, 29 a setting, 30 clock.
-ARMING_FLAGS = (9, 12, 2, 7, 3, 25, 0, 8, 26, 27, 6, 16, 28, 25, 25, 29, 30, 11, 16, 13, 9, 27, 29)
+# Bit of each reason, by its number, in the flags of STATUS and STATUS_EX. Up to 27 they are the ecosystem's
+# at MSP API 1.47, whose programs show their names; an image on probation and a flash that is written count as
+# in their boot grace: both end by themselves. 28 the board: a fault, its image, its clock. 29 the battery or
+# a setting. 30 no controller.
+ARMING_FLAGS = (9, 12, 2, 7, 3, 30, 0, 8, 29, 28, 6, 16, 9, 30, 30, 29, 28, 11, 16, 13, 9, 28, 29)
 # What beeper and LED count while the arm switch is on and a reason holds, by its number: what the pilot does
 # about it. The highest is told. 0: told otherwise, or no switch is heard then.
 # 1 switch off and on, 2 throttle down, 3 level and still, 4 wait, 5 a computer holds it, 6 the policy,

@@ -41,21 +41,11 @@ static void header_cells(char **at, const struct nf_settings *s)
 
 static void header_revision(char **at, const struct log_about *about)
 {
-	log_text(at, "Betaflight 2025.12.0 (Neuroflight) ");
+	log_text(at, "Betaflight " NF_MSP_RELEASE " (Neuroflight) ");
 	log_text(at, about->target);
 }
 
 /* --- Ours -------------------------------------------------------------------------------------------------------- */
-static void header_version(char **at)
-{
-	static const uint8_t version[] = NF_VERSION;
-
-	for (size_t i = 0; i < sizeof version; ++i) {
-		log_text(at, i > 0 ? "." : "");
-		log_text_whole(at, version[i]);
-	}
-}
-
 /* Build and CRC of the image. */
 static void header_image(char **at, const struct log_about *about)
 {
@@ -149,6 +139,7 @@ static void header_craft(char **at, const struct nf_settings *s)
 	X("Field S encoding", *at += log_slow_line(LOG_LINE_ENCODING, *at))                                  \
 	X("Firmware type", log_text(at, "Cleanflight"))                                                      \
 	X("Firmware revision", header_revision(at, about))                                                   \
+	X("Firmware API version", log_text(at, TEXT(NF_MSP_API_MAJOR) "." TEXT(NF_MSP_API_MINOR) ".0"))      \
 	X("Board information", (log_text(at, about->maker), log_text(at, " "), log_text(at, about->target))) \
 	X("Log start datetime", log_text(at, "0000-01-01T00:00:00.000+00:00"))                               \
 	X("Craft name", header_craft(at, s))                                                                 \
@@ -170,7 +161,7 @@ static void header_craft(char **at, const struct nf_settings *s)
 	X("yaw_deadband", log_text_whole(at, s->yaw_deadband_us))                                            \
 	X("debug_mode", log_text(at, DEBUG_CHIRP))                                                           \
 	X("fields_disabled_mask", log_text_whole(at, frames->left_out))                                      \
-	X("nf_version", header_version(at))                                                                  \
+	X("nf_version", log_text(at, NF_VERSION_TEXT))                                                       \
 	X("nf_image", header_image(at, about))                                                               \
 	X("nf_policy", header_policy(at, about))                                                             \
 	X("nf_aircraft", header_aircraft(at, about))                                                         \

@@ -123,14 +123,7 @@ void command_say_policy(const struct task_line *t)
 
 void command_say_version(const struct task_line *t)
 {
-	static const uint8_t version[NF_VERSION_COUNT] = NF_VERSION;
-
-	printer_text(t->out, "Neuroflight ");
-	for (unsigned i = 0; i < NF_VERSION_COUNT; ++i) {
-		if (i > 0)
-			printer_char(t->out, '.');
-		printer_number(t->out, version[i]);
-	}
+	printer_text(t->out, NF_MSP_FIRMWARE " " NF_VERSION_TEXT);
 }
 
 /* --- help ------------------------------------------------------------------------------------------------------- */

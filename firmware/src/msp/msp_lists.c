@@ -268,7 +268,7 @@ static enum nf_refusal lists_set_outputs(const struct msp_view *view, struct msp
 }
 
 /* --- Texts ------------------------------------------------------------------------------------------------ */
-enum text_kind { TEXT_PILOT = 1, TEXT_CRAFT = 2, TEXT_PID_PROFILE = 3, TEXT_RATE_PROFILE = 4 };
+enum text_kind { TEXT_PILOT = 1, TEXT_CRAFT = 2, TEXT_PID_PROFILE = 3, TEXT_RATE_PROFILE = 4, TEXT_RELEASE = 6 };
 
 static const char *lists_text(const struct nf_settings *s, unsigned kind)
 {
@@ -281,6 +281,8 @@ static const char *lists_text(const struct nf_settings *s, unsigned kind)
 		return MSP_PID_PROFILE;
 	case TEXT_RATE_PROFILE:
 		return MSP_RATE_PROFILE;
+	case TEXT_RELEASE:
+		return NF_MSP_FIRMWARE " " NF_VERSION_TEXT;
 	default:
 		return NULL;
 	}
@@ -294,7 +296,7 @@ static enum nf_refusal lists_get_text(const struct msp_view *view, struct msp_re
 	if (!text)
 		return NF_REFUSAL_INDEX;
 	msp_put_u8(reply, kind);
-	msp_put_counted_text(reply, text, NF_SETTING_TEXT_BYTES);
+	msp_put_counted_text(reply, text, kind == TEXT_RELEASE ? MSP_TEXT_MAX : NF_SETTING_TEXT_BYTES);
 	return NF_REFUSAL_NONE;
 }
 

@@ -16,7 +16,6 @@
 #define TYPE_WITHOUT_OSD 0u       /* BOARD_INFO's board type: a flight controller, */
 #define TYPE_WITH_OSD 2u          /* with an OSD chip of its own, used or not */
 #define NO_POLICY "none"          /* name of the policy where none is good */
-#define COUNTS_PER_G 512.0f       /* RAW_IMU: what the ecosystem's tools take for 1 g */
 #define RSSI_FULL 1023u
 
 static void reply_api_version(struct msp_writer *w, const struct msp_facts *s)
@@ -39,13 +38,14 @@ static void reply_fc_variant(struct msp_writer *w, const struct msp_facts *s)
 	msp_put_text(w, reply_variant(s), 4);
 }
 
-static const uint8_t version[NF_VERSION_COUNT] = NF_VERSION;
-
+/* The release of the ecosystem's firmware that we speak like. */
 static void reply_fc_version(struct msp_writer *w, const struct msp_facts *s)
 {
+	static const uint8_t release[NF_MSP_RELEASE_NUMBERS_COUNT] = NF_MSP_RELEASE_NUMBERS;
+
 	(void)s;
-	for (int i = 0; i < NF_VERSION_COUNT; ++i)
-		msp_put_u8(w, version[i]);
+	msp_put_bytes(w, release, sizeof release);
+	msp_put_counted_text(w, NF_MSP_RELEASE, MSP_TEXT_MAX);
 }
 
 /* Header of the policy that is flown; where none is good, one of that name with zeros else. */
@@ -72,12 +72,7 @@ static void reply_board_name(struct msp_writer *w, const struct msp_facts *s)
 	char text[MSP_TEXT_MAX] = { 0 };
 	struct msp_writer name = { (uint8_t *)text, (uint8_t *)text + sizeof text };
 
-	msp_put_text(&name, NF_MSP_FIRMWARE, MSP_TEXT_MAX);
-	for (int i = 0; i < NF_VERSION_COUNT; ++i) {
-		msp_put_u8(&name, i == 0 ? ' ' : '.');
-		msp_put_u8(&name, '0' + version[i]);
-	}
-	msp_put_u8(&name, ' ');
+	msp_put_text(&name, NF_MSP_FIRMWARE " " NF_VERSION_TEXT " ", MSP_TEXT_MAX);
 	reply_policy_name(&name, s);
 	msp_put_counted_text(w, text, MSP_TEXT_MAX);
 }
@@ -167,6 +162,7 @@ static void reply_put_arming(struct msp_writer *w, const struct msp_facts *s)
 	msp_put_u32(w, reply_arming_flags(s->status));
 	msp_put_u8(w, 0);  /* no restart needed */
 	msp_put_u16(w, 0); /* core temperature: not measured */
+	msp_put_u8(w, 1);  /* rate profiles */
 }
 
 static void reply_status(struct msp_writer *w, const struct msp_facts *s)
@@ -184,13 +180,13 @@ static void reply_status_ex(struct msp_writer *w, const struct msp_facts *s)
 	reply_put_arming(w, s);
 }
 
-/* Body axes: the accelerometer in 1/512 g, the gyro in whole deg/s; there is no magnetometer. */
+/* Body axes; there is no magnetometer. */
 static void reply_raw_imu(struct msp_writer *w, const struct msp_facts *s)
 {
 	for (int i = 0; i < 3; ++i)
-		msp_put_rounded(w, s->status->accel_g[i] * COUNTS_PER_G);
+		msp_put_rounded(w, s->status->accel_g[i] * NF_MSP_ACCELERATION_COUNTS);
 	for (int i = 0; i < 3; ++i)
-		msp_put_rounded(w, s->status->trace.gyro[i] * NF_DEG_PER_RAD);
+		msp_put_rounded(w, s->status->trace.gyro[i] * (NF_DEG_PER_RAD * NF_MSP_GYRO_COUNTS));
 	msp_put_zeros(w, 6);
 }
 
@@ -333,8 +329,10 @@ static void reply_policy_is(struct msp_writer *w, const struct msp_facts *s)
 
 static void reply_identity(struct msp_writer *w, const struct msp_facts *s)
 {
+	static const uint8_t version[NF_VERSION_COUNT] = NF_VERSION;
+
 	msp_put_counted_text(w, NF_MSP_FIRMWARE, MSP_TEXT_MAX);
-	reply_fc_version(w, s);
+	msp_put_bytes(w, version, sizeof version);
 	msp_put_u8(w, NF_MSP_API_MAJOR);
 	msp_put_u8(w, NF_MSP_API_MINOR);
 	msp_put_counted_text(w, s->identity->target, MSP_TEXT_MAX);

@@ -22,7 +22,7 @@ def test_help_lists_every_command_and_explains_one(desk: Desk) -> None:
 
 def test_version_says_firmware_board_and_policy(desk: Desk) -> None:
     desk.open()
-    assert desk.tell("version") == ["Neuroflight 0.1.0 on HOST, MSP API 1.46, policy scripted 00112233"]
+    assert desk.tell("version") == ["Neuroflight 0.1.0 on HOST, MSP API 1.47, policy scripted 00112233"]
 
 
 def test_status_says_state_reasons_battery_policy_and_load(desk: Desk) -> None:

@@ -1,4 +1,4 @@
-"""The Betaflight app's requests at API 1.46, replayed over TCP: connection, tabs, and what a save changes.
+"""The Betaflight app's requests at API 1.47, replayed over TCP: connection, tabs, and what a save changes.
 
 Numbers and order of the requests are those that the app was seen to send. Expected values come from the
 settings, by SETTING_GET, and from constants written out here.
@@ -22,25 +22,25 @@ from toolchain.contract import Direction, Msp, layout_of
 Start = Callable[..., Any]
 REFUSED = (88, 135, 120, 241, 189, 84, 132, 106, 107, 164, 205, 246, 225)
 
-# Number of each request and bytes of its reply at API 1.46, None: refused.
-HANDSHAKE = {1: 3, 2: 4, 3: 3, 5: 34, 101: 24, 160: 12}
-CONNECTED = {36: 4, 32: 13, 80: 11, 70: 13, 79: 11, 110: 9, 130: 11, 116: 36, 150: 24}
+# Number of each request and bytes of its reply at API 1.47, None: refused.
+HANDSHAKE = {1: 3, 2: 4, 3: 13, 5: 34, 101: 25, 160: 12}
+CONNECTED = {36: 4, 32: 13, 80: 11, 70: 13, 79: 11, 110: 9, 130: 11, 116: 36, 150: 25}
 TABS: dict[str, dict[int, int | None]] = {
-    "setup": {240: 4, 42: 2, 126: 7, 90: 20, 108: 6},
+    "setup": {240: 4, 12300: 6, 42: 2, 126: 11, 90: 20, 108: 6},
     "ports": {108: 6, 88: None, 4105: 28},
-    "configuration": {36: 4, 184: 9, 61: 3, 96: 4, 44: 38, 90: 20},
-    "failsafe": {44: 38, 75: 8, 135: None, 77: 48, 36: 4, 119: 6, 105: 32, 50: 1, 34: 80},
+    "configuration": {36: 4, 184: 9, 61: 4, 96: 5, 44: 39, 90: 20},
+    "failsafe": {44: 39, 75: 8, 135: None, 77: 48, 36: 4, 119: 6, 105: 32, 50: 1, 34: 80},
     "pid tuning": {
-        **{117: 25, 112: 15, 94: 61, 111: 23, 92: 49, 125: 5, 131: 10, 140: 53, 90: 20, 42: 2, 145: 3},
+        **{117: 25, 112: 15, 94: 61, 111: 24, 92: 49, 125: 5, 131: 10, 140: 53, 90: 20, 42: 2, 145: 3},
     },
-    "receiver": {36: 4, 105: 32, 50: 1, 111: 23, 64: 8, 125: 5, 44: 38, 42: 2},
-    "modes": {105: 32, 101: 24, 34: 80, 238: 61, 119: 6, 50: 1, 4105: 28},
+    "receiver": {36: 4, 105: 32, 50: 1, 111: 24, 64: 8, 125: 5, 44: 39, 42: 2},
+    "modes": {105: 32, 101: 25, 34: 80, 238: 61, 119: 6, 50: 1, 4105: 28},
     "motors": {
-        **{105: 32, 101: 24, 104: 16, 94: 61, 36: 4, 42: 2, 131: 10, 124: 6, 12289: 9},
-        **{90: 20, 92: 49, 61: 3, 102: 18},
+        **{105: 32, 101: 25, 104: 16, 94: 61, 36: 4, 42: 2, 131: 10, 124: 6, 12289: 9},
+        **{90: 20, 92: 49, 61: 4, 102: 18},
     },
-    "blackbox": {102: 18, 104: 16, 36: 4, 70: 13, 79: 11, 80: 11, 90: 20, 96: 4, 12298: 5},
-    "sensors": {96: 4, 126: 7, 38: 6, 240: 4, 12298: 5, 42: 2, 133: 2, 12301: 2, 108: 6, 109: 6},
+    "blackbox": {102: 18, 104: 16, 36: 4, 70: 13, 79: 11, 80: 11, 90: 20, 96: 5, 12298: 6},
+    "sensors": {96: 5, 126: 11, 38: 6, 240: 4, 12298: 6, 42: 2, 133: 2, 12301: 2, 108: 6, 109: 6},
     "power": {108: 6, 128: 2, 129: 5, 40: 8, 56: 7, 32: 13},
     "adjustments": {128: 2, 129: 5, 52: 180, 119: 6, 105: 32},
 }
@@ -70,6 +70,8 @@ def test_the_app_connects_when_it_asks_as_it_does(app: App) -> None:
         assert len(app.ask(command)) == size, command
     assert app.ask(2) == b"BTFL"
     assert app.get(4)["board_name"] == "Neuroflight 0.1.0 nf1"
+    assert app.ask(3) == b"\x19\x0c\x00\x092025.12.0", "as Betaflight of API 1.47 tells it"
+    assert app.ask(Msp.GET_TEXT, b"\6") == b"\6\x11Neuroflight 0.1.0"
     assert app.refused(Msp.GET_TEXT, b"\5"), "the build's key: there is none"
     for kind in (2, 1):
         assert app.ask(Msp.GET_TEXT, bytes([kind])) == bytes([kind, 0])
@@ -135,7 +137,7 @@ def test_tabs_show_the_settings_when_these_are_not_the_defaults(app: App) -> Non
     assert app.get(184)["off"] & (1 << 4) and not app.get(184)["off"] & (1 << 3)
     assert [port["functions"] for port in app.get(4105)["ports"]] == [1, 64, 1]
     assert [row["output"] for row in app.get(12289)["outputs"]][:2] == [1, 0]
-    assert (app.get(38)["yaw"], app.get(126)["gyro_1_align"]) == (90, 3)
+    assert (app.get(38)["yaw"], app.get(126)["gyro_align"]) == (90, 3)
 
 
 UNITS = {
@@ -172,7 +174,7 @@ def test_the_pid_that_stands_by_is_told_and_scaled_in_the_apps_units(app: App) -
 # --- Saving -----------------------------------------------------------------------------------------------
 @pytest.mark.parametrize("tab", SAVES)
 def test_nothing_changes_when_a_tab_saves_what_it_was_told(app: App, tab: str) -> None:
-    app.change(failsafe_descend_ms=60_000, level_limit_deg=33.3, battery_scale=10.987, dynamic_notch_q=2.717)
+    app.change(failsafe_descend_ms=59_499, level_limit_deg=33.3, battery_scale=10.987, dynamic_notch_q=2.717)
     before = app.settings()
     for command in SAVES[tab]:
         app.ask(command, app.payload(command))
@@ -198,11 +200,12 @@ CHANGED: tuple[tuple[int, Mapping[str, int], Mapping[str, float]], ...] = (
     (91, {"motor_protocol": 6}, {"motor_protocol": 0}),
     (185, {"off": 8387877 | 1 << 7}, {"beep_battery_warn": 0}),
     (76, {"delay": 5}, {"failsafe_delay_ms": 500}),
+    (76, {"off_delay": 12}, {"failsafe_descend_ms": 12_000}),
     (76, {"procedure": 0}, {"failsafe_stage": 1}),
     (65, {"aux1": 5, "aux2": 4}, {"map_aux1": 5, "map_aux2": 4}),
     (218, {"yaw": 7}, {"yaw_deadband_us": 7}),
     (43, {"reversed": 1}, {"motors_reversed": 1}),
-    (220, {"gyro_1_align": 2}, {"gyro_alignment": 2}),
+    (220, {"gyro_align": 2}, {"gyro_alignment": 2}),
     (39, {"yaw": -45}, {"board_yaw_deg": -45.0}),
     (57, {"scale": 100}, {"battery_scale": 10.0}),
     (81, {"device": 3}, {"blackbox_device": 1}),
@@ -307,6 +310,21 @@ def test_other_versions_of_the_app_change_nothing_else_when_they_save(app: App, 
     )
     app.ask(command, first)
     assert app.refused(command, b"")
+    assert app.settings() == before
+
+
+# Bytes that a SET had up to API 1.46, from which peers of that age do not depart, whatever API they are told.
+OLD_BYTES = {45: 38, 62: 3, 97: 3, 204: 23, 220: 6}
+
+
+@pytest.mark.parametrize("command", OLD_BYTES)
+def test_a_peer_of_api_1_46_changes_nothing_else_when_it_saves(app: App, command: int) -> None:
+    app.change(gyro_alignment=3)
+    before = app.settings()
+    app.ask(command, app.payload(command)[: OLD_BYTES[command]])
+    if command == 220:  # in place of the gyros that are on it has one to be used, and two alignments
+        app.ask(command, bytes([3, 3, 0, 0, 0, 0]))
+    app.ask(250)
     assert app.settings() == before
 
 

@@ -28,7 +28,7 @@ from toolchain.errors import LinkError
 from toolchain.policy.blob import PolicyBlob, pack
 
 WAIT_S = 5.0  # how long an answer may take before the test fails
-API_REQUEST, API_REPLY = b"$M<\x00\x01\x01", b"$M>\x03\x01\x00\x01\x2e\x2d"
+API_REQUEST, API_REPLY = b"$M<\x00\x01\x01", b"$M>\x03\x01\x00\x01\x2f\x2c"
 Start = Callable[..., Any]
 
 
@@ -164,7 +164,7 @@ def test_yamspy_reads_who_and_how_it_is_when_it_calls_over_tcp(start: Start, hos
         for command in ("MSP_RC", "MSP_MOTOR", "MSP_RAW_IMU"):
             peer.send_RAW_msg(MSPy.MSPCodes[command], data=[])
             assert peer.process_recv_data(peer.receive_msg()) == 0
-    assert peer.CONFIG["apiVersion"] == "1.46.0"
+    assert peer.CONFIG["apiVersion"] == "1.47.0"
     assert peer.CONFIG["flightControllerIdentifier"] == "BTFL"
     assert peer.CONFIG["name"] == "nf1"
     assert peer.CONFIG["boardIdentifier"] == "HOST"
@@ -311,7 +311,7 @@ def test_safety_and_tasks_are_told_when_the_program_flies(start: Start) -> None:
     assert (battery.level, battery.cells) == (messages.BatteryLevel.GOOD, 4)
     assert battery.voltage_v == pytest.approx(16.8, abs=0.05)
     assert imu.acceleration[:2] == (0, 0)
-    assert imu.acceleration[2] == pytest.approx(512, abs=2)
+    assert imu.acceleration[2] == pytest.approx(2048, abs=8)
 
 
 # --- The file that flash lies in ----------------------------------------------------------------

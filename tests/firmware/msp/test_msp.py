@@ -94,7 +94,7 @@ READING = {
     *(Msp.VOLTAGE_METERS, Msp.CURRENT_METERS, Msp.BOXNAMES, Msp.BOXIDS, Msp.PIDNAMES, Msp.MCU_INFO),
     *(Msp.IDENTITY, Msp.POLICY_INFO, Msp.SAFETY),
 }
-VERSION_REPLY = v1(Msp.API_VERSION, bytes([0, 1, 46]), b">")
+VERSION_REPLY = v1(Msp.API_VERSION, bytes([0, 1, 47]), b">")
 
 
 # --- Frames -----------------------------------------------------------------------------------
@@ -104,8 +104,8 @@ def test_the_crc_is_dvb_s2_when_checked_with_the_catalogues_example() -> None:
 
 def test_the_reply_is_known_when_the_request_is_of_either_version(server: Callable[..., Server]) -> None:
     s = server()
-    assert s.send(b"$M<\x00\x01\x01") == b"$M>\x03\x01\x00\x01\x2e\x2d"
-    assert s.send(v2(Msp.API_VERSION)) == v2(Msp.API_VERSION, bytes([0, 1, 46]), b">")
+    assert s.send(b"$M<\x00\x01\x01") == b"$M>\x03\x01\x00\x01\x2f\x2c"
+    assert s.send(v2(Msp.API_VERSION)) == v2(Msp.API_VERSION, bytes([0, 1, 47]), b">")
 
 
 @pytest.mark.parametrize("command", sorted(READING))
@@ -135,7 +135,7 @@ def test_a_request_is_answered_once_when_it_is_cut_anywhere(
 ) -> None:
     s = server()
     whole = s.send(request_bytes)
-    assert whole[3:] == VERSION_REPLY[3:] or whole == v2(1, bytes([0, 1, 46]), b">")
+    assert whole[3:] == VERSION_REPLY[3:] or whole == v2(1, bytes([0, 1, 47]), b">")
     for cut in range(1, len(request_bytes)):
         assert s.send(request_bytes[:cut]) == b""
         assert s.send(request_bytes[cut:]) == whole
@@ -202,7 +202,7 @@ def test_any_bytes_are_survived_when_they_are_random(server: Callable[..., Serve
 def test_who_it_is_comes_from_identity_and_contract_when_asked(server: Callable[..., Server]) -> None:
     s = server()
     assert s.ask(Msp.FC_VARIANT) == b"NRFL"
-    assert s.ask(Msp.FC_VERSION) == bytes([0, 1, 0])
+    assert s.ask(Msp.FC_VERSION) == bytes([25, 12, 0, 9]) + b"2025.12.0"
     assert s.ask(Msp.UID) == struct.pack("<3I", *UNIQUE_ID)
     assert s.ask(Msp.NAME) == b"none"
     board = messages.board_info(s.ask(Msp.BOARD_INFO))
@@ -211,7 +211,7 @@ def test_who_it_is_comes_from_identity_and_contract_when_asked(server: Callable[
     assert s.ask(Msp.BUILD_INFO)[26:] == struct.pack("<4H", 4103, 4097, 8231, 0)
     told = layouts.decode(layout_of(Msp.IDENTITY), s.ask(Msp.IDENTITY), whole=True)
     assert told == {
-        **{"firmware": "Neuroflight", "major": 0, "minor": 1, "patch": 0, "api_major": 1, "api_minor": 46},
+        **{"firmware": "Neuroflight", "major": 0, "minor": 1, "patch": 0, "api_major": 1, "api_minor": 47},
         **{"target": "TARGETNAME", "variant": "NRFL", "policy": "none"},
         "policy_sha256": bytes(32),
     }
@@ -258,7 +258,7 @@ def test_status_tells_arming_and_its_reasons_when_asked(server: Callable[..., Se
     assert extended.status.cycle_time_us == 1000
     assert extended.status.load_percent == 37
     assert extended.arming_flag_count == 32
-    assert extended.arming_flags == 1 << 9 | 1 << 25  # BOOT_GRACE_TIME, and none of the ecosystem's
+    assert extended.arming_flags == 1 << 9 | 1 << 30  # BOOT_GRACE_TIME, and none of the ecosystem's
     assert messages.arming_reasons(records.safety(s.ask(Msp.SAFETY)).arming_flags) == (
         "BOOT_GRACE",
         "POLICY_BAD",
@@ -272,10 +272,10 @@ def test_status_tells_arming_and_its_reasons_when_asked(server: Callable[..., Se
         *((ArmingReason.RECEIVER_LOST, 2), (ArmingReason.THROTTLE_HIGH, 7), (ArmingReason.NOT_LEVEL, 8)),
         *((ArmingReason.SWITCH_NOT_CYCLED, 3), (ArmingReason.GYRO_BAD, 0), (ArmingReason.CRASHED, 6)),
         *((ArmingReason.LOAD, 11), (ArmingReason.MOTOR_TEST, 16), (ArmingReason.CLI, 13)),
-        *((ArmingReason.POLICY_BAD, 25), (ArmingReason.POLICY_REFUSED, 25), (ArmingReason.PID_MISSING, 25)),
-        *((ArmingReason.BATTERY_UNKNOWN, 26), (ArmingReason.FAULT, 27), (ArmingReason.STORING, 28)),
-        *((ArmingReason.GYRO_ALIGNMENT, 29), (ArmingReason.CLOCK, 30)),
-        *((ArmingReason.PROBATION, 9), (ArmingReason.IMAGE_BAD, 27)),
+        *((ArmingReason.POLICY_BAD, 30), (ArmingReason.POLICY_REFUSED, 30), (ArmingReason.PID_MISSING, 30)),
+        *((ArmingReason.BATTERY_UNKNOWN, 29), (ArmingReason.FAULT, 28), (ArmingReason.STORING, 9)),
+        *((ArmingReason.GYRO_ALIGNMENT, 29), (ArmingReason.CLOCK, 28), (ArmingReason.SETTINGS, 29)),
+        *((ArmingReason.PROBATION, 9), (ArmingReason.IMAGE_BAD, 28)),
     ],
 )
 def test_each_reason_has_the_ecosystems_number_when_status_is_asked(
@@ -316,11 +316,11 @@ def test_motors_are_pulse_widths_when_asked(server: Callable[..., Server]) -> No
     assert messages.motor(s.ask(Msp.MOTOR)) == (1000, 1000, 2000, 1500, 0, 0, 0, 0)
 
 
-def test_gyro_is_whole_degrees_when_asked(server: Callable[..., Server]) -> None:
+def test_the_gyro_is_in_the_counts_that_the_app_scales_by_when_asked(server: Callable[..., Server]) -> None:
     imu = messages.raw_imu(
         server(trace={"gyro": np.radians([100.4, -100.6, -2000]).tolist()}).ask(Msp.RAW_IMU)
     )
-    assert imu.gyro == (100, -101, -2000)
+    assert [count * (4 / 16.4) for count in imu.gyro] == pytest.approx([100.4, -100.6, -2000], abs=0.13)
     assert imu.acceleration == imu.magnetometer == (0, 0, 0)
 
 
@@ -356,9 +356,11 @@ def test_numbers_end_at_their_limits_when_they_are_wild(server: Callable[..., Se
     assert server(volts=-1.0).ask(Msp.ANALOG)[0] == 0
 
 
-def test_the_accelerometer_is_in_512ths_of_g_when_asked(server: Callable[..., Server]) -> None:
+def test_the_accelerometer_is_in_the_counts_that_the_app_scales_by_when_asked(
+    server: Callable[..., Server],
+) -> None:
     imu = messages.raw_imu(server(accel_g=[0.5, -1.0, 16.0]).ask(Msp.RAW_IMU))
-    assert imu.acceleration == (256, -512, 8192)
+    assert imu.acceleration == (1024, -2048, 32767), "16 g: one count less"
 
 
 @pytest.mark.parametrize(

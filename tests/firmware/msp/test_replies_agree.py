@@ -118,9 +118,9 @@ def test_attitude_and_sensors_are_told_as_they_are(ground: Ground) -> None:
         right = -yaw if -yaw >= 0 or math.isnan(yaw) else -yaw + 360
         assert told.heading_deg == pytest.approx(whole(right), abs=0.51)
         imu = ask(ground, Msp.RAW_IMU)
-        assert imu.acceleration == pytest.approx([whole(512 * g) for g in status.accel_g], abs=0.51)
-        degrees = [whole(math.degrees(rate)) for rate in status.trace.gyro]
-        assert imu.gyro == pytest.approx(degrees, abs=0.51)
+        assert imu.acceleration == pytest.approx([whole(2048 * g) for g in status.accel_g], abs=0.51)
+        counts = [whole(math.degrees(rate) * 16.4 / 4) for rate in status.trace.gyro]
+        assert imu.gyro == pytest.approx(counts, abs=0.52)
         assert imu.magnetometer == (0, 0, 0)
 
 

@@ -158,7 +158,7 @@ class BoardModel:
         if self.firmware != "Neuroflight":
             return Refusal.ABSENT
         target = BOARD.encode()
-        return b"\x0bNeuroflight" + bytes((0, 1, 0, 1, 46, len(target))) + target + b"BTFL\x03nf1" + bytes(32)
+        return b"\x0bNeuroflight" + bytes((0, 1, 0, 1, 47, len(target))) + target + b"BTFL\x03nf1" + bytes(32)
 
     def status(self, _: bytes) -> bytes:
         return struct.pack("<HHHIBHBBBBI", 250, 0, 0, int(self.armed), 0, 10, 1, 0, 0, 20, 0)

@@ -522,7 +522,7 @@ def test_a_firmware_of_another_make_is_refused(tcp_server: Callable[[Callable[[b
     def answer(data: bytes) -> bytes:
         (asked,) = [event for event in Decoder().feed(data) if isinstance(event, Message)]
         if asked.command == Msp.API_VERSION:
-            return encode(reply(asked, bytes([0, 1, 46])))
+            return encode(reply(asked, bytes([0, 1, 47])))
         return encode(error(asked))
 
     with (
