@@ -5,10 +5,12 @@ from __future__ import annotations
 import random
 import select
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import pytest
 
+from tests.firmware.host.app import connected
 from toolchain import contract
 
 Start = Callable[..., Any]
@@ -65,6 +67,30 @@ def test_packets_that_came_while_it_booted_neither_arm_nor_deafen_it(start: Star
 def test_it_arms_by_the_set_protocol_and_only_after_an_off(flight: Flight) -> None:
     assert not flight.run(BOOT_MS, ON)
     assert not flight.run(100, OFF)
+    assert flight.run(50, ON)
+
+
+RX_CONFIG, SET_RX_CONFIG, SAVE, REBOOT = 44, 45, 250, 68
+CRSF, SBUS = 9, 2  # providers, by the app's numbers
+
+
+def test_the_receiver_that_the_app_chose_is_flown_after_the_restart(start: Start, tmp_path: Path) -> None:
+    options = ("--gyro-hz=1000", f"--settings={tmp_path / 'flash.bin'}")
+    for provider in (CRSF, SBUS):
+        flight = Flight(start(*options))
+        flight.run(BOOT_MS, OFF)
+        assert flight.run(50, ON), "by the one before"
+        flight.run(50, OFF)
+        with connected(flight.program) as app:
+            app.ask(SET_RX_CONFIG, app.payload(SET_RX_CONFIG, serial_provider=provider))
+            app.ask(SAVE)
+            assert not flight.run(50, OFF), "what the receiver speaks changes with the restart"
+            app.ask(REBOOT)
+        assert flight.program.process.wait(5.0) == 0
+    flight = Flight(start(*options))
+    with connected(flight.program) as app:
+        assert app.get(RX_CONFIG)["serial_provider"] == SBUS
+    flight.run(BOOT_MS, OFF)
     assert flight.run(50, ON)
 
 
