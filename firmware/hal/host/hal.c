@@ -37,6 +37,7 @@ static struct host {
 	sigset_t while_waiting;      /* signals let through only there */
 	uint64_t answered_ns;        /* when motors were sent last; 0: never */
 	bool spins;                  /* the packet before it came within SPIN_NS of an answer */
+	bool restarts; /* over MSP or the command line, rather than a signal */
 } host;
 
 /* A simulator that sends its next packet so soon after the answer is awaited without sleeping: a wake-up takes as long as
@@ -47,6 +48,10 @@ static struct host {
 
 /* The longest silence that is counted: a longer one has the same effect. */
 #define SILENCE_MAX_S 10.0
+
+/* Between a restart's last reply and the end of the connections. Behind a WebSocket the Betaflight app drops what it has
+ * not decoded yet when the connection ends, and so the word that tells it to connect again; 20 ms were enough. */
+#define LAST_WORDS_NS 50000000
 
 static volatile sig_atomic_t ended;
 
@@ -97,6 +102,7 @@ static bool host_reset(void *context, enum nf_reboot kind)
 	(void)context;
 	if (kind != NF_REBOOT_FIRMWARE)
 		return false;
+	host.restarts = true;
 	ended = 1;
 	return true;
 }
@@ -298,6 +304,8 @@ int hal_run(const struct hal_handlers *handlers, const struct nf_settings *setti
 		if (called)
 			msp_tcp_serve(&host.tcp, handlers);
 	}
+	if (host.restarts)
+		nanosleep(&(const struct timespec){ .tv_nsec = LAST_WORDS_NS }, NULL);
 	msp_tcp_close(&host.tcp);
 	link_close(&host.link);
 	host_print_problems();

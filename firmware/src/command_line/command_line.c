@@ -38,10 +38,12 @@ static uint32_t command_line_samples(const struct command_line *cl)
 }
 
 /* --- What is run instead of a command --------------------------------------------------------------------------- */
+/* The Betaflight app shows what follows the first line end, and takes the session for open once that says "CLI". */
 static bool line_greet(const struct task_line *t)
 {
+	printer_end(t->out);
 	command_say_version(t);
-	printer_text(t->out, " CLI: 'help' lists the commands, 'exit' drops what is not saved and restarts");
+	printer_text(t->out, " CLI: 'help' lists the commands, 'exit' restarts without saving");
 	printer_end(t->out);
 	return false;
 }

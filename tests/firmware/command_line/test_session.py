@@ -18,8 +18,8 @@ STX, ETX = b"\x02", b"\x03"
 def test_the_greeting_says_what_configurators_wait_for_when_a_session_opens(desk: Desk) -> None:
     said = desk.open()
     assert "CLI" in said
-    assert said.startswith("Neuroflight ")
-    assert said.count("\r\n") == 1
+    assert said.startswith("\r\nNeuroflight "), "the app shows what follows the first line end"
+    assert said.count("\r\n") == 2
     assert said.endswith("\r\n# ")
 
 
@@ -67,7 +67,7 @@ def test_msp_is_answered_again_when_a_request_comes(desk: Desk, before: str) -> 
     assert desk.send(API).startswith(API_REPLY)
     desk.run(20)
     assert desk.reasons() == ()
-    assert desk.open().startswith("Neuroflight"), "nothing of the line is left"
+    assert desk.open().startswith("\r\nNeuroflight"), "nothing of the line is left"
     assert desk.tell("faults")
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import random
 import socket
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,7 @@ from toolchain.contract import SETTINGS, Msp
 
 Start = Callable[..., Any]
 WAIT_S = 5.0
+LAST_WORDS_S = 0.05  # between a restart's last reply and the end of the connection
 API_REQUEST, API_REPLY = b"$M<\x00\x01\x01", b"$M>\x03\x01\x00\x01\x2f\x2c"
 
 
@@ -127,3 +129,15 @@ def test_exit_ends_the_program_and_stores_nothing(start: Start, tmp_path: Path) 
         assert p.process.wait(WAIT_S) == 0
     with opened(start(option)) as peer:
         assert typed(peer, "diff") == "# ", "nothing but the prompt"
+
+
+def test_the_connection_outlives_the_last_word_when_the_program_starts_anew(start: Start) -> None:
+    program = start()
+    with opened(program) as peer:
+        begun = time.monotonic()
+        peer.sendall(b"save\r")
+        assert "Rebooting\r\n" in read_until(peer, b"Rebooting\r\n")
+        while peer.recv(100):
+            pass
+        assert time.monotonic() - begun >= LAST_WORDS_S
+    assert program.process.wait(WAIT_S) == 0
