@@ -50,7 +50,6 @@ struct blackbox {
 	bool first; /* no frame has been written */
 	bool gap; /* the next frame does not follow the last one */
 	bool armed; /* as logged last */
-	uint32_t flags; /* as logged last */
 	uint32_t sample; /* gyro samples since boot, of the record that was taken last */
 	uint32_t next; /* control step that the next record should have */
 	uint32_t disarmed; /* control steps since the motors stopped, in the log */
