@@ -448,7 +448,7 @@ def scripted_policy_blob() -> PolicyBlob:
 # --- The host program ---------------------------------------------------------------------------
 LOOPBACK = "127.0.0.1"
 WAIT_S = 5.0  # how long an answer may take before the test fails
-API_REQUEST, API_REPLY = b"$M<\x00\x01\x01", b"$M>\x03\x01\x00\x01\x2e\x2d"
+API_REQUEST, API_REPLY = b"$M<\x00\x01\x01", b"$M>\x03\x01\x00\x01\x2f\x2c"
 
 
 class Program:

@@ -144,11 +144,16 @@ static size_t msp_port_type(struct msp_port *port, const struct firmware_status 
 	return written + command_line_take(cl, byte, reply + written, capacity - written);
 }
 
-/* Nothing else is said beside a session. */
-static void msp_port_open(struct msp_port *port, uint8_t byte)
+/* Nothing else is said beside a session. What is said to a frame stands in a frame. */
+static size_t msp_port_open(struct msp_port *port, uint8_t byte, uint8_t *reply, size_t capacity)
 {
-	if (command_line_begin(&port->command_line, byte))
-		msp_stream_stop(&port->peer.stream);
+	if (!command_line_begin(&port->command_line, byte))
+		return 0;
+	msp_stream_stop(&port->peer.stream);
+	if (byte != COMMAND_LINE_FRAME || capacity == 0)
+		return 0;
+	*reply = byte;
+	return 1;
 }
 
 /* --- Bytes ------------------------------------------------------------------------------------------------------ */
@@ -162,7 +167,7 @@ static size_t msp_port_take(struct msp_port *port, const struct firmware_status 
 	if (msp_push(&port->msp, byte))
 		return msp_port_answer(port, status, reply, capacity);
 	if (outside && msp_idle(&port->msp) && port->services && port->services->command_line)
-		msp_port_open(port, byte);
+		return msp_port_open(port, byte, reply, capacity);
 	return 0;
 }
 

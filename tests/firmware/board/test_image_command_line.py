@@ -19,7 +19,7 @@ from toolchain.image.elf import read_flashable
 BAUD = 115200
 MILLISECOND = TIME_HZ // 1000
 API = encode(Message(Version.V1, Direction.REQUEST, Msp.API_VERSION, b""))
-API_ANSWER = b"$M>\x03\x01\x00\x01\x2e\x2d"
+API_ANSWER = b"$M>\x03\x01\x00\x01\x2f\x2c"
 
 
 @pytest.fixture(scope="module")

@@ -26,7 +26,7 @@ BAUDS = {MSP_UART: 115200, UART3: 921600}
 RING_BYTES, SEND_BYTES = 4096, 1024
 MILLISECOND = TIME_HZ // 1000
 API = encode(Message(Version.V1, Direction.REQUEST, Msp.API_VERSION, b""))
-API_ANSWER = b"$M>\x03\x01\x00\x01\x2e\x2d"
+API_ANSWER = b"$M>\x03\x01\x00\x01\x2f\x2c"
 STATUS = encode(Message(Version.V1, Direction.REQUEST, Msp.STATUS, b""))
 
 

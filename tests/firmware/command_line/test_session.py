@@ -93,7 +93,8 @@ def test_a_session_ends_when_nothing_is_typed_for_five_minutes(desk: Desk) -> No
 
 
 def test_a_frame_ends_when_its_peer_is_silent(desk: Desk) -> None:
-    desk.send(STX + b"vers")
+    assert desk.send(STX) == STX, "Betaflight begins its answer at once"
+    assert desk.send(b"vers") == b""
     desk.run(1990)
     assert desk.reasons() == (ArmingReason.CLI,)
     desk.run(50)
@@ -217,9 +218,10 @@ def test_what_is_more_than_can_wait_is_told_as_lost(desk: Desk) -> None:
 
 
 # --- Frames
-def test_a_frame_is_answered_by_lines_and_its_end(desk: Desk) -> None:
+def test_a_frame_is_answered_by_lines_in_a_frame(desk: Desk) -> None:
     said = desk.send(STX + b"version\n" + ETX)
-    assert said.startswith(b"Neuroflight ")
+    assert said.startswith(STX + b"Neuroflight ")
+    assert said.count(STX) == said.count(ETX) == 1
     assert said.endswith(b"\r\n\x03")
     assert b"# " not in said
     desk.run(20)
@@ -227,16 +229,26 @@ def test_a_frame_is_answered_by_lines_and_its_end(desk: Desk) -> None:
     assert desk.send(API).startswith(API_REPLY)
 
 
+def test_frames_are_answered_one_after_the_other_when_requests_of_msp_come_between(desk: Desk) -> None:
+    said = desk.send(STX + b"diff all\n" + ETX + API + STX + b"mixer list\n" + ETX)
+    while more := desk.send(b""):
+        said += more
+    diff, _, rest = said.partition(ETX)
+    assert diff.startswith(STX + b"# Neuroflight 0.1.0 on ") and b"\r\ndefaults\r\n" in diff
+    assert rest.startswith(API_REPLY)
+    assert rest.endswith(ETX) and STX + b"no mixer to choose" in rest
+
+
 def test_a_frame_of_several_lines_is_answered_by_all(desk: Desk) -> None:
     said = desk.send(STX + b"set craft_name = A\nget craft_name\n" + ETX)
-    assert said.startswith(b"craft_name = A (")
+    assert said.startswith(STX + b"craft_name = A (")
     assert said.count(ETX) == 1
 
 
 def test_a_frame_with_half_a_line_does_nothing_but_tell(desk: Desk) -> None:
     before = desk.settings()
     said = desk.send(STX + b"set craft_name = A" + ETX)
-    assert said.startswith(b"###ERROR line without its end")
+    assert said.startswith(STX + b"###ERROR line without its end")
     assert said.endswith(ETX)
     assert desk.settings() == before
 

@@ -18,7 +18,7 @@ from toolchain.contract import SETTINGS, Msp
 Start = Callable[..., Any]
 WAIT_S = 5.0
 LAST_WORDS_S = 0.05  # between a restart's last reply and the end of the connection
-API_REQUEST, API_REPLY = b"$M<\x00\x01\x01", b"$M>\x03\x01\x00\x01\x2e\x2d"
+API_REQUEST, API_REPLY = b"$M<\x00\x01\x01", b"$M>\x03\x01\x00\x01\x2f\x2c"
 
 
 def read_until(peer: socket.socket, end: bytes) -> str:

@@ -23,7 +23,7 @@ from toolchain.errors import LinkError
 
 BOOT_S = 0.4
 QUESTION = encode(request(Msp.API_VERSION))
-ANSWER = b"$M>\x03\x01\x00\x01\x2e\x2d"
+ANSWER = b"$M>\x03\x01\x00\x01\x2f\x2c"
 MILLISECOND = TIME_HZ // 1000
 
 
