@@ -44,8 +44,8 @@ def field(value: float, kind: int) -> float:
 
 
 def set_parameter(station: Station, name: str, value: float) -> None:
-    kind = BY_NAME[next(s.name for s in SETTINGS if parameter_name(s.name) == name)][1].kind
-    told = mavlink.MAV_PARAM_TYPE_REAL32 if kind == "float" else mavlink.MAV_PARAM_TYPE_UINT32
+    kind = BY_NAME[next(s.name for s in SETTINGS if parameter_name(s.name) == name.lower())][1].kind
+    told = mavlink.MAV_PARAM_TYPE_REAL32 if kind == "float" else mavlink.MAV_PARAM_TYPE_INT32
     station.link.mav.param_set_send(1, 1, name.encode(), field(value, told), told)
 
 
@@ -117,6 +117,11 @@ RESULTS: list[tuple[int, tuple[float, ...], int]] = [
     (mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN, (2,), DENIED),
     (mavlink.MAV_CMD_DO_SET_MODE, (0, 1), DENIED),  # no custom mode
     (mavlink.MAV_CMD_DO_SET_MODE, (1, 2), DENIED),
+    (mavlink.MAV_CMD_DO_SET_MODE, (1, math.nan), DENIED),
+    (mavlink.MAV_CMD_DO_SET_MODE, (1, 4, 5), DENIED),  # PX4's RTL
+    (mavlink.MAV_CMD_DO_SET_MODE, (1, 4, 0.5), DENIED),
+    (mavlink.MAV_CMD_DO_SET_MODE, (1, 6), REJECTED),  # no setpoints come
+    (mavlink.MAV_CMD_DO_SET_MODE, (1, 4, 3), ACCEPTED),  # MAVSDK's offboard.stop()
     (mavlink.MAV_CMD_DO_SET_MODE, (1, 0), ACCEPTED),
     (mavlink.MAV_CMD_NAV_GUIDED_ENABLE, (math.nan,), DENIED),
     (mavlink.MAV_CMD_COMPONENT_ARM_DISARM, (2,), DENIED),
@@ -173,13 +178,13 @@ def test_all_settings_go_round_as_parameters(lockstep: MakeLockstep) -> None:
     station.link.mav.param_request_list_send(1, 1)
     gateway.settle()
     told = station.got("PARAM_VALUE")
-    assert [message.param_id for message in told] == [parameter_name(s.name) for s in PARAMETERS]
+    assert [message.param_id for message in told] == [parameter_name(s.name).upper() for s in PARAMETERS]
     assert [message.param_index for message in told] == list(range(len(PARAMETERS)))
     assert {message.param_count for message in told} == {len(PARAMETERS)}
     values = {message.param_id: number(message) for message in told}
-    assert values["rx_protocol"] == 2 and values["mode1"] == BY_NAME["mode1"][1].default
+    assert values["RX_PROTOCOL"] == 2 and values["MODE1"] == BY_NAME["mode1"][1].default
     for setting in PARAMETERS:
-        name = parameter_name(setting.name)
+        name = parameter_name(setting.name).upper()
         wanted = setting.low if values[name] != setting.low else setting.high
         if setting.kind == "mode":
             wanted = ModeRange(Mode.BEEPER, 12, 900, 1300, and_others=True).packed
@@ -202,7 +207,7 @@ def test_a_parameter_is_read_by_name_and_by_number(lockstep: MakeLockstep) -> No
     mav.param_request_read_send(1, 1, b"craft_name", -1)  # a text is no parameter
     gateway.settle()
     assert sorted((m.param_id, number(m)) for m in gateway.station.got("PARAM_VALUE")) == [
-        ("gyro_rate_hz", 4000.0),
+        ("GYRO_RATE_HZ", 4000.0),
         ("roll_rate", 70.0),
     ]
 
@@ -215,14 +220,17 @@ def test_the_old_value_is_the_answer_when_a_new_one_is_refused(lockstep: MakeLoc
         ("roll_expo", 0.5, 5),
         ("deadband_us", field(101, 5), 5),
         ("deadband_us", 0.5, 9),
-        ("deadband_us", 1.0, 2),
+        ("deadband_us", 1.0, 8),
     ]:
         gateway.station.forget()
         gateway.station.link.mav.param_set_send(1, 1, name.encode(), value, kind)
         gateway.settle()
         (told,) = gateway.station.got("PARAM_VALUE")
         assert (told.param_id, number(told)) == (name, 0.0)
-        assert [text for text in gateway.station.texts() if text.startswith(f"{name}: ")], (name, value)
+        assert [text for text in gateway.station.texts() if text.startswith(f"{name.upper()}: ")], (
+            name,
+            value,
+        )
 
 
 def test_no_parameter_changes_while_armed(lockstep: MakeLockstep) -> None:
@@ -233,7 +241,7 @@ def test_no_parameter_changes_while_armed(lockstep: MakeLockstep) -> None:
     gateway.station.command(mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN, 1)
     gateway.settle()
     assert number(gateway.station.got("PARAM_VALUE")[-1]) == 0.0
-    assert "roll_expo: the motors are armed; disarm first" in gateway.station.texts()
+    assert "ROLL_EXPO: the motors are armed; disarm first" in gateway.station.texts()
     assert gateway.station.acks(mavlink.MAV_CMD_PREFLIGHT_STORAGE) == [REJECTED]
     assert gateway.station.acks(mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN) == [REJECTED]
     assert gateway.reply.armed
@@ -245,7 +253,7 @@ def test_all_rates_are_told_when_their_style_changes(lockstep: MakeLockstep) -> 
     gateway.settle()
     told = {m.param_id: number(m) for m in gateway.station.got("PARAM_VALUE")}
     assert len(told) == 10
-    assert [told[name] for name in ("rates_style", "roll_rate", "roll_max")] == pytest.approx([1, 1, 0.7])
+    assert [told[name] for name in ("rates_style", "ROLL_RATE", "ROLL_MAX")] == pytest.approx([1, 1, 0.7])
 
 
 def test_what_is_stored_is_there_after_a_restart_and_defaults_too(lockstep: MakeLockstep) -> None:
@@ -262,10 +270,11 @@ def test_what_is_stored_is_there_after_a_restart_and_defaults_too(lockstep: Make
     again.station.link.mav.param_request_read_send(1, 1, b"roll_expo", -1)
     again.settle()
     assert number(again.station.got("PARAM_VALUE")[-1]) == 0.5
+    again.station.forget()
     again.station.command(mavlink.MAV_CMD_PREFLIGHT_STORAGE, 2)
     again.settle()
     told = {m.param_id: number(m) for m in again.station.got("PARAM_VALUE")}
-    assert len(told) == len(PARAMETERS) and (told["roll_expo"], told["rx_protocol"]) == (0.0, 0.0)
+    assert len(told) == len(PARAMETERS) and (told["ROLL_EXPO"], told["RX_PROTOCOL"]) == (0.0, 0.0)
 
 
 def test_settings_that_contradict_each_other_are_not_stored_and_told(lockstep: MakeLockstep) -> None:
