@@ -92,14 +92,15 @@ class Firmware:
         self._client = client
 
     def ask(self, command: Msp, payload: bytes = b"") -> bytes:
-        """One question that is not repeated."""
-        return self._client.request(command, payload, timeout=ASK_S, retries=0)
+        """One question that is not repeated; `sample` is up to date as well."""
+        answer = self._client.request(command, payload, timeout=ASK_S, retries=0)
+        self._take_samples()
+        return answer
 
     def look(self) -> None:
-        """Bring `safety`, `status` and `sample` up to date."""
+        """Bring `safety` and `status` up to date."""
         self.safety: Safety = records.safety(self.ask(Msp.SAFETY))
         self.status: StatusEx = messages.status_ex(self.ask(Msp.STATUS_EX))
-        self._take_samples()
 
     def _take_samples(self) -> None:
         """The last one that came beside the answers so far."""
@@ -152,15 +153,12 @@ class Firmware:
             self._stream.begin()
 
     def attitude(self) -> Attitude:
-        """Ask for it; `gyro` is up to date as well."""
-        told = messages.attitude(self.ask(Msp.ATTITUDE))
-        self._take_samples()
-        return told
+        """Ask for it."""
+        return messages.attitude(self.ask(Msp.ATTITUDE))
 
     def inertial(self) -> Inertial:
-        """Ask for the accelerometer; `gyro` is up to date as well."""
+        """Ask for the accelerometer; the gyro's are those of `sample`."""
         told = messages.raw_imu(self.ask(Msp.RAW_IMU))
-        self._take_samples()
         force_g = tuple(count / self._counts_per_g for count in told.acceleration)
         return Inertial(self.gyro, force_g, self.safety.temperature_deg_c)
 
