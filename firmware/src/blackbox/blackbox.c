@@ -60,7 +60,7 @@ void blackbox_status(const struct blackbox *b, struct blackbox_status *status)
 {
 	*status = (struct blackbox_status){
 		.chosen = (uint8_t)b->config.about.settings->blackbox_device,
-		.logging = b->phase != WAITING,
+		.logging = blackbox_logs(b),
 		.lossy = b->dropped > 0,
 		.frames = b->written,
 		.dropped = b->dropped,
@@ -68,6 +68,11 @@ void blackbox_status(const struct blackbox *b, struct blackbox_status *status)
 	};
 	if (b->config.device)
 		b->config.device->status(b->config.device->context, &status->device);
+}
+
+bool blackbox_logs(const struct blackbox *b)
+{
+	return b->phase != WAITING;
 }
 
 /* --- Before a log ------------------------------------------------------------------------------------------------ */

@@ -75,6 +75,9 @@ void blackbox_step(struct blackbox *blackbox, const struct blackbox_view *view);
 
 void blackbox_status(const struct blackbox *blackbox, struct blackbox_status *status);
 
+/* Is a log begun, and not over yet? */
+bool blackbox_logs(const struct blackbox *blackbox);
+
 /* Logs that the device keeps. Only while the motors are stopped. NF_REFUSAL_ABSENT: this device keeps none, _ORDER: a log
  * is being written, _INDEX: there are fewer, _LOG: the device failed. *later: it is under way, ask again. */
 enum nf_refusal blackbox_entry(struct blackbox *blackbox, unsigned index, struct log_entry *entry, bool *later);
