@@ -61,7 +61,7 @@ help: ## this list
 
 setup: $(READY) ## the Python environment: [EXTRA=firmware|gateway|sim|train|sweep|dev] [PYTHON=] [TORCH=cuda]
 
-$(READY): setup.sh pyproject.toml constraints.txt
+$(READY): setup.sh pyproject.toml setup.py constraints.txt
 	@PYTHON='$(PYTHON)' TORCH='$(TORCH)' ./setup.sh $(EXTRA)
 
 arm: # the ARM compiler and llvm-mca, from the system's packages where that is allowed; it goes without llvm-mca

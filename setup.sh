@@ -1,6 +1,6 @@
 #!/bin/sh
 # Brings .venv to what one extra of pyproject.toml needs. The Makefile calls it when the extra's stamp is missing or
-# older than pyproject.toml, constraints.txt or this file.
+# older than pyproject.toml, setup.py, constraints.txt or this file.
 #
 #   setup.sh firmware|gateway|sim|train|sweep|dev
 #

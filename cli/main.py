@@ -66,7 +66,17 @@ COMMANDS = {
 EXTRAS = {  # of pyproject.toml: packages that not every command needs, under the names they are imported by
     "gateway": ("pymavlink",),
     "sim": ("PIL", "cffi", "matplotlib", "pybullet", "scipy", "trimesh"),
-    "train": ("gymnasium", "onnxruntime", "sb3_contrib", "stable_baselines3", "tensorboard", "torch"),
+    "train": (
+        *(
+            "gymnasium",
+            "onnxruntime",
+            "onnxscript",
+            "sb3_contrib",
+            "stable_baselines3",
+            "tensorboard",
+            "torch",
+        ),
+    ),
     "sweep": ("ray",),
 }
 ROOM_EXTRAS = {"training": "train", "training/evaluation": "train"}  # what every command there needs at least

@@ -56,7 +56,7 @@ REASONS = {
     Refusal.BLOB: "the policy is none for this firmware: {policy} (error {detail} of nf_err.h)",
     Refusal.SEQUENCE: "the policy's sequence number is not newer than that of the policy which stays",
     Refusal.ABSENT: "this firmware or its settings have no such thing",
-    Refusal.SPOILT: "a change before it was refused; nothing is stored, and what was not stored is undone",
+    Refusal.SPOILT: "it is stored, but not all: some of a change before it was refused",
     Refusal.IMAGE: "the image is none for this board's other bank (error {detail} of nf_err.h)",
     Refusal.LOG: "the device that keeps the logs failed (LogError {detail})",
 }

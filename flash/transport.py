@@ -28,8 +28,12 @@ PSEUDO_TERMINALS = range(136, 144)  # major numbers of their devices on Linux
 PORT_FORMS = "tcp:HOST:PORT, serial:DEVICE[:BAUD] or a device such as /dev/ttyUSB0"
 
 
+class LineGoneError(LinkError):
+    """A line that was open is gone."""
+
+
 class Transport(Protocol):
-    """An open line. Every method raises LinkError once the line is gone."""
+    """An open line. Every method raises LineGoneError once the line is gone."""
 
     @property
     def name(self) -> str:
@@ -155,7 +159,7 @@ class TcpTransport:
         except OSError as error:
             raise _lost(self._name, error) from None
         if not data:
-            raise LinkError(
+            raise LineGoneError(
                 f"{self._name}: the other end closed the connection, expected a reply; "
                 "check that the firmware still runs and serves nobody else"
             )
@@ -246,8 +250,8 @@ _OPEN_FAILURE_UNKNOWN = (
 )
 
 
-def _lost(name: str, error: Exception) -> LinkError:
-    return LinkError(
+def _lost(name: str, error: Exception) -> LineGoneError:
+    return LineGoneError(
         f"{name}: the line is gone ({_sentence(error)}), expected it to stay open; "
         "check the cable and that the firmware still runs"
     )

@@ -19,6 +19,7 @@ from cli.main import ROOMS as COMMANDS
 ROOT = Path(__file__).resolve().parents[1]
 PYTHON = ("toolchain", "flash", "sim", "training", "cli")  # top-level folders with Python code
 ROOMS = (
+    "neuroflight.py",
     "toolchain/errors.py",
     "toolchain/files.py",
     "toolchain/contract",
@@ -256,7 +257,7 @@ def test_ground_imports_nothing_of_the_rooms_when_read(name: str) -> None:
         ("toolchain/ir/network.py", "import toolchain.codegen.plan"),
         ("sim/physics/twin.py", "from training.tasks.task import Task"),
         ("sim/board/core/engine.py", "from sim.board.board import Board"),
-        ("training/envs/vector.py", "import flash.msp"),
+        ("training/envs/sb3_vector.py", "import flash.msp"),
         ("training/runs/train.py", "import cli.main"),
     ],
 )

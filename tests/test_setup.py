@@ -56,7 +56,7 @@ class Machine:
         self.log = folder / "log"
         for made in (self.project, self.path, self.state):
             made.mkdir()
-        for name in ("Makefile", "setup.sh", "pyproject.toml", "constraints.txt"):
+        for name in ("Makefile", "setup.sh", "setup.py", "pyproject.toml", "constraints.txt"):
             shutil.copy2(ROOT / name, self.project)
         for tool in TOOLS:
             self.path.joinpath(tool).symlink_to(shutil.which(tool) or tool)

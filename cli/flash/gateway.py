@@ -60,6 +60,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Carry MAVLink until Ctrl-C. Raises NeuroflightError for what cannot be done."""
     import time
+    from functools import partial
 
     from flash.client import Client
     from flash.mavlink.endpoint import UdpPeer, parse_address
@@ -73,8 +74,9 @@ def run(args: argparse.Namespace) -> int:
     )
     with ExitStack() as stack:
         peers = [stack.enter_context(closing(UdpPeer(address))) for address in addresses]
-        client = stack.enter_context(Client(open_transport(args.port)))
-        session = stack.enter_context(closing(Session(client, peers, options, time.monotonic, _say)))
+        reopen = partial(open_transport, args.port)
+        client = stack.enter_context(Client(reopen()))
+        session = stack.enter_context(closing(Session(client, peers, options, time.monotonic, _say, reopen)))
         _say(f"gateway between {client.name} and {', '.join(args.mavlink)}; Ctrl-C ends it")
         with suppress(KeyboardInterrupt):  # its usual end
             _serve(session, peers)

@@ -148,7 +148,7 @@ def run(args: argparse.Namespace) -> int:
             ends.callback(bridges[-1].close)
         debugger = None
         if args.gdb is not None:
-            debugger = GdbServer(idle.board.engine, args.gdb)
+            debugger = GdbServer(idle.board.engine, args.gdb, on_flashed=keeper.note_change)
             ends.callback(debugger.close)
             idle.run_core = debugger.run_to
         interrupt = ends.enter_context(Interrupt(debugger))

@@ -143,7 +143,7 @@ def attached(
         server = GdbServer(board.engine, args.gdb)
         ends.callback(server.close)
         elf = image.with_suffix(".elf")
-        say(f"waiting for gdb: arm-none-eabi-gdb -ex 'target remote :{server.port}' {elf}")
+        say(f"waiting for gdb: gdb-multiarch -d firmware -ex 'target remote :{server.port}' {elf}")
         server.wait()
         run_to = server.run_to
     interrupt = ends.enter_context(Interrupt(server))
@@ -162,6 +162,8 @@ def attached(
                 bridge.exchange(until - board.cycle)
             run_to(until)
             interrupt.check()
+            if server is not None:
+                server.poll()
 
     return run
 

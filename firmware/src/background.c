@@ -1,5 +1,6 @@
 #include "background.h"
 
+#include <stddef.h>
 #include <string.h>
 
 #include "sensing/filters.h"
@@ -36,7 +37,7 @@ static enum nf_err background_load_settings(struct background *background)
 	const struct background_config *config = &background->config;
 
 	background->mended = settings_load(&background->edited, &config->hal->flash) == SETTINGS_MENDED;
-	background->settings = background->edited;
+	background->settings = background->seen = background->edited;
 	if (!background_change_settings(&background->settings, config))
 		return NF_ERR_SETTINGS;
 	if (config->gyro_rate_hz > 0)
@@ -130,13 +131,49 @@ static enum nf_refusal background_storing(void *context, bool busy)
 	return NF_REFUSAL_ARMED;
 }
 
+/* Settings that are flown as soon as they are changed and the motors stand: rates and dead bands, and the PID's factors. */
+static const struct span {
+	uint16_t at, bytes; /* of struct nf_settings */
+} tuned[] = {
+	{ offsetof(struct nf_settings, rates_style), 12 * sizeof(uint32_t) },
+	{ offsetof(struct nf_settings, pid_roll_p), 9 * sizeof(uint32_t) },
+};
+_Static_assert(SETTING_AT_interpolation - SETTING_AT_rates_style == 12, "style, three numbers an axis, two dead bands");
+_Static_assert(SETTING_AT_battery_cells - SETTING_AT_pid_roll_p == 9, "three factors an axis");
+
+/* Takes over what of those was changed since the last time. Not while a log is written, which tells how it began; then, and while
+ * the motors turn, it is tried again later. */
+static void background_tune(struct background *background)
+{
+	struct nf_settings flown = background->settings;
+	bool changed = false;
+
+	for (size_t i = 0; i < sizeof tuned / sizeof tuned[0]; ++i) {
+		const uint8_t *edited = (const uint8_t *)&background->edited + tuned[i].at;
+		if (memcmp(edited, (const uint8_t *)&background->seen + tuned[i].at, tuned[i].bytes) == 0)
+			continue;
+		memcpy((uint8_t *)&flown + tuned[i].at, edited, tuned[i].bytes);
+		changed = true;
+	}
+	if (!changed || blackbox_logs(&background->blackbox) || settings_conflict(&flown) != NF_SETTING_COUNT ||
+	    background_storing(background, true) != NF_REFUSAL_NONE)
+		return;
+	background->settings = flown;
+	background->seen = background->edited;
+	firmware_tune_init(background->config.firmware, &background->settings);
+	background->snapshot.taken = false;
+	(void)background_storing(background, false);
+}
+
 static enum nf_refusal background_test_motors(void *context, uint32_t magic)
 {
 	struct background *background = context;
 	struct firmware *fw = background->config.firmware;
 
+	/* The wizards' goes on behind the commands that they send, whose frames go before its values. */
 	return motor_test_ask(&fw->motor_test, magic,
-			      fw->status.state == NF_FLIGHT_DISARMED && !dshot_command_busy(&fw->dshot_command));
+			      fw->status.state == NF_FLIGHT_DISARMED &&
+				      (magic == NF_MOTOR_WIZARD_MAGIC || !dshot_command_busy(&fw->dshot_command)));
 }
 
 /* Is the test that the peer opened by saying that it tests motors the one that is open? */
@@ -152,7 +189,8 @@ static enum nf_refusal background_arming(void *context, struct msp_peer *peer, b
 	bool locked = false;
 
 	if (test) {
-		const enum nf_refusal refusal = background_test_motors(context, NF_MOTOR_TEST_MAGIC);
+		const enum nf_refusal refusal = background_test_motors(context, disabled ? NF_MOTOR_WIZARD_MAGIC :
+											   NF_MOTOR_TEST_MAGIC);
 		if (refusal != NF_REFUSAL_NONE)
 			return refusal;
 	} else if (background_owns_test(background, peer)) {
@@ -210,7 +248,7 @@ static enum nf_refusal background_command_motors(void *context, unsigned motor, 
 	struct firmware *fw = background->config.firmware;
 
 	return dshot_command_ask(&fw->dshot_command, command, motor,
-				 !fw->status.trace.armed && !motor_test_forbids(&fw->motor_test));
+				 !fw->status.trace.armed && !motor_test_open(&fw->motor_test));
 }
 
 static enum nf_refusal background_acknowledge(void *context)
@@ -542,6 +580,7 @@ static void background_run_storage(void *context)
 	struct background *background = context;
 
 	background_watch_gesture(background);
+	background_tune(background);
 	background_renew_fault_log(background);
 	background_check_weights(background);
 	background_watch_load(background);
@@ -638,6 +677,7 @@ size_t background_link(struct background *background, unsigned port, const uint8
 		return 0;
 	background_status(background, &status);
 	const size_t written = msp_port_serve(&background->ports[port], &status, bytes, count, reply, capacity);
+	background_tune(background);
 	task_stats_add(&background->config.stats[NF_TASK_MSP], hal->cycles(hal->context) - start, false);
 	return written;
 }

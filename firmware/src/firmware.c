@@ -463,12 +463,6 @@ static void firmware_control_step(struct firmware *fw, const float rate[3])
 	firmware_publish(fw);
 }
 
-/* Do the motors stand still, and no test turns them? */
-static bool firmware_motors_stopped(const struct firmware *fw)
-{
-	return !fw->status.trace.armed && !motor_test_forbids(&fw->motor_test);
-}
-
 /* Counts one gyro sample in all timers. */
 static void firmware_tick(struct firmware *fw)
 {
@@ -528,7 +522,7 @@ bool firmware_sample(struct firmware *fw, const struct imu_sample *sample, uint1
 	}
 	--fw->until_control;
 	firmware_tick(fw);
-	return dshot_command_step(&fw->dshot_command, firmware_motors_stopped(fw), dshot);
+	return dshot_command_step(&fw->dshot_command, !fw->status.trace.armed, dshot);
 }
 
 void firmware_gyro_silent(struct firmware *fw, uint16_t dshot[POLICY_ACTION_COUNT])
@@ -573,6 +567,13 @@ void firmware_calibrate(struct firmware *fw)
 	fw->calibrate = true;
 }
 
+void firmware_tune_init(struct firmware *fw, const struct nf_settings *settings)
+{
+	rates_init(&fw->rates, settings);
+	pid_init(&fw->control.pid, fw->control.pid.gains, settings);
+	fence();
+}
+
 void firmware_acknowledge(struct firmware *fw)
 {
 	fw->acknowledged = true;
@@ -598,8 +599,11 @@ bool firmware_armed(const struct firmware *fw)
 
 bool firmware_stopped(const struct firmware *fw)
 {
+	const struct motor_test *test = &fw->motor_test;
+
 	fence();
-	return firmware_motors_stopped(fw) && !dshot_command_busy(&fw->dshot_command);
+	return !fw->status.trace.armed && !motor_test_open(test) && test->left == 0 &&
+	       !dshot_command_busy(&fw->dshot_command);
 }
 
 enum nf_refusal firmware_post(struct firmware *fw, const uint16_t channels_us[NF_CHANNEL_COUNT])

@@ -159,6 +159,9 @@ void firmware_forbid(struct firmware *fw, enum nf_arming_reason reason, bool hol
  * step finds the motors armed: then nothing happens. */
 void firmware_acknowledge(struct firmware *fw);
 
+/* From the background, while nothing arms: rates and PID are those of `settings` from the next control step on. */
+void firmware_tune_init(struct firmware *fw, const struct nf_settings *settings);
+
 /* From the background: the gyro is calibrated anew from the next control step on, unless that finds the motors armed. Until
  * it is, nothing arms; rates go on with the bias from before. */
 void firmware_calibrate(struct firmware *fw);

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Protocol
 
 from pymavlink.dialects.v20 import common as mavlink
 
+from flash.mavlink.customs import CUSTOM_MODE, MODE_OFFBOARD, MODE_RECEIVER
 from flash.mavlink.offboard import Source
-from flash.mavlink.telemetry import MODE_OFFBOARD, MODE_RECEIVER
 
 ACCEPTED, REJECTED, DENIED, UNSUPPORTED, FAILED, IN_PROGRESS = (
     mavlink.MAV_RESULT_ACCEPTED,
@@ -45,11 +46,12 @@ class Actions(Protocol):
     """What commands can do; each returns a MAV_RESULT."""
 
     def send_once(self, message: int) -> int: ...
+    def tell_capabilities(self, source: Source) -> int: ...
     def set_interval(self, message: int, interval_us: int) -> int: ...
     def tell_interval(self, message: int) -> int: ...
     def store(self, *, defaults: bool) -> int: ...
     def reboot(self) -> int: ...
-    def set_offboard(self, source: Source, *, on: bool) -> int: ...
+    def set_mode(self, source: Source, base: int, main: int, sub: int) -> int: ...
     def arm(self, request: Request) -> int: ...
     def disarm(self, request: Request) -> int: ...
 
@@ -76,6 +78,8 @@ def carry_out(request: Request, actions: Actions) -> int:
 
 def _request_message(request: Request, actions: Actions) -> int:
     message = request.whole(1, 0, ID_MAX)
+    if message == mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION:
+        return actions.tell_capabilities(request.source)
     return actions.send_once(message) if message is not None else int(DENIED)
 
 
@@ -107,16 +111,17 @@ def _reboot(request: Request, actions: Actions) -> int:
 
 
 def _set_mode(request: Request, actions: Actions) -> int:
-    custom = request.whole(1, 0, 0xFF)
-    mode = request.whole(2, MODE_RECEIVER, MODE_OFFBOARD)
-    if custom is None or not custom & mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED or mode is None:
+    base, main = request.whole(1, 0, 0xFF), request.whole(2, 0, 0xFF)
+    sub = 0 if math.isnan(request.params[2]) else request.whole(3, 0, 0xFF)
+    if base is None or main is None or sub is None:
         return int(DENIED)
-    return actions.set_offboard(request.source, on=mode == MODE_OFFBOARD)
+    return actions.set_mode(request.source, base, main, sub)
 
 
 def _guided(request: Request, actions: Actions) -> int:
     on = request.whole(1, 0, 1)
-    return actions.set_offboard(request.source, on=on == 1) if on is not None else int(DENIED)
+    mode = MODE_OFFBOARD if on else MODE_RECEIVER
+    return actions.set_mode(request.source, CUSTOM_MODE, mode, 0) if on is not None else int(DENIED)
 
 
 def _arm(request: Request, actions: Actions) -> int:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+from collections.abc import Callable
 from functools import cached_property
 
 from flash import messages, records, requests
@@ -12,29 +13,34 @@ from flash.client import Client, NoAnswerError, RefusedError
 from flash.info import check_api, is_ours, version_of
 from flash.mavlink.parameters import Parameter, parameter_list
 from flash.mavlink.sticks import Sticks, sticks_of
-from flash.mavlink.telemetry import Vehicle
+from flash.mavlink.telemetry import Inertial, Vehicle
 from flash.mavlink.texts import Condition
 from flash.messages import Attitude, BatteryState, PolicyInfo, StatusEx
 from flash.records import FaultKind, Safety
 from flash.setting_text import Value, value_text
 from flash.settings import Settings
 from flash.stream import Sample, Stream, decode_sample
+from flash.transport import LineGoneError
 from toolchain.contract import Msp, Refusal
 from toolchain.errors import LinkError
 
 ASK_S = 0.5  # for one answer: a board takes milliseconds, the emulated one tenths of a second
 CHANNELS_S = 0.1  # for the answer to channels, while a companion waits
 SAMPLES_HZ_MIN, SAMPLES_HZ_MAX = 10, 100
+COUNTS_PER_G, COUNTS_PER_G_BEFORE, COUNTS_SINCE = 2048, 512, 47  # of RAW_IMU; since that minor of the API
+DRIFT = 1e-3  # by which clocks may differ, with room: crystals do by 1e-4 at most
 
 
 class Firmware:
     """A firmware of this project. Every method raises LinkError once the line is gone, NoAnswerError for
     silence."""
 
-    def __init__(self, client: Client) -> None:
-        """Read all that does not change. Raises LinkError for another make of firmware."""
-        self._client = client
-        check_api(client)
+    def __init__(self, client: Client, clock: Callable[[], float]) -> None:
+        """Read all that does not change. clock: seconds, never going back. Raises LinkError for another make
+        of firmware."""
+        self._client, self._clock = client, clock
+        self._started = self._seen = clock()  # when it did, as far as is known; when that was looked at last
+        self._counts_per_g = COUNTS_PER_G if check_api(client).minor >= COUNTS_SINCE else COUNTS_PER_G_BEFORE
         if not is_ours(client):
             raise LinkError(
                 f"{client.name}: the firmware is of another make, expected one of this project; "
@@ -43,7 +49,7 @@ class Firmware:
         self.settings = Settings(client)
         stored = self.settings.read()
         self.parameters = parameter_list(one.info for one in stored)
-        self.by_name = {parameter.name: parameter for parameter in self.parameters}
+        self.by_name = {parameter.name: parameter for parameter in self.parameters}  # in capitals
         values: dict[str, Value] = {one.name: one.value for one in stored}
         self._values = values
         self.policy: PolicyInfo = messages.policy_info(client.request(Msp.POLICY_INFO))
@@ -81,20 +87,30 @@ class Firmware:
         """End the stream, as far as the line still lives."""
         self._stream.stop()
 
+    def ask_over(self, client: Client) -> None:
+        """Another line to it: to see whether it answers there, before it is attached anew."""
+        self._client = client
+
     def ask(self, command: Msp, payload: bytes = b"") -> bytes:
-        """One question that is not repeated."""
-        return self._client.request(command, payload, timeout=ASK_S, retries=0)
+        """One question that is not repeated; `sample` is up to date as well."""
+        answer = self._client.request(command, payload, timeout=ASK_S, retries=0)
+        self._take_samples()
+        return answer
 
     def look(self) -> None:
-        """Bring `safety`, `status` and `sample` up to date."""
+        """Bring `safety` and `status` up to date."""
         self.safety: Safety = records.safety(self.ask(Msp.SAFETY))
         self.status: StatusEx = messages.status_ex(self.ask(Msp.STATUS_EX))
-        self._take_samples()
 
     def _take_samples(self) -> None:
         """The last one that came beside the answers so far."""
         while (payload := self._client.receive(Msp.STREAM_SAMPLE, 0.0)) is not None:
-            self.sample = decode_sample(payload)
+            first, self.sample = self.sample is None, decode_sample(payload)
+            now = self._clock()
+            started = now - self.sample.step / self.policy.control_rate_hz
+            # A sample may have waited, so the earliest time is the best; but clocks differ.
+            if first or started < self._started + DRIFT * (now - self._seen):
+                self._started, self._seen = started, now
 
     def look_further(self) -> None:
         """Bring `battery` and `fault` up to date; `restarted` says whether it is another start by now."""
@@ -120,6 +136,11 @@ class Firmware:
         return round(1000 * step / self.policy.control_rate_hz) & 0xFFFFFFFF
 
     @property
+    def now_ns(self) -> int:
+        """Time since the start [ns], by this computer's clock since the last sample."""
+        return round(1e9 * (self._clock() - self._started))
+
+    @property
     def gyro(self) -> tuple[float, ...]:
         """Rates [rad/s] about the house's axes, of the last sample."""
         return self.sample.gyro if self.sample is not None else (0.0, 0.0, 0.0)
@@ -132,10 +153,14 @@ class Firmware:
             self._stream.begin()
 
     def attitude(self) -> Attitude:
-        """Ask for it; `gyro` is up to date as well."""
-        told = messages.attitude(self.ask(Msp.ATTITUDE))
-        self._take_samples()
-        return told
+        """Ask for it."""
+        return messages.attitude(self.ask(Msp.ATTITUDE))
+
+    def inertial(self) -> Inertial:
+        """Ask for the accelerometer; the gyro's are those of `sample`."""
+        told = messages.raw_imu(self.ask(Msp.RAW_IMU))
+        force_g = tuple(count / self._counts_per_g for count in told.acceleration)
+        return Inertial(self.gyro, force_g, self.safety.temperature_deg_c)
 
     def channels(self) -> tuple[int, ...]:
         """Ask for what the receiver hears [us], in the order of MSP's RC."""
@@ -146,8 +171,8 @@ class Firmware:
         return messages.motor(self.ask(Msp.MOTOR))
 
     def reboot(self) -> None:
-        """Ask it to start anew. Raises LinkError when it refuses; an answer need not come."""
-        with contextlib.suppress(NoAnswerError):
+        """Ask it to start anew. Raises RefusedError; an answer need not come, and the line may go with it."""
+        with contextlib.suppress(NoAnswerError, LineGoneError):
             self.ask(Msp.REBOOT)
 
     def value(self, parameter: Parameter) -> Value:

@@ -48,8 +48,12 @@ class Ground:
 
     def broadcast(self, message: Any) -> None:  # noqa: ANN401
         """Send to all."""
-        for wire in self._wires:
-            wire.send(message)
+        self.broadcast_each(lambda _: message)
+
+    def broadcast_each(self, message: Callable[[int], Any]) -> None:
+        """Send to all what `message` makes for each, by its number."""
+        for index, wire in enumerate(self._wires):
+            wire.send(message(index))
 
     def answer(self, source: Source, message: Any) -> None:  # noqa: ANN401
         """Send to the peer of `source`."""

@@ -1,7 +1,8 @@
 """Names of settings as MAVLink has room for them: 16 characters.
 
 Most settings keep their names. The longer ones have a short name in this table, for good: ground stations
-store parameters in files by name.
+store parameters in files by name. Parameters are told in capitals, as MAVProxy and dronekit ask for nothing
+else, and are found whatever the case; no two differ in it alone.
 """
 
 from __future__ import annotations

@@ -3,81 +3,138 @@
 from __future__ import annotations
 
 from collections import deque
+from dataclasses import dataclass
 from typing import Any
 
 from pymavlink.dialects.v20 import common as mavlink
 
 from flash.client import NoAnswerError
+from flash.mavlink.customs import Customs
 from flash.mavlink.firmware import Firmware
 from flash.mavlink.ground import Ground
-from flash.mavlink.parameters import Parameter, decode_value, parameter_value
+from flash.mavlink.offboard import Source
+from flash.mavlink.parameters import (
+    Parameter,
+    TypeMismatchError,
+    came_in_bytes,
+    decode_value,
+    encode_value,
+)
 from flash.setting_text import RATES, STYLE
 from toolchain.errors import LinkError
 
 MESSAGES = frozenset({"PARAM_REQUEST_LIST", "PARAM_REQUEST_READ", "PARAM_SET"})
 BY_NAME = -1  # as the index of PARAM_REQUEST_READ
+ANSWERS_MAX = 256  # that wait to be told; what is asked for beyond is lost
+UNKNOWN, OUT_OF_RANGE, FORBIDDEN = (
+    mavlink.MAV_PARAM_ERROR_DOES_NOT_EXIST,
+    mavlink.MAV_PARAM_ERROR_VALUE_OUT_OF_RANGE,
+    mavlink.MAV_PARAM_ERROR_PERMISSION_DENIED,
+)
+TYPE_MISMATCH = 7  # MAV_PARAM_ERROR_TYPE_MISMATCH, which pymavlink does not name
+
+
+@dataclass(frozen=True)
+class _Answer:
+    """A value that one source asked for."""
+
+    parameter: Parameter
+    source: Source
+    name: str  # as it was asked for: a client looks for just this one
+    in_bytes: bool
 
 
 class ParameterServer:
     """Answers for one firmware."""
 
-    def __init__(self, firmware: Firmware, ground: Ground) -> None:
-        self._firmware, self._ground = firmware, ground
-        self._queue: deque[Parameter] = deque()
+    def __init__(self, firmware: Firmware, ground: Ground, customs: Customs) -> None:
+        self._firmware, self._ground, self._customs = firmware, ground, customs
+        self._queue: deque[Parameter] = deque()  # to tell everybody
+        self._answers: dict[_Answer, None] = {}  # in their order, which go first
+        self._readers: dict[int, Source] = {}  # who asked last, by peer
 
     @property
     def busy(self) -> bool:
         """Whether values are to be told."""
-        return bool(self._queue)
+        return bool(self._answers or self._queue)
 
     def tell_one(self) -> None:
         """Tell the next value. Raises LinkError; it is told again then."""
-        parameter = self._queue[0]
+        answer = next(iter(self._answers), None)
+        parameter = answer.parameter if answer is not None else self._queue[0]
         value = self._firmware.value(parameter)
-        self._queue.popleft()
-        self._ground.broadcast(parameter_value(parameter, value, len(self._firmware.parameters)))
+        if answer is not None:
+            del self._answers[answer]
+        else:
+            self._queue.popleft()
+
+        def message(peer: int) -> Any:  # noqa: ANN401 - pymavlink's are untyped
+            if answer is not None and peer == answer.source[0]:
+                name, in_bytes = answer.name, answer.in_bytes
+            else:
+                name, in_bytes = parameter.name, self._customs.reads_bytes(self._readers.get(peer))
+            field, kind = encode_value(parameter, value, in_bytes=in_bytes)
+            count = len(self._firmware.parameters)
+            return mavlink.MAVLink_param_value_message(name.encode(), field, kind, count, parameter.index)
+
+        self._ground.broadcast_each(message)
 
     def tell_all(self) -> None:
         """Tell every value."""
         self._queue = deque(self._firmware.parameters)
 
-    def handle(self, message: Any) -> None:  # noqa: ANN401 - pymavlink's are untyped
+    def handle(self, source: Source, message: Any) -> None:  # noqa: ANN401
         """One of MESSAGES. Raises NoAnswerError, LinkError once the line is gone."""
+        self._readers[source[0]] = source
         if message.get_type() == "PARAM_REQUEST_LIST":
             self.tell_all()
             return
-        parameter = self._named(message)
-        if parameter is None:
-            return
-        if message.get_type() == "PARAM_SET":
-            self._set(parameter, message.param_value, message.param_type)
-        self._tell_first(parameter)
-
-    def _named(self, message: Any) -> Parameter | None:  # noqa: ANN401
-        """The parameter that is meant, None where there is none."""
         index = getattr(message, "param_index", BY_NAME)
-        if index != BY_NAME:
-            known = self._firmware.parameters
-            return known[index] if 0 <= index < len(known) else None
-        found = self._firmware.by_name.get(message.param_id)
-        if found is None:
-            self._ground.complain(f"No parameter {message.param_id!a}")
-        return found
+        parameter = self._named(message.param_id) if index == BY_NAME else self._numbered(index)
+        if parameter is None:
+            if index == BY_NAME:
+                self._refuse(source, message.param_id, UNKNOWN)
+                self._ground.complain(f"No parameter {message.param_id!a}")
+            return
+        in_bytes = self._customs.reads_bytes(source)
+        if message.get_type() == "PARAM_SET":
+            in_bytes |= self._set(source, parameter, message)
+        name = message.param_id if index == BY_NAME else parameter.name
+        if len(self._answers) < ANSWERS_MAX:
+            self._answers[_Answer(parameter, source, name, in_bytes)] = None
 
-    def _tell_first(self, parameter: Parameter) -> None:
-        self._queue = deque([parameter, *(one for one in self._queue if one is not parameter)])
+    def _named(self, name: str) -> Parameter | None:
+        return self._firmware.by_name.get(name.upper())
 
-    def _set(self, parameter: Parameter, field: float, told: int) -> None:
-        """Set it, or say why not; what it is then is told in either case."""
+    def _numbered(self, index: int) -> Parameter | None:
+        known = self._firmware.parameters
+        return known[index] if 0 <= index < len(known) else None
+
+    def _set(self, source: Source, parameter: Parameter, message: Any) -> bool:  # noqa: ANN401
+        """Set it, or say why not; what it is then is told in either case. Returns whether the value came in
+        bytes: the answer does, too."""
+        field, told = message.param_value, message.param_type
+        error = OUT_OF_RANGE
         try:
             if self._firmware.armed:
+                error = FORBIDDEN
                 raise ValueError("the motors are armed; disarm first")
             self._firmware.settings.set(parameter.setting, decode_value(parameter, field, told))
+            if parameter.setting == STYLE:  # which sets all rates
+                known = (one for one in self._firmware.parameters if one.setting in RATES)
+                self._queue += [one for one in known if one not in self._queue]
         except NoAnswerError:
             raise
-        except (ValueError, LinkError) as error:
-            why = str(error).removeprefix(f"setting {parameter.setting} ")
-            self._ground.tell(mavlink.MAV_SEVERITY_WARNING, f"{parameter.name}: {why}")
-            return
-        if parameter.setting == STYLE:  # which sets all rates
-            self._queue += [one for one in self._firmware.parameters if one.setting in RATES]
+        except (ValueError, LinkError) as why:
+            if isinstance(why, TypeMismatchError):
+                error = TYPE_MISMATCH
+            words = str(why).removeprefix(f"setting {parameter.setting} ")
+            self._refuse(source, message.param_id, error)
+            self._ground.tell(mavlink.MAV_SEVERITY_WARNING, f"{parameter.name}: {words}")
+        return parameter.whole and came_in_bytes(field, told)
+
+    def _refuse(self, source: Source, name: str, error: int) -> None:
+        """Say so in the message that newer clients wait for; others hear the text."""
+        _, system, component = source
+        told = mavlink.MAVLink_param_error_message(system, component, name.encode(), BY_NAME, error)
+        self._ground.answer(source, told)

@@ -1,7 +1,10 @@
 """Settings as MAVLink parameters: which there are, and what a value looks like in PARAM_VALUE and PARAM_SET.
 
-A parameter's float field holds a REAL32 as the number, a UINT32 as its four bytes (the protocol's bytewise
-encoding): a mode range, packed, takes 25 bits, more than a float32 keeps. Texts are left out.
+A parameter's float field holds a number of type REAL32 as it is. For a whole number there are two customs:
+its four bytes stand in the field (PX4, MAVSDK, QGroundControl), or its value as a float (ArduPilot and its
+tools). What is told as REAL32 is read right by both, so whole numbers are told so, too, unless the reader has
+asked how they are encoded and was told: in bytes, as INT32. A mode range, packed, takes 25 bits, more than a
+float32 keeps: what does not fit comes as INT32 in any case. Texts are left out.
 """
 
 from __future__ import annotations
@@ -10,7 +13,6 @@ import math
 import struct
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any
 
 from pymavlink.dialects.v20 import common as mavlink
 
@@ -18,11 +20,16 @@ from flash.mavlink.parameter_names import parameter_name
 from flash.requests import SettingInfo
 from flash.setting_text import Value
 
-REAL32, UINT32, INT32 = (
-    mavlink.MAV_PARAM_TYPE_REAL32,
-    mavlink.MAV_PARAM_TYPE_UINT32,
-    mavlink.MAV_PARAM_TYPE_INT32,
-)
+REAL32, INT32 = mavlink.MAV_PARAM_TYPE_REAL32, mavlink.MAV_PARAM_TYPE_INT32
+# How the first bytes of the field hold a whole number, by param_type.
+_WHOLE = {
+    mavlink.MAV_PARAM_TYPE_UINT8: "<B",
+    mavlink.MAV_PARAM_TYPE_INT8: "<b",
+    mavlink.MAV_PARAM_TYPE_UINT16: "<H",
+    mavlink.MAV_PARAM_TYPE_INT16: "<h",
+    mavlink.MAV_PARAM_TYPE_UINT32: "<I",
+    INT32: "<i",
+}
 FLOAT32_WHOLE_MAX = 1 << 24  # up to here a float32 has every whole number
 
 
@@ -30,53 +37,61 @@ FLOAT32_WHOLE_MAX = 1 << 24  # up to here a float32 has every whole number
 class Parameter:
     """A setting under its MAVLink name."""
 
-    name: str
+    name: str  # in capitals, as it is told
     setting: str
-    type: int  # MAV_PARAM_TYPE
+    whole: bool
     index: int  # among the parameters
     number: int  # among the settings
+
+
+class TypeMismatchError(ValueError):
+    """The param_type is none that this parameter can be set with."""
 
 
 def parameter_list(settings: Iterable[SettingInfo]) -> tuple[Parameter, ...]:
     """The parameters that the settings of a firmware are, in its order."""
     kept = [(number, info) for number, info in enumerate(settings) if info.kind != "text"]
     return tuple(
-        Parameter(parameter_name(info.name), info.name, UINT32 if info.whole else REAL32, index, number)
+        Parameter(parameter_name(info.name).upper(), info.name, info.whole, index, number)
         for index, (number, info) in enumerate(kept)
     )
 
 
-def parameter_value(parameter: Parameter, value: Value, count: int) -> Any:  # noqa: ANN401
-    """PARAM_VALUE, of so many parameters in all."""
-    return mavlink.MAVLink_param_value_message(
-        parameter.name.encode(), encode_value(parameter, value), parameter.type, count, parameter.index
-    )
+def encode_value(parameter: Parameter, value: Value, *, in_bytes: bool) -> tuple[float, int]:
+    """The float field that tells `value`, and the param_type beside it. in_bytes: for a reader that takes
+    whole numbers so."""
+    if not parameter.whole or (not in_bytes and float(value) <= FLOAT32_WHOLE_MAX):
+        return float(value), REAL32
+    (field,) = struct.unpack("<f", struct.pack("<i", int(value)))
+    return float(field), INT32
 
 
-def encode_value(parameter: Parameter, value: Value) -> float:
-    """The float field that tells `value`."""
-    if parameter.type == REAL32:
-        return float(value)
-    (field,) = struct.unpack("<f", struct.pack("<I", int(value)))
-    return float(field)
+def came_in_bytes(field: float, told: int) -> bool:
+    """Whether the field of a PARAM_SET is the bytes of a whole number. told: the param_type.
+
+    Clients that put the value there as a float may tell INT32 as well; but no float that is a whole number
+    has the bytes of one that a setting can have.
+    """
+    return told != REAL32 and not (math.isfinite(field) and (field == 0 or abs(field) >= 1))
 
 
 def decode_value(parameter: Parameter, field: float, told: int) -> float:
     """The value that a PARAM_SET asks for; its limits are the firmware's business.
 
-    told: the param_type beside it, which says how `field` is to be read. A whole number may come as REAL32
-    too, from scripts that know no other type. Raises ValueError that says what is wrong.
+    told: the param_type beside it. Raises ValueError that says what is wrong.
     """
-    if told == REAL32:
-        if not math.isfinite(field):
-            raise ValueError("the value is no number")
-        if parameter.type == UINT32 and not (field.is_integer() and 0 <= field <= FLOAT32_WHOLE_MAX):
-            raise ValueError(f"got {field:g}, expected a whole number from 0")
-        return field
-    if told in (UINT32, INT32) and parameter.type == UINT32:
-        (value,) = struct.unpack("<I" if told == UINT32 else "<i", struct.pack("<f", field))
-        if value < 0:
-            raise ValueError(f"got {value}, expected a whole number from 0")
-        return float(value)
-    wanted = "REAL32" if parameter.type == REAL32 else "UINT32"
-    raise ValueError(f"got param_type {told}, expected {wanted}")
+    if told not in (_WHOLE.keys() | {REAL32}) if parameter.whole else told != REAL32:
+        wanted = "INT32 or REAL32" if parameter.whole else "REAL32"
+        raise TypeMismatchError(f"got param_type {told}, expected {wanted}")
+    value = field
+    if in_bytes := came_in_bytes(field, told):
+        (value,) = struct.unpack_from(_WHOLE[told], struct.pack("<f", field))
+    if not math.isfinite(value):
+        raise ValueError("the value is no number")
+    if not parameter.whole:
+        return value
+    if value < 0 or value != int(value):
+        raise ValueError(f"got {value:g}, expected a whole number from 0")
+    if not in_bytes and value > FLOAT32_WHOLE_MAX:
+        raise ValueError(f"got {value:.0f} as a float, which may have been rounded: expected INT32")
+    return float(value)

@@ -14,7 +14,9 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from flash.client import Client, NoAnswerError
 from flash.mavlink import commands, telemetry, texts
+from flash.mavlink.answers import ANSWERS
 from flash.mavlink.commands import Request
+from flash.mavlink.customs import Customs, Mode, ModeError, message_mode
 from flash.mavlink.endpoint import Peer
 from flash.mavlink.firmware import Firmware
 from flash.mavlink.ground import Ground
@@ -26,22 +28,34 @@ from flash.mavlink.parameter_server import ParameterServer
 from flash.mavlink.setpoints import STEERING
 from flash.mavlink.steering import Steering
 from flash.mavlink.texts import Condition
+from flash.transport import LineGoneError, Transport
 from toolchain.errors import LinkError
 
 LOOK, LOOK_FURTHER = "look", "look further"  # at the firmware: tasks beside the messages of DEFAULT_HZ
 LOOK_S, LOOK_FURTHER_S, RETRY_S = 0.1, 1.0, 0.5  # their periods; of looking whether it is back
 SILENCES_MAX = 3  # questions in a row without an answer: the firmware is gone
+LINE_S = 60.0  # in which a line that is gone must come back; a board needs one, who starts a program some
 HEARTBEAT = mavlink.MAVLINK_MSG_ID_HEARTBEAT
 ATTITUDE = mavlink.MAVLINK_MSG_ID_ATTITUDE
 DEFAULT_HZ = {
     HEARTBEAT: 1.0,
     ATTITUDE: 10.0,
+    mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: 10.0,
+    mavlink.MAVLINK_MSG_ID_HIGHRES_IMU: 10.0,
+    mavlink.MAVLINK_MSG_ID_SCALED_IMU: 2.0,
+    mavlink.MAVLINK_MSG_ID_RAW_IMU: 2.0,
+    mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 2.0,
     mavlink.MAVLINK_MSG_ID_SYS_STATUS: 1.0,
     mavlink.MAVLINK_MSG_ID_BATTERY_STATUS: 0.5,
     mavlink.MAVLINK_MSG_ID_RC_CHANNELS: 2.0,
     mavlink.MAVLINK_MSG_ID_SERVO_OUTPUT_RAW: 2.0,
     mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION: 0.0,  # when asked for
 }
+SAMPLED = (
+    ATTITUDE,
+    mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION,
+    *telemetry.IMU,
+)  # what tells a sample's rates
 
 
 @dataclass(frozen=True)
@@ -64,14 +78,20 @@ class Session:
         options: Options,
         clock: Callable[[], float],
         say: Callable[[str], None] = lambda line: None,
+        reopen: Callable[[], Transport] | None = None,
     ) -> None:
-        """clock: seconds, never going back. say: gets each text that goes to the peers.
+        """client: its line is closed with the session. clock: seconds, never going back. say: gets each text
+        that goes to the peers. reopen: opens the line again where it has gone; None: that ends the session.
 
         Raises LinkError where nobody answers, and where offboard is wanted and cannot be.
         """
         self._client, self._options, self._clock = client, options, clock
         self._ground = Ground(peers, options.system, clock, say)
+        self._customs = Customs()
+        self._reopen = reopen
         self._silences, self._gone = 0, False
+        self._line_open = True
+        self._line_lost: float | None = None  # when it was, until the firmware answers again
         self._told: Condition | None = None
         self._periods: dict[int | str, float] = {
             LOOK: LOOK_S,
@@ -87,6 +107,7 @@ class Session:
         """Nothing goes to the firmware any more."""
         self._steering.release()
         self.firmware.close()
+        self._client.close()
 
     @property
     def steered(self) -> bool:
@@ -106,10 +127,22 @@ class Session:
         except NoAnswerError:
             self._silences += 1
             if self._silences >= SILENCES_MAX and not self._gone:
-                self._gone = True
-                self._steering.release()
-                self._ground.tell(texts.CRITICAL, "The flight controller does not answer")
+                self._lose("The flight controller does not answer")
+        except LineGoneError:
+            self._client.close()
+            self._line_open = False
+            if self._line_lost is None:
+                self._line_lost = self._clock()
+                if self._reopen is not None:
+                    self._lose(f"The line to the flight controller is gone; it has {LINE_S:g} s to come back")
+            if self._reopen is None or self._late:
+                raise
         return self._pause()
+
+    def _lose(self, line: str) -> None:
+        self._gone = True
+        self._steering.release()
+        self._ground.tell(texts.CRITICAL, line)
 
     # --- What is due -------------------------------------------------------------------------------
     def _pause(self) -> float:
@@ -149,6 +182,8 @@ class Session:
         return False
 
     def _look(self) -> None:
+        if not self._line_open and not self._open_line():
+            return
         self.firmware.look()
         if self._gone:
             self._attach()
@@ -159,6 +194,24 @@ class Session:
         self._told = condition
         self._steering.look()
 
+    @property
+    def _late(self) -> bool:
+        """Whether a line that is gone has taken too long."""
+        return self._line_lost is not None and self._clock() >= self._line_lost + LINE_S
+
+    def _open_line(self) -> bool:
+        """Open the line again; returns whether it is there. Raises LinkError once it has taken too long."""
+        assert self._reopen is not None
+        try:
+            self._client = Client(self._reopen())
+        except LinkError:
+            if self._late:
+                raise
+            return False
+        self.firmware.ask_over(self._client)
+        self._line_open = True
+        return True
+
     def _look_further(self) -> None:
         self.firmware.look_further()
         if self.firmware.restarted:
@@ -166,7 +219,7 @@ class Session:
 
     def _attach(self) -> None:
         """It answers, perhaps as another start: all that is known of it is read anew, nobody steers."""
-        self.firmware = Firmware(self._client)
+        self.firmware = Firmware(self._client, self._clock)
         allowed = self._options.offboard and self.firmware.hears_msp
         if allowed:
             _ = self.firmware.sticks  # raises now where it would later
@@ -174,10 +227,10 @@ class Session:
             allowed=allowed, may_arm=self._options.allow_arm, timeout_s=self._options.timeout_s
         )
         self._steering = Steering(self.firmware, self._ground, offboard, self._clock)
-        self._parameters = ParameterServer(self.firmware, self._ground)
+        self._parameters = ParameterServer(self.firmware, self._ground, self._customs)
         self._logs = LogServer(self._client, self._ground, self._clock)
         self._stream_fast_enough()
-        self._gone, self._told = False, None
+        self._gone, self._told, self._line_lost = False, None, None
         version, policy = ".".join(map(str, self.firmware.vehicle.version)), self.firmware.policy
         self._ground.tell(texts.INFO, f"Neuroflight {version}, policy {policy.name} {policy.sha256[:8]}")
 
@@ -186,11 +239,19 @@ class Session:
         fw = self.firmware
         match number:
             case mavlink.MAVLINK_MSG_ID_HEARTBEAT:
-                steered = self._steering.steered
-                return telemetry.heartbeat(fw.vehicle, fw.safety, armed=fw.armed, offboard=steered)
+                mode = self._steering.mode
+                return telemetry.heartbeat(fw.vehicle, fw.safety, armed=fw.armed, mode=mode)
             case mavlink.MAVLINK_MSG_ID_ATTITUDE:
                 told = fw.attitude()  # before the time and the rates beside it
                 return telemetry.attitude(fw.boot_ms, told, fw.gyro)
+            case mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION:
+                told = fw.attitude()
+                return telemetry.attitude_quaternion(fw.boot_ms, told, fw.gyro)
+            case _ if number in telemetry.IMU:
+                measured = fw.inertial()
+                return telemetry.IMU[number](fw.boot_ms, measured)
+            case mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE:
+                return telemetry.extended_sys_state(fw.safety, armed=fw.armed)
             case mavlink.MAVLINK_MSG_ID_SYS_STATUS:
                 return telemetry.sys_status(fw.vehicle, fw.safety, fw.status, fw.battery)
             case mavlink.MAVLINK_MSG_ID_BATTERY_STATUS:
@@ -209,18 +270,26 @@ class Session:
             request = commands.read_request(message, source)
             result = commands.REJECTED if self._gone else commands.carry_out(request, self)
             self._ground.answer(source, commands.acknowledgement(request, result))
+        elif kind == "SET_MODE":  # deprecated, and answered as ArduPilot does
+            result = commands.REJECTED
+            if not self._gone:
+                result = self._choose(source, lambda: message_mode(message.base_mode, message.custom_mode))
+            told = mavlink.MAVLink_command_ack_message(mavlink.MAVLINK_MSG_ID_SET_MODE, result)
+            told.target_system, told.target_component = source[1:]
+            self._ground.answer(source, told)
+        elif kind == "REQUEST_DATA_STREAM":  # rates stay: the request cannot say which messages it means
+            self._customs.hear_stream_request(source)
+        elif kind in ANSWERS:
+            if (answer := ANSWERS[kind](source, message, self.firmware.now_ns)) is not None:
+                self._ground.answer(source, answer)
         elif self._gone:
             return
         elif kind in STEERING:
             self._steering.handle(source, message)
         elif kind in PARAMETER_MESSAGES:
-            self._parameters.handle(message)
+            self._parameters.handle(source, message)
         elif kind in LOG_MESSAGES:
             self._logs.handle(source, message)
-        elif kind == "MISSION_REQUEST_LIST":  # there are none: ground stations ask until they know
-            self._ground.answer(
-                source, mavlink.MAVLink_mission_count_message(*source[1:], 0, message.mission_type)
-            )
 
     def send_once(self, message: int) -> int:
         """See commands.Actions; so are those below."""
@@ -228,6 +297,11 @@ class Session:
             return int(commands.UNSUPPORTED)
         self._ground.broadcast(self._message(message))
         return int(commands.ACCEPTED)
+
+    def tell_capabilities(self, source: Source) -> int:
+        """AUTOPILOT_VERSION, which says how whole numbers are encoded."""
+        self._customs.hear_request(source)
+        return self.send_once(mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION)
 
     def set_interval(self, message: int, interval_us: int) -> int:
         """The heartbeat's stays: it tells that the aircraft lives."""
@@ -264,9 +338,16 @@ class Session:
         self._steering.release()
         return self._attempt(self.firmware.reboot)
 
-    def set_offboard(self, source: Source, *, on: bool) -> int:
-        """Let `source` steer, or nobody."""
-        return self._steering.enable(source) if on else self._steering.disable()
+    def set_mode(self, source: Source, base: int, main: int, sub: int) -> int:
+        """Let `source` steer, or nobody, as its mode says."""
+        return self._choose(source, lambda: self._customs.command_mode(source, base, main, sub))
+
+    def _choose(self, source: Source, mode: Callable[[], Mode]) -> int:
+        try:
+            return self._steering.choose(source, mode())
+        except ModeError as error:
+            self._ground.complain(f"Mode denied: {error}")
+            return int(commands.DENIED)
 
     def arm(self, request: Request) -> int:
         """See Steering."""
@@ -288,8 +369,8 @@ class Session:
         return int(commands.ACCEPTED)
 
     def _stream_fast_enough(self) -> None:
-        period = self._periods[ATTITUDE]
-        self.firmware.stream_at(1 / period if period else 0.0)
+        periods = [self._periods[message] for message in SAMPLED if self._periods[message]]
+        self.firmware.stream_at(1 / min(periods) if periods else 0.0)
 
 
 def _period(message: int) -> float:

@@ -8,6 +8,7 @@ from typing import Any
 
 from flash.mavlink import commands, texts
 from flash.mavlink.commands import Request
+from flash.mavlink.customs import MODE_RECEIVER, Mode
 from flash.mavlink.firmware import Firmware
 from flash.mavlink.ground import Ground
 from flash.mavlink.offboard import Offboard, Source
@@ -39,6 +40,7 @@ class Steering:
     ) -> None:
         self._firmware, self._ground, self._offboard, self._clock = firmware, ground, offboard, clock
         self._check = SetpointCheck()
+        self._mode = MODE_RECEIVER
         self._due = clock()
         self._switching: _Switching | None = None
         self._seen: Sample | None = None
@@ -49,6 +51,12 @@ class Steering:
     def steered(self) -> bool:
         """Whether a companion steers."""
         return self._offboard.owner is not None
+
+    @property
+    def mode(self) -> int:
+        """HEARTBEAT's custom_mode: while a companion steers the number it asked for, as clients end their
+        setpoints where another one is told."""
+        return self._mode if self.steered else MODE_RECEIVER
 
     @property
     def due(self) -> float | None:
@@ -128,8 +136,16 @@ class Steering:
             self._answer(commands.FAILED)
 
     # --- Commands: a MAV_RESULT each -------------------------------------------------------------------
-    def enable(self, source: Source) -> int:
-        """Let `source` steer."""
+    def choose(self, source: Source, mode: Mode) -> int:
+        """Let `source` steer, or nobody."""
+        if not mode.offboard:
+            return self._disable(source, mode)
+        result = self._enable(source)
+        if result == commands.ACCEPTED:
+            self._mode = mode.number
+        return result
+
+    def _enable(self, source: Source) -> int:
         self._firmware.look()
         flies = self._firmware.safety.state in FLYING
         steered = self.steered
@@ -141,9 +157,12 @@ class Steering:
             self._ground.tell(texts.INFO, f"Offboard: system {source[1]} steers")
         return int(commands.ACCEPTED)
 
-    def disable(self) -> int:
-        """Send no more channels."""
-        if self.steered:
+    def _disable(self, source: Source, mode: Mode) -> int:
+        owner = self._offboard.owner
+        if mode.owner_only and owner not in (None, source):
+            self._ground.complain("Hold denied: another steers, and nothing here holds a position")
+            return int(commands.DENIED)
+        if owner is not None:
             self.release()
             self._ground.tell(texts.WARNING, "Offboard ends: no more channels are sent")
         return int(commands.ACCEPTED)

@@ -8,16 +8,13 @@ from typing import Any
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from flash.mavlink.frames import euler_frd, swap_frame
+from flash.mavlink.customs import MODE_RECEIVER
+from flash.mavlink.frames import Vector, euler_frd, quaternion_frd, swap_frame
 from flash.messages import Attitude, BatteryLevel, BatteryState, StatusEx
 from flash.records import Safety
-from toolchain.contract import FallbackCause, FlightState, GyroHealth
+from toolchain.contract import GRAVITY, FallbackCause, FlightState, GyroHealth
 
 Msg = Any  # a message of pymavlink, which has no types
-
-# The autopilot's modes, in HEARTBEAT.custom_mode and MAV_CMD_DO_SET_MODE.
-MODE_RECEIVER = 0  # whoever the firmware's receiver hears; the gateway sends no channels
-MODE_OFFBOARD = 1  # a companion steers through the gateway
 
 TYPES = {
     3: mavlink.MAV_TYPE_TRICOPTER,
@@ -48,6 +45,14 @@ CHARGES = {
     BatteryLevel.WARNING: mavlink.MAV_BATTERY_CHARGE_STATE_LOW,
     BatteryLevel.CRITICAL: mavlink.MAV_BATTERY_CHARGE_STATE_CRITICAL,
 }
+LANDED = {
+    None: mavlink.MAV_LANDED_STATE_UNDEFINED,
+    False: mavlink.MAV_LANDED_STATE_ON_GROUND,
+    True: mavlink.MAV_LANDED_STATE_IN_AIR,
+}
+SHORT_MAX = 0x7FFF
+# Bits of HIGHRES_IMU.fields_updated: accelerometer, gyro, temperature.
+IMU_FIELDS = 0b1_0000_0011_1111
 CELLS, CELLS_LATER = 10, 4  # fields of BATTERY_STATUS
 SERVOS = 16
 UNKNOWN = 0xFFFF  # of voltages and channels
@@ -66,16 +71,16 @@ class Vehicle:
     capacity_mah: int  # of the pack; 0: not told
 
 
-def heartbeat(vehicle: Vehicle, safety: Safety, *, armed: bool, offboard: bool) -> Msg:
-    """HEARTBEAT of a firmware that has just answered."""
-    mode = mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED | mavlink.MAV_MODE_FLAG_MANUAL_INPUT_ENABLED
-    mode |= mavlink.MAV_MODE_FLAG_SAFETY_ARMED if armed else 0
-    mode |= mavlink.MAV_MODE_FLAG_GUIDED_ENABLED if offboard else 0
+def heartbeat(vehicle: Vehicle, safety: Safety, *, armed: bool, mode: int) -> Msg:
+    """HEARTBEAT of a firmware that has just answered. mode: MODE_RECEIVER, or a number of offboard."""
+    base = mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED | mavlink.MAV_MODE_FLAG_MANUAL_INPUT_ENABLED
+    base |= mavlink.MAV_MODE_FLAG_SAFETY_ARMED if armed else 0
+    base |= mavlink.MAV_MODE_FLAG_GUIDED_ENABLED if mode != MODE_RECEIVER else 0
     return mavlink.MAVLink_heartbeat_message(
         type=TYPES.get(vehicle.motor_count, mavlink.MAV_TYPE_GENERIC),
         autopilot=mavlink.MAV_AUTOPILOT_GENERIC,
-        base_mode=mode,
-        custom_mode=MODE_OFFBOARD if offboard else MODE_RECEIVER,
+        base_mode=base,
+        custom_mode=mode,
         system_status=system_status(safety),
         mavlink_version=3,
     )
@@ -94,6 +99,72 @@ def attitude(boot_ms: int, told: Attitude, gyro: tuple[float, ...]) -> Msg:
     roll, pitch, yaw = euler_frd(told)
     rollspeed, pitchspeed, yawspeed = swap_frame((gyro[0], gyro[1], gyro[2]))
     return mavlink.MAVLink_attitude_message(boot_ms, roll, pitch, yaw, rollspeed, pitchspeed, yawspeed)
+
+
+def attitude_quaternion(boot_ms: int, told: Attitude, gyro: tuple[float, ...]) -> Msg:
+    """ATTITUDE_QUATERNION: the same as a rotation from the body to the ground."""
+    rates = swap_frame((gyro[0], gyro[1], gyro[2]))
+    return mavlink.MAVLink_attitude_quaternion_message(boot_ms, *quaternion_frd(told), *rates)
+
+
+def extended_sys_state(safety: Safety, *, armed: bool) -> Msg:
+    """EXTENDED_SYS_STATE. One that has taken off since it was armed is in the air until it is stopped."""
+    landed = LANDED[safety.airborne] if armed else mavlink.MAV_LANDED_STATE_ON_GROUND
+    return mavlink.MAVLink_extended_sys_state_message(mavlink.MAV_VTOL_STATE_UNDEFINED, landed)
+
+
+@dataclass(frozen=True)
+class Inertial:
+    """What gyro and accelerometer measure, in the house's axes."""
+
+    rates: tuple[float, ...]  # [rad/s]
+    force_g: tuple[float, ...]  # specific force [g]
+    temperature_deg_c: float
+
+    def scaled(self, rate: float, force: float) -> tuple[Vector, Vector]:
+        """Force and rates about forward, right, down, so many a g and a rad/s."""
+        (fx, fy, fz), (rx, ry, rz) = self.force_g, self.rates
+        return swap_frame((fx * force, fy * force, fz * force)), swap_frame((rx * rate, ry * rate, rz * rate))
+
+
+def highres_imu(boot_ms: int, told: Inertial) -> Msg:
+    """HIGHRES_IMU [m/s^2, rad/s, deg C]; there is no magnetometer and no pressure."""
+    force, rates = told.scaled(1.0, GRAVITY)
+    return mavlink.MAVLink_highres_imu_message(
+        boot_ms * 1000, *force, *rates, *[0.0] * 6, told.temperature_deg_c, IMU_FIELDS
+    )
+
+
+def scaled_imu(boot_ms: int, told: Inertial) -> Msg:
+    """SCALED_IMU [1/1000 g, 1/1000 rad/s, 1/100 deg C]."""
+    return mavlink.MAVLink_scaled_imu_message(boot_ms, *_thousandths(told), 0, 0, 0, _centidegrees(told))
+
+
+def raw_imu(boot_ms: int, told: Inertial) -> Msg:
+    """RAW_IMU: counts of any scale; ArduPilot's, which its tools take it for, are thousandths, too."""
+    return mavlink.MAVLink_raw_imu_message(
+        boot_ms * 1000, *_thousandths(told), 0, 0, 0, 0, _centidegrees(told)
+    )
+
+
+IMU = {
+    mavlink.MAVLINK_MSG_ID_HIGHRES_IMU: highres_imu,
+    mavlink.MAVLINK_MSG_ID_SCALED_IMU: scaled_imu,
+    mavlink.MAVLINK_MSG_ID_RAW_IMU: raw_imu,
+}
+
+
+def _thousandths(told: Inertial) -> list[int]:
+    force, rates = told.scaled(1000.0, 1000.0)
+    return [_short(value) for value in (*force, *rates)]
+
+
+def _centidegrees(told: Inertial) -> int:
+    return _short(100 * told.temperature_deg_c) or 1  # 0: not told
+
+
+def _short(value: float) -> int:
+    return round(min(max(value, -SHORT_MAX), SHORT_MAX))
 
 
 def sys_status(vehicle: Vehicle, safety: Safety, status: StatusEx, battery: BatteryState) -> Msg:
@@ -175,6 +246,8 @@ def autopilot_version(vehicle: Vehicle) -> Msg:
     """AUTOPILOT_VERSION. Builds are reproducible and know no revision: the custom versions are zeros."""
     capabilities = (
         mavlink.MAV_PROTOCOL_CAPABILITY_MAVLINK2
+        | mavlink.MAV_PROTOCOL_CAPABILITY_COMMAND_INT
+        | mavlink.MAV_PROTOCOL_CAPABILITY_MISSION_INT  # else MAVSDK asks for no mission at all
         | mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_BYTEWISE
         | mavlink.MAV_PROTOCOL_CAPABILITY_SET_ATTITUDE_TARGET
     )

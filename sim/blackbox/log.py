@@ -14,17 +14,19 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.blackbox.decoding import Event, Progress, decode
+from sim.blackbox.decoding import EVENTS_MAX, Event, Progress, decode
 from sim.blackbox.encodings import WORD
 from sim.blackbox.firmware import Maker, firmware
 from sim.blackbox.headers import LOGS_MAX, Extent, Headers, find_logs, read_bytes, read_headers
 from sim.blackbox.transfer import text_transfer
+from toolchain.contract import LogEvent
 from toolchain.errors import TraceError
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 GLANCE_BYTES = 1 << 16  # some I frames at least
+BOXES = 0xFFFF  # of FLIGHT_MODE's flags: those of Betaflight that we have
 PIECE_BYTES = 1 << 20  # of a file, that are looked at together
 
 
@@ -302,20 +304,47 @@ def decode_log(path: Path, data: bytes, one: Listed, progress: Progress = lambda
         notes.append(f"{found.homeless} GPS frames before a home, or behind damage, left out")
     if not found.ended and not found.notes:
         notes.append("no end of the log: the power was cut, or the file")
+    slow = _columns(headers, "S", found.slow.values)
     return Log(
         path=path,
         number=one.number,
         size=one.size,
         headers=headers,
         columns=_columns(headers, "I", found.main),
-        slow=_columns(headers, "S", found.slow.values),
+        slow=slow,
         slow_row=found.slow.row,
         gps=_columns(headers, "G", found.gps.values),
-        events=tuple(found.events),
+        events=_with_own_flags(found.events, slow, found.slow.row)
+        if firmware(headers.values).maker is Maker.NEUROFLIGHT
+        else tuple(found.events),
         frames=Frames(found.frames, found.corrupt, found.dropped, found.skipped_bytes),
         ended=found.ended,
         notes=tuple(notes),
     )
+
+
+def _with_own_flags(
+    events: Sequence[Event], slow: Mapping[str, Integers], rows: Integers
+) -> tuple[Event, ...]:
+    """Return our log's events with nfFlags in the upper half of FLIGHT_MODE's flags.
+
+    Firmwares up to MSP API 1.46 wrote them so. Later ones tell nfFlags in slow frames alone, one of which is
+    there wherever a flag changed.
+    """
+    modes = [event.values for event in events if event.kind == LogEvent.FLIGHT_MODE]
+    if any(flag > BOXES for values in modes for flag in values.values()):
+        return tuple(events)
+    if not {"flightModeFlags", "nfFlags"} <= slow.keys():
+        return tuple(events)
+    flags = slow["flightModeFlags"] & BOXES | slow["nfFlags"] << BOXES.bit_length()
+    changed = 1 + np.flatnonzero(np.diff(flags))[:EVENTS_MAX]
+    told = [
+        Event(LogEvent.FLIGHT_MODE, "mode", {"new": int(flags[at]), "old": int(flags[at - 1])}, int(rows[at]))
+        for at in changed
+    ]
+    others = [event for event in events if event.kind != LogEvent.FLIGHT_MODE]
+    behind = (LogEvent.DISARM, LogEvent.LOG_END)  # of those of a row
+    return tuple(sorted([*others, *told], key=lambda event: (event.row, event.kind in behind, event.kind)))
 
 
 def _columns(headers: Headers, kind: str, values: Integers) -> dict[str, Integers]:

@@ -28,6 +28,7 @@ BODY, NOSE = to_rgb("#8a94a0"), to_rgb(INK)
 DISC_OPACITY = 0.55
 TITLE, BELOW = 0.35, 1.9  # [inch] above the poses; of the panel of rates
 GIF_DPI = 80
+PICTURE_DPI = 100
 FRAME_S = 0.05  # that a frame of a GIF is shown
 
 
@@ -71,6 +72,17 @@ def draw_pose(view: Axes, aircraft: Aircraft, rotation: Array, commands: Sequenc
     limit = reach(aircraft)
     view.set(xlim=(-limit, limit), ylim=(-limit, limit), aspect="equal")
     view.axis("off")
+
+
+def pose_picture(
+    aircraft: Aircraft, rotation: Array, commands: Sequence[float], pixels: int
+) -> NDArray[np.uint8]:
+    """Return `draw_pose` as a square picture (pixels, pixels, 3), red, green, blue."""
+    figure = Figure(figsize=(pixels / PICTURE_DPI, pixels / PICTURE_DPI), dpi=PICTURE_DPI)
+    canvas = FigureCanvasAgg(figure)
+    draw_pose(figure.add_axes((0, 0, 1, 1)), aircraft, rotation, commands)
+    canvas.draw()  # type: ignore[no-untyped-call]
+    return np.asarray(canvas.buffer_rgba(), np.uint8)[:, :, :3].copy()  # type: ignore[no-untyped-call]
 
 
 def save_strip(path: Path, scene: Scene, rows: list[int]) -> None:

@@ -110,5 +110,7 @@ def test_the_log_tells_the_sweep_as_the_ecosystems_analysis_looks_for_it(
     swept = axis == 0  # roll, the first; -1 while nothing is swept
     assert swept.sum() == round(1000 * SWEEP_S) and (axis[~swept] == -1).all()
     assert on[swept].all() and on.sum() == pytest.approx(1000 * (SWEEP_S + 0.1), abs=20)
+    added, setpoint = log.columns["debug[3]"], log.columns["setpoint[0]"]
+    assert np.abs(added).max() > 80 and np.abs(added - setpoint).max() <= 1, "deg/s, as gyroADC is"
     tenths_of_hz = log.columns["debug[2]"][swept]
     assert tenths_of_hz[0] == 20 and (np.diff(tenths_of_hz) >= 0).all() and tenths_of_hz[-1] > 200

@@ -154,7 +154,8 @@ MSP_FIRMWARE = "Neuroflight"  # that IDENTITY tells
 # 1000 is all of a motor.
 MSP_PID_SCALES = (0.032029, 0.244381, 0.000529)
 MSP_PID_SUM = 1000
-MSP_FEATURE_RX_SERIAL, MSP_FEATURE_MOTOR_STOP, MSP_FEATURE_RX_MSP, MSP_FEATURE_AIRMODE = 3, 4, 14, 22  # bits
+MSP_FEATURE_RX_SERIAL, MSP_FEATURE_MOTOR_STOP, MSP_FEATURE_RX_MSP = 3, 4, 14  # bits
+MSP_FEATURE_BLACKBOX, MSP_FEATURE_AIRMODE = 19, 22
 # Counts of RAW_IMU: what the ecosystem's app takes for 1 deg/s (16.4 / 4) and, since API 1.46, for 1 g. Its
 # firmware tells 16.4 a deg/s, so that the app shows four times the rate.
 MSP_GYRO_COUNTS, MSP_ACCELERATION_COUNTS = 4.1, 2048.0
@@ -211,6 +212,6 @@ class Refusal(IntEnum):
     BLOB = 8  # the policy is not one for this image
     SEQUENCE = 9  # of the policy is not newer than the one that stays
     ABSENT = 10  # this build has no such thing
-    SPOILT = 11  # a change before it was refused: nothing is stored, all unsaved changes are gone
+    SPOILT = 11  # stored, but not all: some of a change before it was refused
     IMAGE = 12  # the image is not one for this board's other bank, or not whole, or not the one that was told
     LOG = 13  # the device that keeps the logs failed, as LogError says

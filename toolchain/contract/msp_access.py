@@ -88,7 +88,8 @@ _ACTS = {
         _STOPPED,
         (_R.PAYLOAD, _R.INDEX, _R.RANGE, _R.ORDER, _R.ABSENT),
         "`order` without an open motor test, `range` above its limits for a motor and for all together; "
-        "values that stop are always taken",
+        "values that stop are always taken; as many values as the aircraft has motors, of a peer that holds the "
+        "arming lock, open a test up to 1120, which ends with values that stop all",
     ),
     Msp.DSHOT_COMMAND: Access(
         _STOPPED,
@@ -98,7 +99,8 @@ _ACTS = {
     Msp.SEND_DSHOT_COMMAND: Access(
         _STOPPED,
         (_R.PAYLOAD, _R.INDEX, _R.ORDER, _R.ABSENT),
-        "one command a message; otherwise as DSHOT_COMMAND",
+        "one command a message, or one and SAVE; ends the peer's test that SET_MOTOR opened; "
+        "otherwise as DSHOT_COMMAND",
     ),
     Msp.REBOOT: Access(
         _STOPPED,
@@ -109,7 +111,7 @@ _ACTS = {
     Msp.EEPROM_WRITE: Access(
         _STORING,
         (_R.PAYLOAD, _R.CONFLICT, _R.FLASH, _R.ABSENT, _R.SPOILT),
-        "`spoilt` after a refused change of this peer: the settings are then the stored ones again",
+        "`spoilt` after a refusal of a change of this peer: what was not refused is stored",
     ),
     Msp.RESET_CONF: Access(_STORING, (_R.PAYLOAD, _R.CONFLICT, _R.FLASH, _R.ABSENT), "stores the defaults"),
     Msp.ACKNOWLEDGE: Access(_STORING, (_R.PAYLOAD, _R.INDEX, _R.FLASH, _R.ABSENT)),

@@ -23,8 +23,9 @@ RC_RATE_DEG_S, RC_RATE_STEEP, RC_RATE_STEEPER, SUPER_ROOM_MIN = 200.0, 2.0, 14.5
 # SBUS: 25 bytes, 16 channels of 11 bits. microseconds = 880 + (5 value + 4) / 8, in integers.
 SBUS_FRAME_BYTES = 25
 SBUS_HEADER, SBUS_FOOTER = 0x0F, 0x00
-# S.BUS2 numbers its frames in bits 4 and 5 of the footer, and tells with bit 2 that sensors may speak in their slots
-# after it: 0x04, 0x14, 0x24, 0x34 (R7008SB, a recording). An R7003SB sends 0x08 (one report). These bits nobody sets.
+# S.BUS2 numbers its frames in bits 4 and 5 of the footer, and tells with bit 2 that sensors may speak
+# in their slots after it: 0x04, 0x14, 0x24, 0x34 (R7008SB, a recording). An R7003SB sends 0x08 (one
+# report). These bits nobody sets.
 SBUS_FOOTER_UNUSED = 0xC3
 SBUS_FLAG_FRAME_LOST, SBUS_FLAG_FAILSAFE = 0x04, 0x08
 

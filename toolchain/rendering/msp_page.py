@@ -79,7 +79,7 @@ REFUSALS = {
     Refusal.BLOB: "the policy is none for this image",
     Refusal.SEQUENCE: "the policy is not newer than the one that stays",
     Refusal.ABSENT: "this build, or its settings, have no such thing",
-    Refusal.SPOILT: "a change before it was refused; nothing is stored, what was not stored is undone",
+    Refusal.SPOILT: "stored, but not all: some of a change before it was refused",
     Refusal.IMAGE: "the image is none for the board's other bank, or not whole, or not the one that was told",
     Refusal.LOG: "the device that keeps the logs failed",
 }

@@ -53,6 +53,12 @@ class ConfigReader:
         except TrainingError as error:
             raise self.error(path, str(error)) from error
 
+    def field(self, kind: type[Any], name: str, value: object) -> object:
+        """Return one field of the dataclass `kind`; a value that is an object already is taken as it is."""
+        if is_dataclass(value) and not isinstance(value, type):
+            return value
+        return self._value(get_type_hints(kind)[name], value, name, getattr(kind(), name))
+
     def error(self, path: str, message: str) -> TrainingError:
         """The exception about the key at `path`, for the caller to raise."""
         origin, parts = self.where, path.partition("[")[0].split(".")

@@ -209,8 +209,6 @@ class TrainingConfig:
                 f"steps; expected 2 to {EPISODE_STEPS_MAX}"
             )
         yield from self.world.errors()
-        if self.world.throttle_steps > 0.0 and not isinstance(self.algorithm, PathwiseConfig):
-            yield f"throttle_steps: {self.algorithm.name} flies one throttle; set it to 0 or choose pathwise"
         yield from self.algorithm.errors(episode_steps)
         table = self.algorithm.aircraft * episode_steps
         if table > TABLE_STEPS_MAX:

@@ -1,4 +1,4 @@
-"""N aircraft on one task: the environment that both the Gymnasium env and the vector env wrap.
+"""N aircraft on one task: what every environment flies.
 
 One step is one control period: observe, act, mix, quantise to DShot, advance the twin.
 """
@@ -44,13 +44,14 @@ class AttitudeSimulation:
         *,
         config: TrainingConfig,
         rng: np.random.Generator,
+        steps_max: int | None = None,
     ) -> None:
-        """All random numbers come from `rng`."""
+        """All random numbers come from `rng`; steps_max: episodes end after so many at the latest."""
         self.count = count
-        self.motors = aircraft.motor_count
+        self.motor_count = aircraft.motor_count
         terms = config.blocks()
         try:
-            check_observation(terms, self.motors)
+            check_observation(terms, self.motor_count)
         except ValueError as error:
             raise TrainingError(str(error)) from error
         self._task, self._reward, self._world = config.task, config.reward, config.world
@@ -60,6 +61,7 @@ class AttitudeSimulation:
         self._delay_s = aircraft.propulsion.delay
         self._rng = rng
         self.steps = round(self._task.duration_s * self._rate_hz)
+        self._last = self.steps if steps_max is None else min(self.steps, steps_max)
         self._samples = samples_per_step(config.gyro_mean, self._rate_hz)
         self._gyro = GyroMean(count, self._samples)
         self._twin = Twin(
@@ -75,13 +77,18 @@ class AttitudeSimulation:
             rng=rng,
         )
         model = model_constants(aircraft, self._rate_hz) if needs_model(terms) else None
-        self._observer = Observer(terms, count, self.motors, self._rate_hz, model=model, idle=config.idle)
+        self._observer = Observer(
+            terms, count, self.motor_count, self._rate_hz, model=model, idle=config.idle
+        )
         self.width = self._observer.width
         self._everyone = np.arange(count)
         self._step = np.zeros(count, np.intp)
         self._setpoints = np.zeros((count, self.steps, 3), np.float32)
         self._throttle = np.zeros(count, np.float32)
-        self._action = np.zeros((count, self.motors), np.float32)
+        # Of each control step, where the throttle moves in some of the episodes.
+        self._moving = np.zeros((count, self.steps), np.float32) if self._world.throttle_steps > 0.0 else None
+        self._action = np.zeros((count, self.motor_count), np.float32)
+        self._fractions = np.zeros((count, self.motor_count))  # of the motors, behind mix and idle
 
     def close(self) -> None:
         """Leave the physics client."""
@@ -94,7 +101,8 @@ class AttitudeSimulation:
         """
         self._begin(self._everyone)
         if stagger:
-            self._step = self._rng.integers(0, self.steps, self.count)
+            self._step = self._rng.integers(0, self._last, self.count)
+            self._move_throttle()
         return self._observe(slice(None))
 
     def step(self, unclipped: NDArray[np.float32]) -> StepResult:
@@ -108,12 +116,13 @@ class AttitudeSimulation:
         error_before = setpoint_before - self._twin.rate
         fractions = throttle_mix(action, self._throttle, self._mix)
         self._observer.commanded(slice(None), fractions, self._throttle)
-        command = motor_fractions(dshot_values(fractions, self._idle))
+        self._fractions = command = motor_fractions(dshot_values(fractions, self._idle))
         for _ in range(self._samples):
             self._twin.step(command)
             self._gyro.add(quantised_rate(self._twin.gyro))
         before, self._action = self._action, action
         self._step += 1
+        self._move_throttle()
         setpoint = self.setpoint
         reward = self._reward(
             Transition(
@@ -126,7 +135,7 @@ class AttitudeSimulation:
                 action_before=before,
             )
         )
-        return StepResult(self._observe(slice(None)), reward, self._step >= self.steps)
+        return StepResult(self._observe(slice(None)), reward, self._step >= self._last)
 
     def restart(self, index: NDArray[np.intp]) -> NDArray[np.float32]:
         """Begin a new episode on the aircraft of `index`; returns their observations (len, n)."""
@@ -138,6 +147,16 @@ class AttitudeSimulation:
         """Commanded rate of the present sample [rad/s], (N, 3)."""
         now = np.minimum(self._step, self.steps - 1)  # after its last step an episode keeps its last setpoint
         return self._setpoints[self._everyone, now].astype(np.float64)
+
+    @property
+    def rotation(self) -> NDArray[np.float64]:
+        """True attitude of the present sample as matrices from body to world, (N, 3, 3)."""
+        return self._twin.rotation
+
+    @property
+    def motors(self) -> NDArray[np.float64]:
+        """Motor fractions of the last step, behind mix and idle, (N, M); zeros on an episode's first."""
+        return self._fractions.copy()
 
     @property
     def rate(self) -> NDArray[np.float64]:
@@ -154,8 +173,22 @@ class AttitudeSimulation:
         self._observer.reset(index)
         self._step[index] = 0
         self._setpoints[index] = self._task.episodes(len(index), self._rng, self._rate_hz)
-        self._throttle[index] = self._world.draw_throttle(len(index), self._rng)
+        self._draw_throttle(index)
         self._action[index] = 0.0
+        self._fractions[index] = 0.0
+
+    def _draw_throttle(self, index: NDArray[np.intp]) -> None:
+        """Draw the pilot's thrust of new episodes."""
+        if self._moving is None:
+            self._throttle[index] = self._world.draw_throttle(len(index), self._rng)
+        else:
+            self._moving[index] = self._world.draw_throttles(len(index), self.steps, self._rate_hz, self._rng)
+            self._throttle[index] = self._moving[index, 0]
+
+    def _move_throttle(self) -> None:
+        """Bring the throttle to that of the present sample, where it moves."""
+        if self._moving is not None:
+            self._throttle = self._moving[self._everyone, np.minimum(self._step, self.steps - 1)]
 
     def _drawn(self, count: int) -> Variation | None:
         """The aircraft of new episodes; None: as in the file."""

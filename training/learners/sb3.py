@@ -14,7 +14,7 @@ from stable_baselines3.common.utils import set_random_seed
 
 from sim.aircraft.model import Aircraft
 from training.config.training_config import TrainingConfig
-from training.envs.vector import AttitudeVecEnv
+from training.envs.sb3_vector import LearnerVecEnv
 from training.learners.protocol import Report
 
 MODULES = {"tanh": torch.nn.Tanh, "relu": torch.nn.ReLU}
@@ -34,7 +34,7 @@ class Sb3Learner:
         # at once; for a sum over a hundred steps its weights would have to grow for a million steps.
         self._reward_scale = max(1.0 - discount, REWARD_SCALE_MIN)
         count = config.algorithm.aircraft
-        self._env = AttitudeVecEnv(aircraft, config, count, reward_scale=self._reward_scale)
+        self._env = LearnerVecEnv(aircraft, config, count, reward_scale=self._reward_scale)
 
     @property
     def steps(self) -> int:

@@ -1,5 +1,7 @@
 #include "blackbox/blackbox.h"
 
+#include <string.h>
+
 #include "common/limit.h"
 #include "storage/mode_range.h"
 #include "storage/settings.h"
@@ -58,7 +60,7 @@ void blackbox_status(const struct blackbox *b, struct blackbox_status *status)
 {
 	*status = (struct blackbox_status){
 		.chosen = (uint8_t)b->config.about.settings->blackbox_device,
-		.logging = b->phase != WAITING,
+		.logging = blackbox_logs(b),
 		.lossy = b->dropped > 0,
 		.frames = b->written,
 		.dropped = b->dropped,
@@ -66,6 +68,11 @@ void blackbox_status(const struct blackbox *b, struct blackbox_status *status)
 	};
 	if (b->config.device)
 		b->config.device->status(b->config.device->context, &status->device);
+}
+
+bool blackbox_logs(const struct blackbox *b)
+{
+	return b->phase != WAITING;
 }
 
 /* --- Before a log ------------------------------------------------------------------------------------------------ */
@@ -126,7 +133,7 @@ static void blackbox_begin(struct blackbox *b)
 	b->first = true;
 	b->gap = true;
 	b->armed = false;
-	b->flags = log_flags(r);
+	b->slow.flags = log_flags(r);
 	b->disarmed = 0;
 	b->written = b->dropped = b->bytes = 0;
 	b->phase = HEADER;
@@ -163,6 +170,15 @@ static void blackbox_event(struct blackbox *b, enum nf_log_event event, uint32_t
 						   event < sizeof counts / sizeof counts[0] ? counts[event] : 0);
 }
 
+/* The ecosystem's flags alone: to its programs other bits would be modes. Ours stand in slow frames. */
+static void blackbox_tell_modes(struct blackbox *b, uint32_t flags)
+{
+	const uint32_t boxes = flags & LOG_BOXES, last = b->slow.flags & LOG_BOXES;
+
+	if (boxes != last)
+		blackbox_event(b, NF_LOG_EVENT_FLIGHT_MODE, boxes, last);
+}
+
 static void blackbox_tell_stop(struct blackbox *b, unsigned cause)
 {
 	blackbox_event(b, NF_LOG_EVENT_DISARM, cause < sizeof reasons ? reasons[cause] : 0u, 0);
@@ -172,16 +188,13 @@ static void blackbox_tell_stop(struct blackbox *b, unsigned cause)
 static void blackbox_tell(struct blackbox *b, const struct log_step *step)
 {
 	const struct log_record *r = step->record;
-	const uint32_t flags = log_flags(r);
 	const bool armed = r->trace.armed != 0;
 
 	if (armed && !b->armed)
 		blackbox_event(b, NF_LOG_EVENT_SYNC_BEEP, step->time_us, 0);
-	if (flags != b->flags)
-		blackbox_event(b, NF_LOG_EVENT_FLIGHT_MODE, flags, b->flags);
+	blackbox_tell_modes(b, log_flags(r));
 	if (!armed && b->armed)
 		blackbox_tell_stop(b, r->stop_cause);
-	b->flags = flags;
 	b->armed = armed;
 }
 
@@ -263,10 +276,14 @@ static bool blackbox_silent(const struct blackbox *b)
 /* What became of a flight whose last control step came before its end. */
 static void blackbox_tell_silence(struct blackbox *b)
 {
-	const uint32_t flags = log_flags_stopped(b->flags, b->view.state, b->view.stop_cause);
+	struct log_slow *slow = &b->slow;
+	const uint32_t flags = log_flags_stopped(slow->flags, b->view.state, b->view.stop_cause);
 
-	if (flags != b->flags)
-		blackbox_event(b, NF_LOG_EVENT_FLIGHT_MODE, flags, b->flags);
+	blackbox_tell_modes(b, flags);
+	slow->flags = flags;
+	slow->edges = slow->receiver_count = 0; /* these came in their own step alone */
+	memset(slow->receiver, 0, sizeof slow->receiver);
+	b->out_count += (uint32_t)log_frames_slow(slow, b->out + b->out_count);
 	if (b->armed)
 		blackbox_tell_stop(b, b->view.stop_cause);
 }

@@ -50,7 +50,6 @@ struct blackbox {
 	bool first; /* no frame has been written */
 	bool gap; /* the next frame does not follow the last one */
 	bool armed; /* as logged last */
-	uint32_t flags; /* as logged last */
 	uint32_t sample; /* gyro samples since boot, of the record that was taken last */
 	uint32_t next; /* control step that the next record should have */
 	uint32_t disarmed; /* control steps since the motors stopped, in the log */
@@ -75,6 +74,9 @@ void blackbox_init(struct blackbox *blackbox, const struct blackbox_config *conf
 void blackbox_step(struct blackbox *blackbox, const struct blackbox_view *view);
 
 void blackbox_status(const struct blackbox *blackbox, struct blackbox_status *status);
+
+/* Is a log begun, and not over yet? */
+bool blackbox_logs(const struct blackbox *blackbox);
 
 /* Logs that the device keeps. Only while the motors are stopped. NF_REFUSAL_ABSENT: this device keeps none, _ORDER: a log
  * is being written, _INDEX: there are fewer, _LOG: the device failed. *later: it is under way, ask again. */

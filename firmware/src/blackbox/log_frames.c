@@ -261,7 +261,7 @@ static void frames_acceleration(const struct log_step *step, int32_t out[3])
 		out[i] = frames_rounded(frames_turned(step->mount, step->record->accel, i), 1.0f, THREE_BYTES_MAX);
 }
 
-/* As the ecosystem's debug mode of its chirp has them: phase and axis; and what is ours. */
+/* As the ecosystem's analysis of its chirp reads them: phase, axis, frequency, and what is added as a setpoint is told. */
 static void frames_chirp(const struct log_record *r, int32_t out[LOG_CHIRP_FIELDS])
 {
 	const bool runs = r->chirp_frequency_hz > 0.0f;
@@ -269,7 +269,7 @@ static void frames_chirp(const struct log_record *r, int32_t out[LOG_CHIRP_FIELD
 	out[0] = frames_rounded(r->chirp_phase, NF_TAU * LOG_CHIRP_PHASE_SCALE, THREE_BYTES_MAX);
 	out[1] = runs ? r->chirp_axis : -1;
 	out[2] = frames_rounded(r->chirp_frequency_hz, 10.0f, THREE_BYTES_MAX);
-	out[3] = frames_rounded(r->chirp_added, 10.0f * NF_DEG_PER_RAD, THREE_BYTES_MAX);
+	out[3] = frames_rounded(r->chirp_added, NF_DEG_PER_RAD, THREE_BYTES_MAX);
 }
 
 static void frames_debug(const struct log_frames *f, const struct log_record *r, int32_t out[])

@@ -117,8 +117,8 @@ static void header_craft(char **at, const struct nf_settings *s)
 		*(*at)++ = s->craft_name[i];
 }
 
-/* What the upper bits of FLIGHT_MODE's flags mean. */
-#define FLAGS "16 pid,17-19 state,20-23 stop cause,24-27 fallback cause,28-31 refused cause"
+/* What the bits of nfFlags mean. */
+#define FLAGS "0 pid,1-3 state,4-7 stop cause,8-11 fallback cause,12-15 refused cause"
 
 /* --- All that are always there ----------------------------------------------------------------------------------- */
 /* The first two are where a log begins: logs behind one another are told apart by them. */
@@ -224,7 +224,7 @@ static bool header_setting(char **at, struct log_header *header, const struct nf
 static bool header_debug(char **at, struct log_header *header, const struct log_frames *frames)
 {
 	static const char *const chirp[LOG_CHIRP_FIELDS] = { "chirp phase rad 0.0002", "chirp axis 1 1",
-							     "chirp frequency Hz 0.1", "chirp added deg/s 0.1" };
+							     "chirp frequency Hz 0.1", "chirp added deg/s 1" };
 	const unsigned number = header->debug, action = number - LOG_CHIRP_FIELDS,
 		       observation = action - POLICY_ACTION_COUNT;
 

@@ -13,7 +13,7 @@
 
 /* name, encoding, where its value is taken from. All are unsigned and predicted as 0. */
 #define SLOW_FIELDS(X)                                                \
-	X("flightModeFlags", LOG_UNSIGNED, slow->flags & 0xFFFFu)     \
+	X("flightModeFlags", LOG_UNSIGNED, slow->flags &LOG_BOXES)    \
 	X("stateFlags", LOG_UNSIGNED, 0u)                             \
 	X("failsafePhase", LOG_UNSIGNED, slow->failsafe_phase)        \
 	X("rxSignalReceived", LOG_UNSIGNED, slow->receiver_good)      \

@@ -24,8 +24,9 @@ static const struct row {
 	{ NF_DSHOT_COMMAND_DIRECTION_REVERSED, REPEATS, STOPS_AFTER_MS },
 };
 
-/* A request: the command, and the outputs of its motors above it. */
+/* A request: the command, the outputs of its motors above it, and above them the command that follows it. */
 #define ASKED_OUTPUTS 8
+#define ASKED_NEXT 16
 #define ASKED_STOP (1u << 31) /* so that it differs from nothing */
 
 static const struct row *dshot_command_find(unsigned command)
@@ -51,11 +52,13 @@ bool dshot_command_busy(const struct dshot_command *self)
 
 enum nf_refusal dshot_command_ask(struct dshot_command *self, unsigned command, unsigned motor, bool stopped)
 {
+	const unsigned next = command >> 8;
+
 	if (command == NF_DSHOT_COMMAND_STOP) {
 		self->asked = ASKED_STOP;
 		return NF_REFUSAL_NONE;
 	}
-	if (!dshot_command_find(command))
+	if (!dshot_command_find(command & 0xFFu) || (next != 0 && next != NF_DSHOT_COMMAND_SAVE))
 		return NF_REFUSAL_PAYLOAD;
 	if (motor >= self->motor_count && motor != NF_DSHOT_ALL_MOTORS)
 		return NF_REFUSAL_INDEX;
@@ -65,7 +68,7 @@ enum nf_refusal dshot_command_ask(struct dshot_command *self, unsigned command, 
 		return NF_REFUSAL_ORDER;
 	const uint32_t motors = motor == NF_DSHOT_ALL_MOTORS ? (1u << self->motor_count) - 1u :
 							       1u << self->outputs[motor];
-	self->asked = command | motors << ASKED_OUTPUTS;
+	self->asked = (command & 0xFFu) | motors << ASKED_OUTPUTS | next << ASKED_NEXT;
 	return NF_REFUSAL_NONE;
 }
 
@@ -81,6 +84,7 @@ static void dshot_command_take(struct dshot_command *self)
 		return;
 	self->command = row->command;
 	self->wanted = (uint8_t)(asked >> ASKED_OUTPUTS);
+	self->next = (uint8_t)(asked >> ASKED_NEXT);
 	self->until = self->gyro_rate_hz * row->busy_ms / 1000u;
 	self->from = self->until + row->repeats;
 	self->left = self->from + self->gyro_rate_hz * STOPS_BEFORE_MS / 1000u;
@@ -93,6 +97,8 @@ static __attribute__((noinline)) bool dshot_command_send(struct dshot_command *s
 		dshot_command_take(self);
 	if (self->left == 0)
 		return false;
+	if (self->left == 1 && self->next != 0)
+		self->asked = self->next | (uint32_t)self->wanted << ASKED_OUTPUTS;
 	--self->left;
 	const bool telling = self->left >= self->until && self->left < self->from;
 	for (unsigned i = 0; i < self->motor_count; ++i)

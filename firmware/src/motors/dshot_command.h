@@ -17,6 +17,7 @@ struct dshot_command {
 	uint32_t from, until;     /* the command is sent while `left` is in [until, from) */
 	uint8_t command;          /* enum nf_dshot_command */
 	uint8_t wanted;           /* bit field of the outputs that get it */
+	uint8_t next;             /* that they get behind it, 0: none */
 	uint8_t motor_count;
 	HELD(const uint8_t *, outputs); /* of each motor */
 	uint32_t gyro_rate_hz;
@@ -27,8 +28,8 @@ struct dshot_command {
 void dshot_command_init(struct dshot_command *self, unsigned gyro_rate_hz, unsigned motor_count,
 			const uint8_t outputs[]);
 
-/* From the background: asks for `command` to the motor of that index, or to all (NF_DSHOT_ALL_MOTORS). `stopped`: the
- * motors are, and not under test. NF_DSHOT_COMMAND_STOP ends what is under way and is never refused. Refusals: PAYLOAD
+/* From the background: asks for `command` to the motor of that index, or to all (NF_DSHOT_ALL_MOTORS); its bits from 8 on
+ * are 0 or NF_DSHOT_COMMAND_SAVE, which then follows at once. `stopped`: the motors are, and not under test. NF_DSHOT_COMMAND_STOP ends what is under way and is never refused. Refusals: PAYLOAD
  * for what is no command of ours, INDEX for no such motor, ARMED, ORDER while another is under way. */
 enum nf_refusal dshot_command_ask(struct dshot_command *self, unsigned command, unsigned motor, bool stopped);
 

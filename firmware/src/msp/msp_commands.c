@@ -110,7 +110,10 @@ static enum nf_refusal command_settings_write(struct request *q)
 
 	if (refusal == NF_REFUSAL_CONFLICT)
 		q->detail = (int)settings_conflict(q->services->settings);
-	return refusal;
+	if (refusal != NF_REFUSAL_NONE || !q->peer->spoilt)
+		return refusal;
+	q->peer->spoilt = false;
+	return NF_REFUSAL_SPOILT;
 }
 
 /* In a receiver's order, which the channel map is laid over, as the ecosystem's clients expect. */
@@ -145,10 +148,19 @@ static enum nf_refusal command_arming_disable(struct request *q)
 			   NF_REFUSAL_ABSENT;
 }
 
+/* The app's wizards ask for consent before they turn motors, and tell the board nothing of it. What shows them: the peer holds
+ * the arming lock, and gives each motor of the aircraft a value, which the app's sliders, eight of them, never do. open: such
+ * values open a test of that peer, up to NF_MOTOR_WIZARD_MAX. Not open: it is over. */
+static bool command_wizard(const struct request *q, bool open)
+{
+	return q->peer->locks && q->services->arming(q->services->context, q->peer, true, open) == NF_REFUSAL_NONE;
+}
+
 /* As many values as there may be motors; a motor that is not there may only be stopped, by 1000 or 0. */
 static enum nf_refusal command_motors(struct request *q)
 {
 	const struct msp_services *s = q->services;
+	const bool each = q->payload.left == POLICY_ACTION_COUNT * sizeof(uint16_t);
 	uint16_t values_us[NF_MOTOR_COUNT_MAX];
 	size_t count = 0, turning = 0;
 
@@ -164,8 +176,12 @@ static enum nf_refusal command_motors(struct request *q)
 	}
 	if (turning > POLICY_ACTION_COUNT)
 		return NF_REFUSAL_INDEX;
-	const enum nf_refusal refusal = s->motors(s->context, values_us,
-						  count < POLICY_ACTION_COUNT ? count : POLICY_ACTION_COUNT);
+	count = count < POLICY_ACTION_COUNT ? count : POLICY_ACTION_COUNT;
+	enum nf_refusal refusal = s->motors(s->context, values_us, count);
+	if (refusal == NF_REFUSAL_ORDER && turning > 0 && each && command_wizard(q, true))
+		refusal = s->motors(s->context, values_us, count);
+	if (turning == 0 || refusal != NF_REFUSAL_NONE)
+		(void)command_wizard(q, false);
 	/* Without a test the motors stand already. */
 	return refusal == NF_REFUSAL_ORDER && turning == 0 ? NF_REFUSAL_NONE : refusal;
 }
@@ -178,17 +194,19 @@ static enum nf_refusal command_dshot_command(struct request *q)
 	return s->dshot_command ? s->dshot_command(s->context, motor, msp_take_u8(&q->payload)) : NF_REFUSAL_ABSENT;
 }
 
-/* Type, motor, count, commands. The sequence of a command takes its time on the wire: one is taken at a time, so that
- * none is lost; the type, whether the ecosystem's firmware waits for it, makes no difference. */
+/* Type, motor, count, commands. The sequence of a command takes its time on the wire: one is taken at a time, or one and the
+ * SAVE behind it, so that none is lost; the type, whether the ecosystem's firmware waits for it, makes no difference. The
+ * app's wizard sends them while motors turn: these stop, and the wizard turns them again. */
 static enum nf_refusal command_send_dshot(struct request *q)
 {
 	const struct msp_services *s = q->services;
 
 	(void)msp_take_u8(&q->payload);
 	const unsigned motor = msp_take_u8(&q->payload), count = msp_take_u8(&q->payload);
-	if (count != 1 || q->payload.left != count)
+	if (count == 0 || count > 2 || q->payload.left != count)
 		return NF_REFUSAL_PAYLOAD;
-	return s->dshot_command ? s->dshot_command(s->context, motor, msp_take_u8(&q->payload)) : NF_REFUSAL_ABSENT;
+	(void)command_wizard(q, false);
+	return s->dshot_command ? s->dshot_command(s->context, motor, msp_take_u16(&q->payload)) : NF_REFUSAL_ABSENT;
 }
 
 static enum nf_refusal command_calibrate(struct request *q)

@@ -3,7 +3,6 @@
 #include "msp/msp_fields.h"
 #include "msp/msp_lists.h"
 #include "storage/settings.h"
-#include "storage/settings_store.h"
 
 /* Bits of what a peer was told: by message of msp_fields.h, and one for the modes, whose slots zeros clear. */
 #define TOLD(message) ((uint64_t)1 << (message))
@@ -25,50 +24,40 @@ static bool configure_get(const struct msp_view *view, struct msp_peer *peer, ui
 	return true;
 }
 
+/* Carries out a SET. *told: its peer knows what it changes. */
 static bool configure_set(const struct msp_view *view, const struct msp_peer *peer, uint16_t command,
-			  struct msp_reader payload, enum nf_refusal *refusal)
+			  struct msp_reader payload, enum nf_refusal *refusal, bool *told)
 {
 	const int message = msp_fields_find_set(command);
 
 	if (message < 0) {
 		if (!msp_lists_set(view, command, payload, refusal))
 			return false;
-		if (command == NF_MSP_SET_MODE_RANGE && !(peer->told & TOLD_MODES))
+		*told = command != NF_MSP_SET_MODE_RANGE || (peer->told & TOLD_MODES);
+		if (!*told)
 			*refusal = NF_REFUSAL_ORDER;
 		return true;
 	}
-	*refusal = msp_fields_read_first(message) && !(peer->told & TOLD(message)) ?
-			   NF_REFUSAL_ORDER :
-			   msp_fields_set(view, message, payload);
+	*told = (peer->told & TOLD(message)) != 0;
+	*refusal = msp_fields_read_first(message) && !*told ? NF_REFUSAL_ORDER : msp_fields_set(view, message, payload);
 	return true;
 }
 
-/* Is the storing that is asked for refused? Then the edited settings are the stored ones again. */
-static bool configure_spoilt(const struct msp_services *services, struct msp_peer *peer)
+/* Takes over what a SET has made of the settings, but for what does not go with others. *detail: the first such setting. */
+static void configure_take(const struct msp_services *services, struct nf_settings *changed, bool told,
+			   enum nf_refusal *refusal, unsigned *detail)
 {
-	if (!peer->spoilt)
-		return false;
-	peer->spoilt = false;
-	(void)settings_load(services->settings, services->flash);
-	return true;
-}
-
-/* Takes over what a SET has made of the settings, or refuses it. *detail: the setting that does not go with others. */
-static void configure_take(const struct msp_services *services, const struct firmware_status *status,
-			   const struct nf_settings *changed, enum nf_refusal *refusal, unsigned *detail)
-{
+	struct nf_settings *settings = services->settings;
 	const unsigned conflict = settings_conflict(changed);
 
-	if (status->trace.armed)
-		*refusal = NF_REFUSAL_ARMED;
-	if (*refusal != NF_REFUSAL_NONE)
-		return;
-	if (conflict != NF_SETTING_COUNT && settings_conflict(services->settings) == NF_SETTING_COUNT) {
+	if (conflict != NF_SETTING_COUNT && settings_conflict(settings) == NF_SETTING_COUNT) {
+		settings_undo(changed, settings);
+		told &= settings_conflict(changed) == NF_SETTING_COUNT;
 		*refusal = NF_REFUSAL_CONFLICT;
 		*detail = conflict;
-		return;
 	}
-	*services->settings = *changed;
+	if (*refusal == NF_REFUSAL_NONE || (told && *refusal != NF_REFUSAL_PAYLOAD))
+		*settings = *changed;
 }
 
 bool msp_configure(const struct msp_services *services, const struct firmware_status *status, struct msp_peer *peer,
@@ -85,11 +74,13 @@ bool msp_configure(const struct msp_services *services, const struct firmware_st
 		.settings = &changed,
 	};
 	unsigned detail = 0;
+	bool told;
 
-	if (command == NF_MSP_EEPROM_WRITE && configure_spoilt(services, peer)) {
-		*refusal = NF_REFUSAL_SPOILT;
-	} else if (configure_set(&view, peer, command, payload, refusal)) {
-		configure_take(services, status, &changed, refusal, &detail);
+	if (configure_set(&view, peer, command, payload, refusal, &told)) {
+		if (status->trace.armed)
+			*refusal = NF_REFUSAL_ARMED;
+		else
+			configure_take(services, &changed, told, refusal, &detail);
 		peer->spoilt |= *refusal != NF_REFUSAL_NONE;
 	} else if (!configure_get(&view, peer, command, payload, reply, refusal)) {
 		return false;

@@ -1,4 +1,4 @@
-/* Configuration by MSP: the messages of msp_fields.h and msp_lists.h, each taken whole or not at all. */
+/* Configuration by MSP: the messages of msp_fields.h and msp_lists.h; of each what is good is taken. */
 #ifndef NF_MSP_CONFIGURE_H
 #define NF_MSP_CONFIGURE_H
 
@@ -13,10 +13,11 @@
 
 /* Carries out `command` and writes the reply, as msp_command does. Returns false if it is none of these.
  *
- * A SET changes only what the peer changed, in a copy of the settings, which counts if all of it is taken and the
- * settings still go together. It is refused while armed; where its GET is; and, where zeros mean something, before
- * its peer has read. A refused one spoils what the peer changed before: its next EEPROM_WRITE is refused with
- * NF_REFUSAL_SPOILT and brings back the settings that are stored. */
+ * A SET changes only what the peer changed. What of it is refused leaves its setting as it was, and so do settings that would
+ * not go together: the reply is the first refusal then, though the rest of it counts. Nothing of it counts while armed; where
+ * its GET is refused; and, of a peer that has not read, where any of it is refused, or its zeros would mean something: who has
+ * not read may send zeros for all that it does not know.
+ * After a refusal the peer's next EEPROM_WRITE stores what counts, and is answered with NF_REFUSAL_SPOILT: it is not all. */
 bool msp_configure(const struct msp_services *services, const struct firmware_status *status, struct msp_peer *peer,
 		   uint16_t command, const uint8_t *payload, size_t size, struct msp_writer *reply,
 		   enum nf_refusal *refusal);

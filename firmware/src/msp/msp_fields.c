@@ -217,18 +217,18 @@ static uint32_t fields_take(struct msp_reader *payload, const struct field *fiel
 enum nf_refusal msp_fields_set(const struct msp_view *view, int index, struct msp_reader payload)
 {
 	const struct message *message = &messages[index];
-	enum nf_refusal refusal = fields_put_rates_type(view, message, payload);
 
 	if (!fields_offered(view, message))
 		return NF_REFUSAL_ABSENT;
-	if (refusal == NF_REFUSAL_NONE)
-		refusal = fields_put_voltage(view, message, payload);
-	for (unsigned i = 0; i < message->set_count && refusal == NF_REFUSAL_NONE; ++i) {
+	if (fields_put_rates_type(view, message, payload) != NF_REFUSAL_NONE)
+		return NF_REFUSAL_PAYLOAD;
+	enum nf_refusal refusal = fields_put_voltage(view, message, payload);
+	for (unsigned i = 0; i < message->set_count && (payload.left > 0 || i < message->required); ++i) {
 		const struct field *field = &kinds[order[message->set_first + i]];
-		if (payload.left == 0 && i >= message->required)
-			break;
-		refusal = payload.left < field->bytes ? NF_REFUSAL_PAYLOAD :
-							fields_put(view, field, fields_take(&payload, field));
+		if (payload.left < field->bytes)
+			return NF_REFUSAL_PAYLOAD;
+		if (fields_put(view, field, fields_take(&payload, field)) != NF_REFUSAL_NONE)
+			refusal = NF_REFUSAL_RANGE;
 	}
 	return refusal;
 }

@@ -20,9 +20,10 @@ bool msp_fields_read_first(int message);
 enum nf_refusal msp_fields_get(const struct msp_view *view, int message, struct msp_writer *reply);
 
 /* Carries out a SET: every field that is not what a GET would tell changes its setting. A payload may end behind any of the
- * fields that are not required, and bring more than is known; the former leaves the rest alone.
- * Refused, some of view->settings may have changed: let it be a copy. NF_REFUSAL_ABSENT: as the GET. NF_REFUSAL_PAYLOAD:
- * of another length, or it changes what cannot be changed. NF_REFUSAL_RANGE: beyond a setting's limits. */
+ * fields that are not required, and bring more than is known; the former leaves the rest alone. NF_REFUSAL_ABSENT: as the GET,
+ * nothing changed. NF_REFUSAL_PAYLOAD: of no such length, or its rates are of a type that there is not: nothing of it counts,
+ * though some of view->settings may have changed, so let it be a copy. NF_REFUSAL_RANGE: some fields are beyond their setting's
+ * limits or cannot be changed, and left as they were; the others count. */
 enum nf_refusal msp_fields_set(const struct msp_view *view, int message, struct msp_reader payload);
 
 #endif

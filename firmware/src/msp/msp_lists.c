@@ -190,8 +190,6 @@ static enum nf_refusal lists_set_baud(struct nf_settings *s, unsigned setting, u
 {
 	if (index == lists_baud_index(s, setting))
 		return NF_REFUSAL_NONE;
-	if (setting == NF_SETTING_COUNT)
-		return NF_REFUSAL_PAYLOAD;
 	for (size_t i = 0; i < sizeof rates / sizeof rates[0]; ++i)
 		if (rates[i].index == index)
 			return settings_set_whole(s, setting, rates[i].hectobaud * HECTOBAUD);
@@ -206,29 +204,31 @@ static enum nf_refusal lists_set_functions(struct nf_settings *s, unsigned numbe
 	for (unsigned choice = 0; number == LINE_UART3 && choice < sizeof uart3_functions; ++choice)
 		if (uart3_functions[choice] == functions)
 			return settings_set_whole(s, SETTING_AT_uart3_function, choice);
-	return NF_REFUSAL_PAYLOAD;
+	return NF_REFUSAL_RANGE;
 }
 
-static enum nf_refusal lists_set_port(const struct msp_view *view, struct msp_reader *payload)
+/* How fast a function is that the line does not have is nothing to it: the app tells a number for each. */
+static enum nf_refusal lists_set_port(const struct msp_view *view, struct msp_reader payload)
 {
-	const unsigned number = msp_take_u8(payload);
-	const uint32_t functions = msp_take_u32(payload);
-	const unsigned baud = msp_take_u8(payload);
-	const unsigned others = msp_take_u8(payload) | msp_take_u8(payload), log_baud = msp_take_u8(payload);
+	const unsigned number = msp_take_u8(&payload);
+	const uint32_t functions = msp_take_u32(&payload);
+	const unsigned baud = msp_take_u8(&payload);
 
+	(void)msp_take_u16(&payload); /* of GPS and telemetry */
 	if (number >= LINE_COUNT)
 		return NF_REFUSAL_INDEX;
-	if (others != 0)
-		return NF_REFUSAL_PAYLOAD;
 	const struct line line = lists_line(view->settings, number);
-	enum nf_refusal refusal = lists_set_functions(view->settings, number, functions);
-	if (refusal == NF_REFUSAL_NONE)
-		refusal = lists_set_baud(view->settings, line.baud_setting, baud);
-	if (refusal == NF_REFUSAL_NONE)
-		refusal = lists_set_baud(view->settings, line.log_baud_setting, log_baud);
-	return refusal;
+	const enum nf_refusal refusal = lists_set_functions(view->settings, number, functions);
+	if (refusal != NF_REFUSAL_NONE)
+		return refusal;
+	if (functions == FUNCTION_MSP)
+		return lists_set_baud(view->settings, line.baud_setting, baud);
+	return functions == FUNCTION_BLACKBOX ?
+		       lists_set_baud(view->settings, line.log_baud_setting, msp_take_u8(&payload)) :
+		       NF_REFUSAL_NONE;
 }
 
+/* Ports that there are not are refused beside those that there are; newer peers may tell more of each. */
 static enum nf_refusal lists_set_ports(const struct msp_view *view, struct msp_reader payload)
 {
 	const unsigned count = msp_take_u8(&payload);
@@ -236,8 +236,10 @@ static enum nf_refusal lists_set_ports(const struct msp_view *view, struct msp_r
 
 	if (count == 0 || payload.left < (size_t)count * PORT_BYTES)
 		return NF_REFUSAL_PAYLOAD;
-	for (unsigned i = 0; i < count && refusal == NF_REFUSAL_NONE; ++i)
-		refusal = lists_set_port(view, &payload);
+	const size_t bytes = payload.left / count;
+	for (unsigned i = 0; i < count; ++i)
+		if (lists_set_port(view, (struct msp_reader){ payload.at + i * bytes, bytes }) != NF_REFUSAL_NONE)
+			refusal = NF_REFUSAL_RANGE;
 	return refusal;
 }
 
@@ -254,17 +256,18 @@ static enum nf_refusal lists_outputs(const struct msp_view *view, struct msp_wri
 	return NF_REFUSAL_NONE;
 }
 
+/* All are taken or none. */
 static enum nf_refusal lists_set_outputs(const struct msp_view *view, struct msp_reader payload)
 {
 	const unsigned count = msp_take_u8(&payload);
-	enum nf_refusal refusal = NF_REFUSAL_NONE;
 
 	if (count == 0 || count > NF_MOTOR_COUNT_MAX || payload.left < count)
 		return NF_REFUSAL_PAYLOAD;
-	for (unsigned motor = 0; motor < count && refusal == NF_REFUSAL_NONE; ++motor)
-		refusal = settings_set_whole(view->settings, SETTING_AT_motor1_output + motor,
-					     msp_take_u8(&payload) + 1u);
-	return refusal;
+	for (unsigned motor = 0; motor < count; ++motor)
+		if (settings_set_whole(view->settings, SETTING_AT_motor1_output + motor, msp_take_u8(&payload) + 1u) !=
+		    NF_REFUSAL_NONE)
+			return NF_REFUSAL_PAYLOAD;
+	return NF_REFUSAL_NONE;
 }
 
 /* --- Texts ------------------------------------------------------------------------------------------------ */

@@ -25,21 +25,20 @@ static uint32_t sources_features(const struct nf_settings *s)
 	       (s->motor_stop ? BIT(NF_MSP_FEATURE_MOTOR_STOP) : 0u);
 }
 
-/* Which serial receiver it is the provider tells; SBUS is the first of them. */
+/* Which serial receiver it is the provider tells; SBUS is the first of them. The app derives the bit of the blackbox from the
+ * ports that it sends besides. */
 static enum nf_refusal sources_set_features(struct nf_settings *s, uint32_t value)
 {
 	const uint32_t receivers = BIT(NF_MSP_FEATURE_RX_SERIAL) | BIT(NF_MSP_FEATURE_RX_MSP);
 	const uint32_t changed = value ^ sources_features(s);
 
-	if (changed & ~(receivers | BIT(NF_MSP_FEATURE_MOTOR_STOP)))
-		return NF_REFUSAL_PAYLOAD;
-	if (changed & receivers) {
-		if ((changed & receivers) != receivers)
-			return NF_REFUSAL_PAYLOAD; /* one of them there must be */
+	if ((changed & receivers) == receivers) { /* one of them there must be */
 		const bool msp = (value & BIT(NF_MSP_FEATURE_RX_MSP)) != 0;
 		s->receiver_protocol = msp ? NF_RECEIVER_PROTOCOL_MSP : NF_RECEIVER_PROTOCOL_SBUS;
 	}
-	return settings_set_whole(s, SETTING_AT_motor_stop, value >> NF_MSP_FEATURE_MOTOR_STOP & 1u);
+	s->motor_stop = value >> NF_MSP_FEATURE_MOTOR_STOP & 1u;
+	return ((value ^ sources_features(s)) & ~BIT(NF_MSP_FEATURE_BLACKBOX)) == 0 ? NF_REFUSAL_NONE :
+										      NF_REFUSAL_PAYLOAD;
 }
 
 static uint32_t sources_provider(const struct nf_settings *s)

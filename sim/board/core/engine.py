@@ -35,7 +35,14 @@ CORE_REGISTERS = (
     *(getattr(arm_const, f"UC_ARM_REG_R{i}") for i in range(13)),
     *(arm_const.UC_ARM_REG_SP, arm_const.UC_ARM_REG_LR),
 )
-XPSR = arm_const.UC_ARM_REG_XPSR
+XPSR, CONTROL = arm_const.UC_ARM_REG_XPSR, arm_const.UC_ARM_REG_CONTROL
+NUMBERED = (  # registers by their number; that of pc is the engine's own
+    *(*CORE_REGISTERS, arm_const.UC_ARM_REG_PC, XPSR),
+    *(arm_const.UC_ARM_REG_S0 + i for i in range(32)),
+    *(arm_const.UC_ARM_REG_FPSCR, arm_const.UC_ARM_REG_MSP, arm_const.UC_ARM_REG_PSP),
+    *(arm_const.UC_ARM_REG_PRIMASK, arm_const.UC_ARM_REG_BASEPRI, arm_const.UC_ARM_REG_FAULTMASK, CONTROL),
+)
+_SPSEL, _FPCA, _SFPA = 2, 4, 8  # of CONTROL; SFPA is ARMv8-M's, which unicorn's core wants beside FPCA
 
 
 class Outcome(IntEnum):
@@ -47,9 +54,20 @@ class Outcome(IntEnum):
     RESET = 3
     FAILED = 4
     ASLEEP = 5  # in WFI with nothing that could end it
+    WATCHPOINT = 6  # `Engine.watch_hit` tells which
 
 
 _OUTCOMES = tuple(Outcome)
+
+
+@dataclass(frozen=True)
+class Watchpoint:
+    """Memory whose accesses by the core stop it; not those of DMA, nor the frames of exceptions."""
+
+    address: int
+    size: int  # bytes
+    loads: bool
+    stores: bool
 
 
 @dataclass(frozen=True)
@@ -177,6 +195,10 @@ class Engine:
         """The supply goes and comes back: RAM is lost, flash stays."""
         self._reset("power")
 
+    def pull_reset(self) -> None:
+        """Pull the line NRST and let it go, between two runs. An error that was raised is forgotten."""
+        self._reset("pin")
+
     def _reset(self, cause: str) -> None:
         self._cause, self._error = "", None
         self.resets.append(cause)
@@ -220,19 +242,29 @@ class Engine:
         self.library.engine_set_pc(self.handle, address)
 
     def register(self, number: int) -> int:
-        """r0 to r12, sp (13), lr (14), pc (15), xPSR (16)."""
+        """r0 to r12, sp (13), lr (14), pc (15), xPSR (16), s0 to s31 (17 to 48), FPSCR (49), MSP, PSP,
+        PRIMASK, BASEPRI, FAULTMASK and CONTROL (55).
+        """
         if number == 15:
             return self.pc
-        name = XPSR if number == 16 else CORE_REGISTERS[number]
-        return int(self.library.engine_register(self.handle, name))
+        value = int(self.library.engine_register(self.handle, NUMBERED[number]))
+        if NUMBERED[number] == CONTROL:
+            return value & ~_SFPA & ~(_SPSEL if self.depth else 0)
+        return value
 
     def set_register(self, number: int, value: int) -> None:
         """Likewise."""
         if number == 15:
             self.pc = value
-        else:
-            name = XPSR if number == 16 else CORE_REGISTERS[number]
-            self.library.engine_set_register(self.handle, name, value)
+            return
+        if NUMBERED[number] == CONTROL:
+            value = value & ~_SFPA | (_SFPA if value & _FPCA else 0)
+        self.library.engine_set_register(self.handle, NUMBERED[number], value)
+
+    @property
+    def depth(self) -> int:
+        """How many exceptions are active; 0: the thread runs."""
+        return int(self.library.engine_depth(self.handle))
 
     @property
     def instructions(self) -> int:
@@ -275,6 +307,22 @@ class Engine:
         if self.library.engine_set_breakpoints(self.handle, wanted, len(wanted)):
             raise ValueError(f"{len(wanted)} breakpoints, at most 64")
 
+    def set_watchpoints(self, watchpoints: Iterable[Watchpoint]) -> None:
+        """Stop before the instructions that access these, and for no others. Raises ValueError above 32.
+
+        Inside an IT block nothing stops: an access there stops the core behind the block.
+        """
+        wanted = list(watchpoints)
+        rows = self.ffi.new("struct watchpoint[]", [(w.address, w.size, w.loads, w.stores) for w in wanted])
+        if self.library.engine_set_watchpoints(self.handle, rows, len(wanted)):
+            raise ValueError(f"{len(wanted)} watchpoints, at most 32")
+
+    @property
+    def watch_hit(self) -> tuple[int, int]:
+        """Index of the watchpoint that stopped the core last, and the address in it that is accessed."""
+        hit = self.library.engine_watch_hit(self.handle)
+        return int(hit.number), int(hit.address)
+
     def bound_entry(self, irq: int, cycles: int, name: str = "", *, urgent: bool = False) -> None:
         """From now on it is an error when `irq` waits more than `cycles` for its handler; 0: none.
 
@@ -285,7 +333,7 @@ class Engine:
         self.library.engine_bound_entry(self.handle, 16 + irq, cycles, self._bound[irq], urgent)
 
     def skip_breakpoint(self) -> None:
-        """The next `run` does not stop where it stands."""
+        """The instruction at hand stops at no breakpoint and no watchpoint when it is executed next."""
         self.library.engine_skip_breakpoint(self.handle)
 
     # ---- Bus ----

@@ -11,28 +11,40 @@ import select
 import socket
 from collections.abc import Callable
 
-from sim.board.core.context import BoardError
-from sim.board.core.engine import Engine, Outcome
+from sim.board.core.context import TIME_HZ, BoardError
+from sim.board.core.engine import Engine, Outcome, Watchpoint
+from sim.board.debug.gdb_description import (
+    READABLE,
+    REGISTERS,
+    Register,
+    memory_map_xml,
+    readable_bytes,
+    target_xml,
+)
+from sim.board.debug.gdb_packets import PACKET_BYTES, Inbox, Kind, packet
+from toolchain.contract import FLASH_BASE, FLASH_BYTES, FLASH_SECTORS
 from toolchain.errors import LinkError
 
 SLICE = 2_160_000  # cycles between two checks for the debugger's Ctrl-C: 10 ms
-PACKET_BYTES = 0x1000
-BUFFER_BYTES = 4 * PACKET_BYTES  # of a packet that does not end
+DATA_BYTES = PACKET_BYTES // 2  # of memory in one answer
 TRAP, INTERRUPT, ABORT = 5, 2, 6  # signals that tell why the core stands
-# Registers that reading leaves alone: system control block, floating-point context (ARMv7-M B3.2, B4.6).
-READABLE = (*range(0xE000ED00, 0xE000ED40, 4), 0xE000EF34, 0xE000EF38, 0xE000EF3C)
-REGISTERS = 17  # r0 to r12, sp, lr, pc, xPSR
-TARGET = """<?xml version="1.0"?><!DOCTYPE target SYSTEM "gdb-target.dtd"><target>
-<architecture>arm</architecture><feature name="org.gnu.gdb.arm.m-profile">{registers}</feature></target>"""
-NAMES = (*(f"r{i}" for i in range(13)), "sp", "lr", "pc", "xpsr")
+WATCHES = {"2": "watch", "3": "rwatch", "4": "awatch"}  # kinds of Z packets, and how a stop is told
+MONITOR = "reset: all starts anew, and stands at its first instruction\ntime: how long the board has run\n"
+
+
+class _RefusedError(Exception):
+    """What was asked for is not done; text: for the debugger's user."""
 
 
 class GdbServer:
     """One debugger at a time, on 127.0.0.1 only."""
 
-    def __init__(self, engine: Engine, port: int) -> None:
-        """Listen; port 0: any free one. Raises LinkError when the port is taken."""
-        self._engine = engine
+    def __init__(self, engine: Engine, port: int, *, on_flashed: Callable[[], None] = lambda: None) -> None:
+        """Listen; port 0: any free one. Raises LinkError when the port is taken.
+
+        on_flashed: called when the debugger has changed flash.
+        """
+        self._engine, self._on_flashed = engine, on_flashed
         self._listener = socket.socket()
         self._listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
@@ -43,9 +55,15 @@ class GdbServer:
             raise LinkError(f"cannot listen for gdb on port {port}: {error.strerror}") from error
         self.port: int = self._listener.getsockname()[1]
         self._client: socket.socket | None = None
-        self._buffer = b""
         self._breakpoints: set[int] = set()
-        self._halted = self._steps = False
+        self._watchpoints: dict[tuple[str, int, int], Watchpoint] = {}
+        self._halted = self._steps = self._restarted = False
+        self._depth = 0  # of exceptions, where a step began
+        self._greet()
+        self._answers = self._table()
+
+    def _greet(self) -> None:
+        self._inbox, self._acknowledges, self._last, self._signal = Inbox(), True, b"", f"S{TRAP:02x}"
 
     def wait(self, timeout: float | None = None) -> None:
         """Until a debugger is there; it finds the core halted. Raises LinkError after `timeout` s."""
@@ -55,6 +73,8 @@ class GdbServer:
         except TimeoutError as error:
             raise LinkError(f"no gdb on port {self.port} within {timeout} s") from error
         self._client.setblocking(True)
+        self._client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._greet()
         self._halted = True
 
     @property
@@ -84,43 +104,74 @@ class GdbServer:
                 self._advance(cycle)
 
     def _advance(self, cycle: int) -> None:
-        self._engine.skip_breakpoint()
+        engine = self._engine
         try:
             if self._steps:
-                self._engine.run(cycle, instructions=1)
-                self._stop(TRAP)
-                return
-            outcome = self._engine.run(min(cycle, self._engine.cycle + SLICE))
+                outcome = engine.run(cycle, instructions=1)
+            else:
+                outcome = engine.run(min(cycle, engine.cycle + SLICE))
         except BoardError as error:
             self._console(f"{error}\n")
             self._stop(ABORT)
+            self._restarted = False
             self._serve()
-            raise
+            if not self._restarted:
+                raise
+            return
+        if outcome is Outcome.RESET:
+            self._console(f"the chip resets: {engine.resets[-1]}\n")
         if outcome is Outcome.BREAKPOINT:
+            self._stop(TRAP)
+        elif outcome is Outcome.WATCHPOINT:
+            number, address = engine.watch_hit
+            kind = list(self._watchpoints)[number][0]
+            self._stop(TRAP, f"{WATCHES[kind]}:{address:x};")
+        elif self._steps and self._has_stepped(outcome):
             self._stop(TRAP)
         elif self._interrupted():
             self._stop(INTERRUPT)
 
-    def _stop(self, signal: int) -> None:
-        self._halted, self._signal = True, signal
-        self._send(f"S{signal:02x}")
+    def _has_stepped(self, outcome: Outcome) -> bool:
+        """A handler that interrupts the instruction belongs to the step."""
+        return outcome is Outcome.RESET or (outcome is Outcome.LIMIT and self._engine.depth <= self._depth)
+
+    def _stop(self, signal: int, why: str = "") -> None:
+        self._halted, self._signal = True, f"T{signal:02x}{why}" if why else f"S{signal:02x}"
+        self._send(self._signal)
+
+    # ---- the line ----
 
     def _interrupted(self) -> bool:
-        if self._client is not None and select.select([self._client], [], [], 0)[0]:
+        while self._client is not None and self._is_readable(0):
             self._receive()
-        return b"\x03" in self._buffer
-
-    # ---- packets ----
+        return self._inbox.take_interrupt()
 
     def _serve(self) -> None:
         """Answer until the core may run."""
-        self._buffer = self._buffer.replace(b"\x03", b"")
         while self._halted and self._client is not None:
-            packet = self._packet()
-            if packet is not None:
-                self._send_reply(self._answer(packet))
+            event = self._inbox.take()
+            if event is None:
+                if self._is_readable(None):
+                    self._receive()
+            elif event.kind is Kind.AGAIN:
+                self._raw(self._last)
+            elif event.kind is Kind.DAMAGED:
+                self._raw(b"-" if self._acknowledges else b"")
+            elif event.kind is Kind.PACKET:
+                self._raw(b"+" if self._acknowledges else b"")
+                reply = self._answer(event.data.decode("latin-1"))
+                if reply is not None:
+                    self._send(reply)
 
-    def _receive(self) -> bool:
+    def _is_readable(self, timeout: float | None) -> bool:
+        """Whether the client has sent something, within `timeout` [s]. Turns others away meanwhile."""
+        assert self._client is not None
+        ready = select.select([self._client, self._listener], [], [], timeout)[0]
+        if self._listener in ready:
+            self._listener.accept()[0].close()
+        return self._client in ready
+
+    def _receive(self) -> None:
         assert self._client is not None
         try:
             data = self._client.recv(PACKET_BYTES)
@@ -128,32 +179,11 @@ class GdbServer:
             data = b""
         if not data:
             self._leave()
-        self._buffer += data
-        return bool(data)
-
-    def _packet(self) -> str | None:
-        """The next whole packet, acknowledged; None when the debugger has gone."""
-        while True:
-            found = re.search(rb"\$([^#]*)#([0-9a-fA-F]{2})", self._buffer)
-            if found is None:
-                if len(self._buffer) > BUFFER_BYTES:
-                    self._buffer = b""  # that is no debugger
-                if not self._receive():
-                    return None
-                continue
-            self._buffer = self._buffer[found.end() :]
-            good = sum(found[1]) % 256 == int(found[2], 16)
-            self._raw(b"+" if good else b"-")
-            if good:
-                return found[1].decode("latin-1")
-
-    def _send_reply(self, reply: str | None) -> None:
-        if reply is not None:
-            self._send(reply)
+        self._inbox.feed(data)
 
     def _send(self, text: str) -> None:
-        data = text.encode("latin-1")
-        self._raw(b"$" + data + b"#%02x" % (sum(data) % 256))
+        self._last = packet(text.encode("latin-1"))
+        self._raw(self._last)
 
     def _console(self, text: str) -> None:
         self._send("O" + text.encode().hex())
@@ -170,107 +200,216 @@ class GdbServer:
             self._client.close()
         self._client, self._halted, self._steps = None, False, False
         self._breakpoints.clear()
+        self._watchpoints.clear()
         self._engine.set_breakpoints(())
+        self._engine.set_watchpoints(())
 
     # ---- what it asks ----
 
-    _signal = TRAP
-
-    def _answer(self, packet: str) -> str | None:
+    def _answer(self, text: str) -> str | None:
         """The reply; None: it comes when the core stands again."""
-        for start, answer in self._table().items():
-            if packet.startswith(start):
+        for start, answer in self._answers.items():
+            if text.startswith(start):
                 try:
-                    return answer(packet[len(start) :])
+                    return answer(text[len(start) :])
+                except _RefusedError as refusal:
+                    return f"E.{refusal}"
                 except (ValueError, IndexError):
                     return "E01"
         return ""
 
     def _table(self) -> dict[str, Callable[[str], str | None]]:
         return {
-            "?": lambda rest: f"S{self._signal:02x}",
-            "g": lambda rest: "".join(_word(self._engine.register(i)) for i in range(REGISTERS)),
+            "?": lambda rest: self._signal,
+            "g": lambda rest: "".join(map(self._value, REGISTERS)),
             "G": self._set_all,
-            "p": lambda rest: _word(self._engine.register(int(rest, 16))),
+            "p": lambda rest: self._value(_register(rest)),
             "P": self._set_one,
             "m": self._read,
-            "M": self._write,
-            "c": lambda rest: self._resume(steps=False),
-            "s": lambda rest: self._resume(steps=True),
-            "Z0": lambda rest: self._break_at(rest, on=True),
-            "Z1": lambda rest: self._break_at(rest, on=True),
-            "z0": lambda rest: self._break_at(rest, on=False),
-            "z1": lambda rest: self._break_at(rest, on=False),
+            "M": lambda rest: self._write(rest, bytes.fromhex),
+            "X": lambda rest: self._write(rest, lambda text: text.encode("latin-1")),
+            "c": lambda rest: self._resume(rest, steps=False),
+            "s": lambda rest: self._resume(rest, steps=True),
+            "vCont?": lambda rest: "vCont;c;C;s;S",
+            "vCont;": lambda rest: self._resume("", steps="cCsS".index(rest[0]) > 1),
+            "Z": lambda rest: self._break_at(rest, on=True),
+            "z": lambda rest: self._break_at(rest, on=False),
+            "vFlashErase:": self._erase,
+            "vFlashWrite:": self._program,
+            "vFlashDone": lambda rest: self._restart(),
+            "qRcmd,": self._command,
+            "R": lambda rest: self._restart() and None,
             "H": lambda rest: "OK",
+            "T": lambda rest: "OK",
+            "!": lambda rest: "OK",
             "D": lambda rest: self._detach(),
-            "k": lambda rest: self._kill(),
-            "qSupported": lambda rest: f"PacketSize={PACKET_BYTES:x};qXfer:features:read+",
-            "qXfer:features:read:target.xml:": _features,
+            "k": lambda rest: self._leave(),
+            "qSupported": lambda rest: (
+                f"PacketSize={PACKET_BYTES:x};qXfer:features:read+;qXfer:memory-map:read+;"
+                "QStartNoAckMode+;vContSupported+"
+            ),
+            "QStartNoAckMode": lambda rest: self._quieten(),
+            "qXfer:features:read:target.xml:": lambda rest: _piece(target_xml(), rest),
+            "qXfer:memory-map:read::": lambda rest: _piece(memory_map_xml(), rest),
             "qAttached": lambda rest: "1",
             "qC": lambda rest: "QC1",
             "qfThreadInfo": lambda rest: "m1",
             "qsThreadInfo": lambda rest: "l",
         }
 
+    def _quieten(self) -> str:
+        self._acknowledges = False
+        return "OK"
+
+    # ---- registers and memory ----
+
+    def _value(self, register: Register) -> str:
+        return "".join(self._engine.register(i).to_bytes(4, "little").hex() for i in register.words)
+
+    def _set(self, register: Register, data: bytes) -> None:
+        for place, i in enumerate(register.words):
+            self._engine.set_register(i, int.from_bytes(data[4 * place : 4 * place + 4], "little"))
+
     def _set_all(self, rest: str) -> str:
         data = bytes.fromhex(rest)
-        if len(data) != 4 * REGISTERS:
-            raise ValueError(f"{len(data)} bytes for {REGISTERS} registers")
-        for i in range(REGISTERS):
-            self._engine.set_register(i, int.from_bytes(data[4 * i : 4 * i + 4], "little"))
+        if len(data) != sum(register.bits // 8 for register in REGISTERS):
+            raise ValueError(f"{len(data)} bytes for all registers")
+        for register in REGISTERS:
+            self._set(register, data[: register.bits // 8])
+            data = data[register.bits // 8 :]
         return "OK"
 
     def _set_one(self, rest: str) -> str:
         number, _, value = rest.partition("=")
-        data = bytes.fromhex(value)
-        if len(data) != 4:
-            raise ValueError(f"{len(data)} bytes for a register")
-        self._engine.set_register(int(number, 16), int.from_bytes(data, "little"))
+        register, data = _register(number), bytes.fromhex(value)
+        if len(data) != register.bits // 8:
+            raise ValueError(f"{len(data)} bytes for {register.name}")
+        self._set(register, data)
         return "OK"
 
     def _read(self, rest: str) -> str:
         """Memory, and what gdb needs to see through exceptions; reading other registers may change them."""
-        address, size = (int(part, 16) for part in rest.split(","))
+        address, size = _numbers(rest, 2)
         if size == 4 and address in READABLE:
-            return _word(self._engine.load(address, size))
-        return self._engine.memory(address, min(size, PACKET_BYTES // 2)).hex()
+            return self._engine.load(address, size).to_bytes(4, "little").hex()
+        found = readable_bytes(address, min(size, DATA_BYTES))
+        if size and not found:
+            raise ValueError(f"no memory at 0x{address:08X}")
+        return self._engine.memory(address, found).hex() if found else ""
 
-    def _write(self, rest: str) -> str:
+    def _write(self, rest: str, decode: Callable[[str], bytes]) -> str:
         place, _, text = rest.partition(":")
-        address, size = (int(part, 16) for part in place.split(","))
-        data = bytes.fromhex(text)
-        if len(data) != size:
-            raise ValueError(f"{len(data)} bytes for {size}")
-        self._engine.set_memory(address, data)
+        address, size = _numbers(place, 2)
+        data = decode(text)
+        if len(data) != size or readable_bytes(address, size) != size:
+            raise ValueError(f"{len(data)} bytes for {size} at 0x{address:08X}")
+        if _in_flash(address, 1):
+            raise _RefusedError("flash takes no store; program it by `load`")
+        if size:
+            self._engine.set_memory(address, data)
         return "OK"
+
+    # ---- running ----
+
+    def _resume(self, rest: str, *, steps: bool) -> None:
+        if rest:
+            self._engine.pc = _numbers(rest, 1)[0]
+        self._engine.skip_breakpoint()
+        self._halted, self._steps, self._depth = False, steps, self._engine.depth
 
     def _break_at(self, rest: str, *, on: bool) -> str:
-        address = int(rest.split(",")[1], 16)
-        wanted = self._breakpoints | {address} if on else self._breakpoints - {address}
-        self._engine.set_breakpoints(wanted)
-        self._breakpoints = wanted
+        kind, _, place = rest.partition(",")
+        address, size = _numbers(place.partition(";")[0], 2)
+        if kind in ("0", "1"):
+            breakpoints = self._breakpoints | {address} if on else self._breakpoints - {address}
+            self._apply(self._engine.set_breakpoints, breakpoints)
+            self._breakpoints = breakpoints
+        elif kind in WATCHES:
+            watchpoints = {key: one for key, one in self._watchpoints.items() if key != (kind, address, size)}
+            if on:
+                watchpoints[kind, address, size] = Watchpoint(
+                    address, size, loads=kind in ("3", "4"), stores=kind in ("2", "4")
+                )
+            self._apply(self._engine.set_watchpoints, watchpoints.values())
+            self._watchpoints = watchpoints
+        else:
+            return ""
         return "OK"
 
-    def _resume(self, *, steps: bool) -> None:
-        self._halted, self._steps = False, steps
+    def _apply(self, function: Callable[..., None], wanted: object) -> None:
+        try:
+            function(wanted)
+        except ValueError as error:
+            raise _RefusedError(str(error)) from error
 
     def _detach(self) -> None:
         self._send("OK")
         self._leave()
 
-    def _kill(self) -> None:
-        self._leave()
+    def _restart(self) -> str:
+        """The reset line is pulled; the core stands at its first instruction."""
+        self._engine.pull_reset()
+        self._restarted, self._signal = True, f"S{TRAP:02x}"
+        return "OK"
+
+    def _command(self, rest: str) -> str:
+        """Do what `monitor` says; front ends say `reset`, `reset halt` or `reset init`, then continue."""
+        words = bytes.fromhex(rest).decode("latin-1").split()
+        if words[:1] == ["reset"]:
+            self._restart()
+            text = "the board is reset and stands at its first instruction\n"
+        elif words == ["time"]:
+            text = f"{self._engine.cycle / TIME_HZ:.6f} s, {self._engine.instructions:,} instructions\n"
+        elif words in (["halt"], []):
+            text = "the core stands whenever gdb has its prompt\n"
+        elif words == ["help"]:
+            text = MONITOR
+        else:
+            text = f"got {' '.join(words)!r}, expected one of\n{MONITOR}"
+        return text.encode().hex()
+
+    # ---- flash ----
+
+    def _erase(self, rest: str) -> str:
+        address, size = _numbers(rest, 2)
+        sectors = [s for s in FLASH_SECTORS if address <= s.address < address + size]
+        if sum(s.size for s in sectors) != size or not sectors or sectors[0].address != address:
+            raise _RefusedError(f"{size} bytes at 0x{address:08X} are no whole sectors of flash")
+        self._change_flash(address, b"\xff" * size)
+        return "OK"
+
+    def _program(self, rest: str) -> str:
+        place, _, text = rest.partition(":")
+        (address,), data = _numbers(place, 1), text.encode("latin-1")
+        if not _in_flash(address, len(data)):
+            raise _RefusedError(f"{len(data)} bytes at 0x{address:08X}, expected flash")
+        old = self._engine.memory(address, len(data))
+        if any(new & ~before for new, before in zip(data, old, strict=True)):
+            raise _RefusedError(f"{len(data)} bytes at 0x{address:08X} over others that are not erased")
+        self._change_flash(address, data)
+        return "OK"
+
+    def _change_flash(self, address: int, data: bytes) -> None:
+        self._engine.set_memory(address, data)
+        self._on_flashed()
 
 
-def _features(rest: str) -> str:
-    offset, size = (int(part, 16) for part in rest.split(","))
-    types = {"sp": "data_ptr", "pc": "code_ptr"}
-    registers = "".join(
-        f'<reg name="{name}" bitsize="32" type="{types.get(name, "int")}"/>' for name in NAMES
-    )
-    text = TARGET.format(registers=registers)
+def _register(number: str) -> Register:
+    return REGISTERS[_numbers(number, 1)[0]]
+
+
+def _numbers(text: str, count: int) -> list[int]:
+    """Read so many numbers of up to 32 bits. Raises ValueError for anything else."""
+    if not re.fullmatch(rf"[0-9a-fA-F]{{1,8}}(,[0-9a-fA-F]{{1,8}}){{{count - 1}}}", text):
+        raise ValueError(f"got {text!r}, expected {count} hexadecimal numbers")
+    return [int(part, 16) for part in text.split(",")]
+
+
+def _in_flash(address: int, size: int) -> bool:
+    return FLASH_BASE <= address <= FLASH_BASE + FLASH_BYTES - size
+
+
+def _piece(text: str, rest: str) -> str:
+    """The part of a document that is asked for."""
+    offset, size = _numbers(rest, 2)
     return ("m" if offset + size < len(text) else "l") + text[offset : offset + size]
-
-
-def _word(value: int) -> str:
-    return value.to_bytes(4, "little").hex()

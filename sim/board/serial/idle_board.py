@@ -131,6 +131,10 @@ class Keeper:
         self._seen = self._kept = idle.board.hardware.flash.operations
         self._since = 0  # cycle at which the last operation was seen
 
+    def note_change(self) -> None:
+        """Note that flash was changed by something else than the program: a debugger."""
+        self._kept, self._since = -1, self._idle.board.cycle
+
     def update(self, *, at_once: bool = False) -> None:
         """Hand on what has changed, once no flash operation has come for a while, or at once."""
         operations, cycle = self._idle.board.hardware.flash.operations, self._idle.board.cycle

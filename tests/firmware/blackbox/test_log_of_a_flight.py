@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from sim.blackbox.decoding import decode
 from sim.blackbox.export import save_csv
-from sim.blackbox.log import Log, floats, read_log
+from sim.blackbox.log import Log, floats, list_logs, read_log
 from sim.ports.library import Reference
 from tests.firmware.blackbox.flights import ARMED_S, Flown, fly
 from tests.firmware.blackbox.test_layout import POINTERS, layout
@@ -143,6 +144,21 @@ def test_every_value_is_the_flights_when_its_log_is_read(flown: Flown, tmp_path:
     assert [event.kind for event in log.events] == [
         *(LogEvent.SYNC_BEEP, LogEvent.FLIGHT_MODE, LogEvent.FLIGHT_MODE, LogEvent.DISARM, LogEvent.LOG_END),
     ]
+
+
+def test_no_flag_of_ours_is_a_mode_to_programs_of_others(flown: Flown, tmp_path: Path) -> None:
+    log = flown.log(tmp_path)
+    (one,) = list_logs(log.path)
+    events = decode(flown.data[one.extent.body : one.extent.end], one.headers).events
+    modes = [
+        (event.values["old"], event.values["new"]) for event in events if event.kind == LogEvent.FLIGHT_MODE
+    ]
+    assert modes == [(0, 1), (1, 0)], "armed and disarmed"
+    assert one.headers.values["Firmware revision"].startswith("Betaflight 2025.12.0 (Neuroflight) ")
+    assert one.headers.values["Firmware API version"] == "1.47.0", "as the app's Autotune reads it"
+    state = [event.values["new"] >> 17 & 7 for event in log.events if event.kind == LogEvent.FLIGHT_MODE]
+    assert state == [FlightState.ARMED, FlightState.DISARMED]
+    assert log.events[-3].values["new"] >> 20 & 15 == StopCause.SWITCH
 
 
 def test_orangebox_finds_no_invalid_frame_when_it_reads_a_log(flown: Flown, tmp_path: Path) -> None:

@@ -72,7 +72,7 @@ static unsigned push(struct receiver *receiver, const struct rates *rates, const
 /* Where the bytes are cut makes no difference. */
 static void feed(struct pair *pair, const uint8_t *bytes, size_t count)
 {
-	unsigned one_by_one = 0;
+	unsigned one_by_one = push(&pair->bytewise, &pair->rates, bytes, 0); /* a pause may bring frames, too */
 
 	for (size_t i = 0; i < count; ++i)
 		one_by_one += push(&pair->bytewise, &pair->rates, bytes + i, 1);
@@ -114,10 +114,11 @@ static size_t frame_around(const uint8_t *content, size_t count, uint8_t frame[F
 	return body + 3;
 }
 
-/* After whatever came, a gap, and the time for which the receiver's word that it is in failsafe counts, the next frame is read. */
+/* After whatever came, a gap that ends it, and the time for which the receiver's word that it is in failsafe counts, the
+ * next frame is read. */
 static void expect_frame(struct pair *pair)
 {
-	uint8_t content[SBUS_CONTENT] = { 0 }, frame[FRAME_MAX];
+	uint8_t content[SBUS_CONTENT] = { 0 }, frame[FRAME_MAX] = { 0 };
 	const bool sbus = PROTOCOL == NF_RECEIVER_PROTOCOL_SBUS;
 	uint8_t *const channels = sbus ? content : content + 1;
 
@@ -127,6 +128,8 @@ static void expect_frame(struct pair *pair)
 		for (unsigned bit = 0; bit < 11; ++bit)
 			channels[(11 * i + bit) / 8] |= (uint8_t)((ROLL_COUNTS >> bit & 1u) << (11 * i + bit) % 8);
 	pass(pair, GAP + pair->whole.flagged);
+	feed(pair, frame, 0);
+	pass(pair, pair->whole.flagged);
 	const unsigned long before = pair->frames;
 	feed(pair, frame, frame_around(content, sizeof content, frame));
 	PROMISE(pair->frames == before + 1);

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import random
 import select
+import struct
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import pytest
 
+from tests.firmware.host.app import connected
 from toolchain import contract
 
 Start = Callable[..., Any]
@@ -65,6 +68,30 @@ def test_packets_that_came_while_it_booted_neither_arm_nor_deafen_it(start: Star
 def test_it_arms_by_the_set_protocol_and_only_after_an_off(flight: Flight) -> None:
     assert not flight.run(BOOT_MS, ON)
     assert not flight.run(100, OFF)
+    assert flight.run(50, ON)
+
+
+RX_CONFIG, SET_RX_CONFIG, SET_RAW_RC, SAVE, REBOOT = 44, 45, 200, 250, 68
+CRSF, SBUS = 9, 2  # providers, by the app's numbers
+
+
+def test_the_receiver_that_the_app_chose_is_flown_after_the_restart(start: Start, tmp_path: Path) -> None:
+    options = ("--gyro-hz=1000", f"--settings={tmp_path / 'flash.bin'}")
+    for provider in (CRSF, SBUS):
+        flight = Flight(start(*options))
+        flight.run(BOOT_MS, OFF)
+        assert flight.run(50, ON), "by the one before"
+        flight.run(50, OFF)
+        with connected(flight.program) as app:
+            app.ask(SET_RX_CONFIG, app.payload(SET_RX_CONFIG, serial_provider=provider))
+            app.ask(SAVE)
+            assert not flight.run(50, OFF), "what the receiver speaks changes with the restart"
+            app.ask(REBOOT)
+        assert flight.program.process.wait(5.0) == 0
+    flight = Flight(start(*options))
+    with connected(flight.program) as app:
+        assert app.get(RX_CONFIG)["serial_provider"] == SBUS
+    flight.run(BOOT_MS, OFF)
     assert flight.run(50, ON)
 
 
@@ -146,6 +173,35 @@ def test_a_pilot_of_packets_is_told_once_when_channels_come_over_msp(start: Star
     assert not flight.run(100, OFF)
     told = flight.program.end()
     assert told.count("receiver packets are ignored: receiver_protocol is msp, expected sbus or crsf") == 1
+
+
+def test_what_a_companion_said_last_neither_arms_nor_flies_on_when_it_falls_silent(start: Start) -> None:
+    flight = Flight(start("--gyro-hz=1000", "--set=receiver_protocol=msp"))
+
+    def steer(ms: int, arm: int, throttle: int = 1000, count: int = 16) -> bool:
+        """A companion's channels, each 20 ms, `count` of them. Was it ever armed?"""
+        channels = [1500, 1500, throttle, 1500, arm, *[1500] * 11][:count]
+        ever = False
+        for _ in range(ms // 20):
+            app.ask(SET_RAW_RC, struct.pack(f"<{count}H", *channels))
+            ever |= flight.run(20)
+        return ever
+
+    with connected(flight.program) as app:
+        assert not steer(BOOT_MS, ON), "it has said on from the beginning"
+        steer(100, OFF)
+        assert not flight.run(2000), "silence after an off"
+        assert not steer(2000, ON), "and on when it speaks again: no off was heard since"
+        steer(100, OFF)
+        assert steer(100, ON)
+        assert steer(100, ON, throttle=1600)
+        flight.run(10_000)
+        assert not flight.run(500), "its throttle is not held for ever"
+        assert not steer(2000, ON)
+        steer(100, OFF)
+        assert steer(100, ON)
+        steer(60, ON, count=4)
+        assert not flight.run(1), "a frame that ends before the switch does not tell that it is on"
 
 
 # --- A simulator that waits for the motors --------------------------------------------------------

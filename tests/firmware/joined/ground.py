@@ -85,6 +85,7 @@ class Ground:
         self.channels = [contract.CHANNEL_MID_US] * 4 + [contract.CHANNEL_MIN_US] * (CHANNEL_COUNT - 4)
         self.channels[CHANNEL_THROTTLE] = contract.CHANNEL_MIN_US
         self.silent, self.ms = False, 0
+        self.reason: int | None = None  # why the last request was refused, a Refusal
         self._parts = (
             *(self.board, self.firmware, self.background, self.program, self.hal),
             *(self.stats, self._memory),
@@ -152,6 +153,7 @@ class Ground:
         streamed = (Msp.STREAM_SAMPLE, Direction.REPLY)
         (said,) = (message for message in found if (message.command, message.direction) != streamed)
         assert said.command == request.command
+        self.reason = said.payload[0] if said.direction is Direction.ERROR and said.payload else None
         return said.direction is Direction.REPLY
 
     def pause(self, port: int = 0) -> None:

@@ -27,7 +27,9 @@ from toolchain.contract import (
     MOTOR_TEST_TIMEOUT_MS,
     MSP_PAYLOAD_MAX,
     SETTINGS,
+    ArmingReason,
     Msp,
+    Refusal,
     policy_header,
 )
 from toolchain.contract.msp_configuration import CONFIGURATIONS
@@ -52,6 +54,7 @@ OPENERS = {
 TELLS_MOTORS = {Msp.DSHOT_COMMAND, Msp.SEND_DSHOT_COMMAND, Msp.SET_MOTOR}
 SETTING = next(index for index, setting in enumerate(SETTINGS) if setting.name == "failsafe_delay_ms")
 TEXT = next(index for index, setting in enumerate(SETTINGS) if setting.kind == "text")
+SETS = {int(pair.request.message) for pair in CONFIGURATIONS if pair.request is not None}
 READS = [int(pair.reply.message) for pair in CONFIGURATIONS] + [int(Msp.MODE_RANGES)]
 
 
@@ -66,15 +69,19 @@ def made(command: Msp, **values: object) -> Request:
 OPEN = Request(Msp.MOTOR_TEST, requests.motor_test(MOTOR_TEST_MAGIC))
 TURN = Request(Msp.SET_MOTOR, requests.set_motor([1100, 1200, 1000, 1000]))
 APP_OPENS = made(Msp.ARMING_DISABLE, disabled=0, runaway_off=1)
+LOCKS = made(Msp.ARMING_DISABLE, disabled=1, runaway_off=0)
+WIZARD = Request(Msp.SET_MOTOR, requests.set_motor([1055, 1000, 1000, 1000]))  # as the app's wizards give it
 PORT = {"msp_baud": 5, "gps_baud": 0, "telemetry_baud": 0, "blackbox_baud": 14}  # 2 Mbaud
 MEANT = [
     OPEN,
     TURN,
     APP_OPENS,
-    made(Msp.ARMING_DISABLE, disabled=1, runaway_off=0),
+    LOCKS,
+    WIZARD,
     Request(Msp.SET_MOTOR, requests.set_motor([1100] * 8)),
     Request(Msp.DSHOT_COMMAND, requests.dshot_command(contract.DshotCommand.BEACON_1)),
     made(Msp.SEND_DSHOT_COMMAND, type=1, motor=255, commands=[{"command": 1}]),
+    made(Msp.SEND_DSHOT_COMMAND, type=1, motor=1, commands=[{"command": 8}, {"command": 12}]),
     Request(Msp.SETTING_SET, requests.setting_set(SETTING, 700, "uint32_t")),
     Request(Msp.SETTING_SET, requests.setting_set(TEXT, "NF", "text")),
     Request(Msp.POLICY_SLOT_BEGIN, struct.pack("<I", len(IMAGE))),
@@ -168,6 +175,14 @@ def under_app_test(ground: Ground, ready: State) -> State:
 
 
 @pytest.fixture(scope="module")
+def locked(ground: Ground, ready: State) -> State:
+    """A peer holds the arming lock, as the app does while it is connected."""
+    ground.go_back(ready)
+    assert ground.ask(LOCKS)
+    return ground.keep()
+
+
+@pytest.fixture(scope="module")
 def slot_begun(ground: Ground, ready: State) -> State:
     """A slot is erased, and a policy is written into it but for its end."""
     ground.go_back(ready)
@@ -249,6 +264,7 @@ def everywhere(
     ground: Ground,
     ready: State,
     under_test: State,
+    locked: State,
     slot_begun: State,
     slot_full: State,
     image_begun: State,
@@ -259,7 +275,12 @@ def everywhere(
     """Those, and requests that change something only after others."""
     at = (len(IMAGE) - 1) // 64 * 64
     last = Request(Msp.POLICY_SLOT_WRITE, struct.pack("<I", at) + IMAGE[at:])
-    after = [(under_test, TURN), (slot_begun, last), (slot_full, Request(Msp.POLICY_SLOT_END))]
+    after = [
+        (under_test, TURN),
+        (locked, WIZARD),
+        (slot_begun, last),
+        (slot_full, Request(Msp.POLICY_SLOT_END)),
+    ]
     after += [(image_begun, LAST_OF_IMAGE), (image_full, SWITCH)]
     after += [(slot_flown, Request(Msp.POLICY_SLOT_REVERT))]
     for state, request in after:
@@ -355,6 +376,8 @@ def test_nothing_happens_and_the_line_goes_on_when_a_frame_is_abandoned(
             for length in range(1, len(frame)):
                 ground.go_back(act.where)
                 before = ground.seen
+                if then == "leave":  # its lock goes with it
+                    before = replace(before, forbidden=before.forbidden & ~(1 << ArmingReason.MSP))
                 assert ground.send(frame[:length]) == b""
                 getattr(ground, then)()
                 assert ground.seen == before, (request, length)
@@ -422,7 +445,10 @@ def test_a_refused_request_changes_nothing_when_its_length_is_another(
             ground.go_back(act.where)
             before, motors = ground.seen, ground.motors
             if not ground.ask(Request(request.command, data)):
-                assert ground.seen == before, (request, data)
+                after = ground.seen
+                if request.command in SETS and ground.reason != Refusal.PAYLOAD:  # the rest of it counts
+                    after = replace(after, settings=before.settings)
+                assert after == before, (request, data)
             told = OPENERS | TELLS_MOTORS
             assert ground.run(STEP_MS) == motors or request.command in told
             assert ground.answers()

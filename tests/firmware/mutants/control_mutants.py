@@ -386,8 +386,8 @@ CONTROL_MUTANTS = (
     Mutant(
         name="a test keeps the limit of the dynamometer before it",
         file=BENCH,
-        old="\ttest->most = bench ? NF_MOTOR_BENCH_MAX : NF_MOTOR_TEST_MAX;",
-        new="\ttest->most = bench || test->most > 0.5f ? NF_MOTOR_BENCH_MAX : NF_MOTOR_TEST_MAX;",
+        old="\ttest->most = bench ? NF_MOTOR_BENCH_MAX :",
+        new="\ttest->most = bench || test->most > 0.5f ? NF_MOTOR_BENCH_MAX :",
         tests=(OF_BENCH,),
     ),
     Mutant(

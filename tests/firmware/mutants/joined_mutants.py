@@ -66,7 +66,7 @@ JOINED_MUTANTS = (
         tests=(OF_STREAM,),
     ),
     Mutant(
-        name="a refused change lets the next save store the others",
+        name="a save does not say that some of it was refused",
         file="msp/msp_configure.c",
         old="\t\tpeer->spoilt |= *refusal != NF_REFUSAL_NONE;\n",
         new="",
@@ -287,8 +287,8 @@ JOINED_MUTANTS = (
     Mutant(
         name="armed motors end no command",
         file=FIRMWARE,
-        old="return !fw->status.trace.armed && !motor_test_forbids(&fw->motor_test);",
-        new="return !motor_test_forbids(&fw->motor_test);",
+        old="return dshot_command_step(&fw->dshot_command, !fw->status.trace.armed, dshot);",
+        new="return dshot_command_step(&fw->dshot_command, true, dshot);",
         tests=(OF_FIRMWARE, OF_BENCH, OF_INTERRUPT),
     ),
     Mutant(
@@ -322,8 +322,8 @@ JOINED_MUTANTS = (
     Mutant(
         name="flash may be written while a command is under way",
         file=FIRMWARE,
-        old="return firmware_motors_stopped(fw) && !dshot_command_busy(&fw->dshot_command);",
-        new="return firmware_motors_stopped(fw);",
+        old="test->left == 0 &&\n\t       !dshot_command_busy(&fw->dshot_command);",
+        new="test->left == 0;",
         tests=(OF_BENCH, OF_BACKGROUND),
     ),
     Mutant(

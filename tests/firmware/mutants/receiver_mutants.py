@@ -107,8 +107,8 @@ RECEIVER_MUTANTS = (
     Mutant(
         name="half a frame is kept over a silence",
         file=RECEIVER,
-        old="receiver->silent >= receiver->gap_after)\n\t\tprotocol",
-        new="receiver->silent > receiver->gap_after)\n\t\tprotocol",
+        old="receiver->silent >= receiver->gap_after &&",
+        new="receiver->silent > receiver->gap_after &&",
         tests=(OF_RECEIVER, "joined/test_firmware.py"),
     ),
     Mutant(
@@ -182,11 +182,25 @@ RECEIVER_MUTANTS = (
         tests=(OF_MODES,),
     ),
     Mutant(
-        name="only the first footer of SBUS2 is known",
+        name="any footer ends a frame",
         file="receiver/sbus.c",
-        old="found |= footer == numbered[i];",
-        new="found |= footer == numbered[0];",
+        old="(bytes[FOOTER] & NF_SBUS_FOOTER_UNUSED) == 0",
+        new="(bytes[FOOTER] & 0) == 0",
         tests=(OF_SBUS, OF_RECEIVER),
+    ),
+    Mutant(
+        name="frames behind a false beginning are dropped with it after a pause",
+        file="receiver/crsf.c",
+        old="from += done > 0 ? done : 1;",
+        new="from += done > 0 ? done : crsf->count - from;",
+        tests=(OF_CRSF, OF_RECEIVER),
+    ),
+    Mutant(
+        name="a frame that says more than is known is none",
+        file="receiver/crsf.c",
+        old="length >= CHANNELS_LENGTH",
+        new="length == CHANNELS_LENGTH",
+        tests=(OF_CRSF,),
     ),
     Mutant(
         name="flags that no frame has are accepted",

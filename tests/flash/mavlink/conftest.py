@@ -135,8 +135,8 @@ class Lockstep:
         self.station = self.stations[0]
         addresses = [*(station.address for station in self.stations), *also]
         self.peers = [stack.enter_context(closing(UdpPeer(parse_address(address)))) for address in addresses]
-        line = through(TcpTransport(TcpPort(LOOPBACK, self.port.msp_port)))
-        client = stack.enter_context(Client(line))
+        self._open = lambda: through(TcpTransport(TcpPort(LOOPBACK, self.port.msp_port)))
+        client = stack.enter_context(Client(self._open()))
         self.lines: list[str] = []
         self._client, self._options = client, options
         self.restart_gateway()
@@ -146,7 +146,8 @@ class Lockstep:
 
     def restart_gateway(self) -> None:
         """Another gateway on the same lines; the one before it ends without a word."""
-        self.session = Session(self._client, self.peers, self._options, self.clock, self.lines.append)
+        say = self.lines.append
+        self.session = Session(self._client, self.peers, self._options, self.clock, say, self._open)
         self.settle()
 
     def clock(self) -> float:

@@ -7,10 +7,12 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
 import pytest
+from pymavlink.dialects.v20 import common as mavlink
 
 from cli.main import main
 from tests.flash.mavlink.conftest import LOOPBACK, Station
@@ -18,6 +20,7 @@ from toolchain.contract import SETTINGS
 
 ROOT = Path(__file__).resolve().parents[3]
 WAIT_S = 10.0  # how long anything may take before the test fails
+GONE = "The line to the flight controller is gone; it has 60 s to come back"
 ANYWHERE = f"udp:{LOOPBACK}:14550"
 
 
@@ -62,6 +65,48 @@ def test_a_ground_station_sees_the_aircraft_and_its_parameters(resting_host: str
     lines = out.splitlines()
     assert lines[0].startswith("Neuroflight 0.1.0, policy nf1 ")
     assert f"gateway between {resting_host} and {station.address}; Ctrl-C ends it" in lines
+
+
+@contextmanager
+def host_at(program: Path, flash: Path, port: int) -> Iterator[subprocess.Popen[str]]:
+    """A host program with that flash and MSP port, to which no sample ever comes."""
+    free = [f"--{name}-port=0" for name in ("state", "receiver", "power")]
+    command = [str(program), f"--settings={flash}", f"--msp-port={port}", *free, "--with-parent"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline().startswith("ready")
+        yield process
+        process.terminate()
+
+
+def test_the_gateway_outlives_a_restart_that_a_ground_station_asks_for(
+    host_program: Path, tmp_path: Path, free_tcp_port: int, station: Station
+) -> None:
+    line = f"tcp:{LOOPBACK}:{free_tcp_port}"
+    command = [sys.executable, "-m", "cli.main", "gateway", "--port", line, "--mavlink", station.address]
+    reboot = mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN
+    flash = tmp_path / "flash.bin"
+    with ExitStack() as stack, host_at(host_program, flash, free_tcp_port) as host:
+        gateway = stack.enter_context(
+            subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        )
+        stack.callback(gateway.kill)
+        until(station, lambda: station.got("HEARTBEAT"))
+        station.command(reboot, 1)
+        until(station, lambda: station.acks(reboot))
+        assert station.acks(reboot) == [mavlink.MAV_RESULT_ACCEPTED]
+        until(station, lambda: GONE in station.texts())
+        assert host.wait(WAIT_S) == 0, "a program ends there"
+        with host_at(host_program, flash, free_tcp_port):
+            station.forget()
+            until(station, lambda: station.got("HEARTBEAT"))
+            station.link.mav.param_request_read_send(1, 1, b"roll_max", -1)
+            until(station, lambda: station.got("PARAM_VALUE"))
+            assert gateway.poll() is None
+            gateway.send_signal(signal.SIGINT)
+            out, errors = gateway.communicate(timeout=WAIT_S)
+    assert (gateway.returncode, errors) == (0, "")
+    assert GONE in out and out.count("Neuroflight 0.1.0") == 2
 
 
 def refused(capsys: pytest.CaptureFixture[str], *words: str) -> str:

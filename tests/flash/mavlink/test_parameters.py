@@ -9,22 +9,25 @@ import pytest
 
 from flash.mavlink.parameter_names import NAME_MAX, SHORT, parameter_name
 from flash.mavlink.parameters import (
+    FLOAT32_WHOLE_MAX,
     INT32,
     REAL32,
-    UINT32,
     Parameter,
+    TypeMismatchError,
+    came_in_bytes,
     decode_value,
     encode_value,
     parameter_list,
-    parameter_value,
 )
 from flash.requests import SettingInfo
 from toolchain.contract import SETTINGS
 
 INFOS = [SettingInfo(len(SETTINGS), s.name, s.unit, s.low, s.high, s.default, s.kind) for s in SETTINGS]
 ALL = parameter_list(INFOS)
-WHOLE = Parameter("whole", "whole", UINT32, 0, 0)
-REAL = Parameter("real", "real", REAL32, 1, 1)
+WHOLE = Parameter("WHOLE", "whole", True, 0, 0)
+REAL = Parameter("REAL", "real", False, 1, 1)
+UINT8, INT8, UINT16, INT16, UINT32 = range(1, 6)  # MAV_PARAM_TYPE
+INT64, REAL64 = 8, 10
 
 
 def as_float(value: int) -> float:
@@ -32,8 +35,14 @@ def as_float(value: int) -> float:
     return float(field)
 
 
+def float32(value: float) -> float:
+    """What a message keeps of it."""
+    (kept,) = struct.unpack("<f", struct.pack("<f", value))
+    return float(kept)
+
+
 def test_every_setting_has_a_name_of_its_own_that_mavlink_has_room_for() -> None:
-    names = {parameter_name(setting.name): setting.name for setting in SETTINGS}
+    names = {parameter_name(setting.name).upper(): setting.name for setting in SETTINGS}
     assert len(names) == len(SETTINGS)
     assert all(len(name) <= NAME_MAX and name.isascii() and name.isprintable() for name in names)
 
@@ -54,29 +63,49 @@ def test_all_settings_but_texts_are_parameters_in_their_order() -> None:
     assert [one.setting for one in ALL] == [name for name, kind in kinds.items() if kind != "text"]
     assert [one.index for one in ALL] == list(range(len(ALL)))
     assert [SETTINGS[one.number].name for one in ALL] == [one.setting for one in ALL]
-    assert {one.type for one in ALL if kinds[one.setting] == "float"} == {REAL32}
-    assert {one.type for one in ALL if kinds[one.setting] in ("uint32_t", "mode")} == {UINT32}
+    assert {one.setting for one in ALL if one.whole} == {
+        name for name, kind in kinds.items() if kind in ("uint32_t", "mode")
+    }
+    assert all(one.name == one.name.upper() for one in ALL)
 
 
+@pytest.mark.parametrize("in_bytes", [False, True])
 @pytest.mark.parametrize("parameter", ALL, ids=lambda one: one.setting)
-def test_limits_survive_a_message_when_encoded_and_decoded(parameter: Parameter) -> None:
+def test_limits_survive_a_message_when_encoded_and_decoded(parameter: Parameter, in_bytes: bool) -> None:
     setting = SETTINGS[parameter.number]
     for value in (setting.low, setting.high, setting.default):
-        (kept,) = struct.unpack("<f", struct.pack("<f", encode_value(parameter, value)))
-        stored = struct.unpack("<f", struct.pack("<f", value))[0] if parameter.type == REAL32 else value
-        assert decode_value(parameter, kept, parameter.type) == stored
+        field, told = encode_value(parameter, value, in_bytes=in_bytes)
+        stored = value if parameter.whole else float32(value)
+        assert decode_value(parameter, float32(field), told) == stored
+        assert told in (REAL32, INT32)
+        if not parameter.whole or (not in_bytes and value <= FLOAT32_WHOLE_MAX):
+            assert (field, told) == (value, REAL32), "read right by whoever takes it for a float"
 
 
-def test_a_whole_number_is_its_four_bytes_in_the_message() -> None:
-    message = parameter_value(WHOLE, 0x01234567, 2)
-    assert struct.pack("<f", message.param_value) == bytes.fromhex("67452301")
-    assert (message.param_id, message.param_type) == ("whole", UINT32)
-    assert (message.param_count, message.param_index) == (2, 0)
+def test_a_whole_number_is_its_four_bytes_for_who_reads_it_so() -> None:
+    field, told = encode_value(WHOLE, 0x01234567, in_bytes=True)
+    assert (struct.pack("<f", field), told) == (bytes.fromhex("67452301"), INT32)
 
 
-def test_a_whole_number_is_taken_from_a_script_that_knows_floats_alone() -> None:
-    assert decode_value(WHOLE, 4000.0, REAL32) == 4000
-    assert decode_value(WHOLE, as_float(4000), INT32) == 4000
+def test_what_a_float_cannot_hold_is_told_in_bytes_to_everybody() -> None:
+    assert encode_value(WHOLE, FLOAT32_WHOLE_MAX, in_bytes=False) == (FLOAT32_WHOLE_MAX, REAL32)
+    field, told = encode_value(WHOLE, FLOAT32_WHOLE_MAX + 1, in_bytes=False)
+    assert (decode_value(WHOLE, field, told), told) == (FLOAT32_WHOLE_MAX + 1, INT32)
+
+
+@pytest.mark.parametrize("told", [UINT8, INT8, UINT16, INT16, UINT32, INT32])
+@pytest.mark.parametrize("value", [0, 1, 100])
+def test_a_whole_number_is_taken_in_either_custom_whatever_its_type(told: int, value: int) -> None:
+    assert decode_value(WHOLE, as_float(value), told) == value
+    assert decode_value(WHOLE, float(value), told) == value
+    assert decode_value(WHOLE, float(value), REAL32) == value
+    assert came_in_bytes(as_float(value), told) == (value != 0)
+    assert not came_in_bytes(float(value), told)
+
+
+def test_no_setting_has_bytes_that_could_be_a_number_meant_as_a_float() -> None:
+    highest = max(setting.high for setting in SETTINGS if setting.kind in ("uint32_t", "mode"))
+    assert as_float(int(highest)) < 1.0 and came_in_bytes(as_float(int(highest)), INT32)
 
 
 @pytest.mark.parametrize(
@@ -85,16 +114,26 @@ def test_a_whole_number_is_taken_from_a_script_that_knows_floats_alone() -> None
         (WHOLE, 1.5, REAL32),
         (WHOLE, -1.0, REAL32),
         (WHOLE, 2.0**25, REAL32),
+        (WHOLE, 2.0**25, INT32),
+        (WHOLE, as_float(0xFF), INT8),
         (WHOLE, math.nan, REAL32),
         (WHOLE, math.inf, REAL32),
         (REAL, math.nan, REAL32),
         (REAL, -math.inf, REAL32),
-        (REAL, 1.0, UINT32),
         (WHOLE, as_float(0xBF800000), INT32),
-        (WHOLE, 1.0, 1),
-        (WHOLE, 1.0, 255),
+        (WHOLE, -1.0, INT32),
+        (WHOLE, 1.5, INT32),
     ],
 )
 def test_a_value_is_refused_when_it_is_none(parameter: Parameter, field: float, told: int) -> None:
     with pytest.raises(ValueError, match=r"expected|no number"):
         decode_value(parameter, field, told)
+
+
+@pytest.mark.parametrize(
+    ("parameter", "told"),
+    [(REAL, UINT32), (REAL, INT32), (REAL, 0), (WHOLE, INT64), (WHOLE, REAL64), (WHOLE, 0), (WHOLE, 255)],
+)
+def test_a_type_is_refused_that_the_parameter_cannot_be_set_with(parameter: Parameter, told: int) -> None:
+    with pytest.raises(TypeMismatchError, match="expected"):
+        decode_value(parameter, 1.0, told)

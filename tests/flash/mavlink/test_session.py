@@ -15,10 +15,11 @@ from flash.client import Client
 from flash.mavlink.commands import CANCELLED
 from flash.mavlink.endpoint import UdpPeer, parse_address
 from flash.mavlink.parameter_names import parameter_name
+from flash.mavlink.parameter_server import TYPE_MISMATCH
 from flash.mavlink.session import Options, Session
 from flash.setting_text import BY_NAME
-from flash.transport import TcpPort, TcpTransport
-from tests.flash.mavlink.conftest import FLYING, LOOPBACK, READY_MS, MakeLockstep, Station
+from flash.transport import LineGoneError, TcpPort, TcpTransport, Transport
+from tests.flash.mavlink.conftest import FLYING, GYRO_HZ, LOOPBACK, READY_MS, MakeLockstep, Station
 from toolchain.contract import SETTINGS, FlightState, Mode, ModeRange
 from toolchain.errors import LinkError
 
@@ -44,8 +45,8 @@ def field(value: float, kind: int) -> float:
 
 
 def set_parameter(station: Station, name: str, value: float) -> None:
-    kind = BY_NAME[next(s.name for s in SETTINGS if parameter_name(s.name) == name)][1].kind
-    told = mavlink.MAV_PARAM_TYPE_REAL32 if kind == "float" else mavlink.MAV_PARAM_TYPE_UINT32
+    kind = BY_NAME[next(s.name for s in SETTINGS if parameter_name(s.name) == name.lower())][1].kind
+    told = mavlink.MAV_PARAM_TYPE_REAL32 if kind == "float" else mavlink.MAV_PARAM_TYPE_INT32
     station.link.mav.param_set_send(1, 1, name.encode(), field(value, told), told)
 
 
@@ -117,6 +118,11 @@ RESULTS: list[tuple[int, tuple[float, ...], int]] = [
     (mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN, (2,), DENIED),
     (mavlink.MAV_CMD_DO_SET_MODE, (0, 1), DENIED),  # no custom mode
     (mavlink.MAV_CMD_DO_SET_MODE, (1, 2), DENIED),
+    (mavlink.MAV_CMD_DO_SET_MODE, (1, math.nan), DENIED),
+    (mavlink.MAV_CMD_DO_SET_MODE, (1, 4, 5), DENIED),  # PX4's RTL
+    (mavlink.MAV_CMD_DO_SET_MODE, (1, 4, 0.5), DENIED),
+    (mavlink.MAV_CMD_DO_SET_MODE, (1, 6), REJECTED),  # no setpoints come
+    (mavlink.MAV_CMD_DO_SET_MODE, (1, 4, 3), ACCEPTED),  # MAVSDK's offboard.stop()
     (mavlink.MAV_CMD_DO_SET_MODE, (1, 0), ACCEPTED),
     (mavlink.MAV_CMD_NAV_GUIDED_ENABLE, (math.nan,), DENIED),
     (mavlink.MAV_CMD_COMPONENT_ARM_DISARM, (2,), DENIED),
@@ -173,13 +179,13 @@ def test_all_settings_go_round_as_parameters(lockstep: MakeLockstep) -> None:
     station.link.mav.param_request_list_send(1, 1)
     gateway.settle()
     told = station.got("PARAM_VALUE")
-    assert [message.param_id for message in told] == [parameter_name(s.name) for s in PARAMETERS]
+    assert [message.param_id for message in told] == [parameter_name(s.name).upper() for s in PARAMETERS]
     assert [message.param_index for message in told] == list(range(len(PARAMETERS)))
     assert {message.param_count for message in told} == {len(PARAMETERS)}
     values = {message.param_id: number(message) for message in told}
-    assert values["rx_protocol"] == 2 and values["mode1"] == BY_NAME["mode1"][1].default
+    assert values["RX_PROTOCOL"] == 2 and values["MODE1"] == BY_NAME["mode1"][1].default
     for setting in PARAMETERS:
-        name = parameter_name(setting.name)
+        name = parameter_name(setting.name).upper()
         wanted = setting.low if values[name] != setting.low else setting.high
         if setting.kind == "mode":
             wanted = ModeRange(Mode.BEEPER, 12, 900, 1300, and_others=True).packed
@@ -202,8 +208,109 @@ def test_a_parameter_is_read_by_name_and_by_number(lockstep: MakeLockstep) -> No
     mav.param_request_read_send(1, 1, b"craft_name", -1)  # a text is no parameter
     gateway.settle()
     assert sorted((m.param_id, number(m)) for m in gateway.station.got("PARAM_VALUE")) == [
-        ("gyro_rate_hz", 4000.0),
+        ("GYRO_RATE_HZ", 4000.0),
         ("roll_rate", 70.0),
+    ]
+
+
+def test_a_parameter_is_told_by_the_name_it_was_asked_for(lockstep: MakeLockstep) -> None:
+    gateway = lockstep(WATCHING, stations=2)
+    station, other = gateway.stations
+    for name in ("roll_max", "ROLL_MAX", "Roll_Max"):
+        for station_ in gateway.stations:
+            station_.forget()
+        station.link.mav.param_request_read_send(1, 1, name.encode(), -1)
+        gateway.settle()
+        station.link.mav.param_set_send(1, 1, name.encode(), 700.0, 9)
+        gateway.settle()
+        assert [(m.param_id, m.param_value) for m in station.got("PARAM_VALUE")][-1] == (name, 700.0)
+        assert {m.param_id for m in station.got("PARAM_VALUE")} == {name}
+        assert {m.param_id for m in other.got("PARAM_VALUE")} == {"ROLL_MAX"}, "as it was told before"
+
+
+REAL32, INT32, UINT16 = 9, 6, 3  # MAV_PARAM_TYPE
+
+
+def listed(gateway: Any, station: Station) -> dict[str, Any]:
+    """PARAM_VALUE by name, as told to a station that asks for all."""
+    station.forget()
+    station.link.mav.param_request_list_send(1, 1)
+    gateway.settle()
+    return {message.param_id: message for message in station.got("PARAM_VALUE")}
+
+
+def test_whole_numbers_are_told_to_each_client_as_it_reads_them(lockstep: MakeLockstep) -> None:
+    gateway = lockstep(WATCHING, stations=3)
+    px4, ardupilot, script = gateway.stations
+    for station in (px4, ardupilot):  # as MAVSDK does; and MAVProxy, whose user types `version`
+        station.command(mavlink.MAV_CMD_REQUEST_MESSAGE, mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION)
+    ardupilot.link.mav.request_data_stream_send(1, 1, 0, 4, 1)
+    gateway.settle()
+    truth = {one.param_id: number(one) for one in listed(gateway, script).values()}
+    whole = {parameter_name(s.name).upper() for s in PARAMETERS if s.kind != "float"}
+    in_bytes = listed(gateway, px4)
+    assert {name for name, one in in_bytes.items() if one.param_type == INT32} == whole
+    assert {name: number(one) for name, one in in_bytes.items()} == truth
+    for station in (ardupilot, script):
+        told = listed(gateway, station)
+        assert {one.param_type for one in told.values()} == {REAL32}
+        assert {name: one.param_value for name, one in told.items()} == pytest.approx(truth)
+    px4.forget()
+    ardupilot.link.mav.param_set_send(1, 1, b"DEADBAND_US", 7.0, REAL32)
+    gateway.settle()
+    (heard,) = px4.got("PARAM_VALUE")
+    assert (heard.param_type, number(heard)) == (INT32, 7), "what others change is told in its custom, too"
+
+
+@pytest.mark.parametrize("kind", [UINT16, INT32])
+@pytest.mark.parametrize("in_bytes", [True, False])
+def test_what_is_set_is_told_as_it_came(lockstep: MakeLockstep, kind: int, in_bytes: bool) -> None:
+    gateway = lockstep(WATCHING)
+    sent = field(9, kind) if in_bytes else 9.0
+    gateway.station.link.mav.param_set_send(1, 1, b"deadband_us", sent, kind)
+    gateway.settle()
+    (told,) = gateway.station.got("PARAM_VALUE")
+    assert (told.param_value, told.param_type) == ((sent, INT32) if in_bytes else (9.0, REAL32))
+
+
+def test_a_mode_range_that_no_float_holds_is_told_in_bytes_and_not_set_from_a_float(
+    lockstep: MakeLockstep,
+) -> None:
+    gateway = lockstep(WATCHING)
+    mav = gateway.station.link.mav
+    packed = ModeRange(Mode.BEEPER, 12, 900, 1300, and_others=True).packed
+    mav.param_set_send(1, 1, b"MODE20", field(packed, INT32), INT32)
+    gateway.settle()
+    told = listed(gateway, gateway.station)["MODE20"]
+    assert (number(told), told.param_type) == (packed, INT32)
+    gateway.station.forget()
+    mav.param_set_send(1, 1, b"MODE20", told.param_value, REAL32)  # a file of floats, loaded again
+    mav.param_set_send(1, 1, b"MODE20", float(packed), REAL32)  # which float32 rounds to another mode
+    gateway.settle()
+    assert {number(one) for one in gateway.station.got("PARAM_VALUE")} == {packed}
+    assert len(gateway.station.got("PARAM_ERROR")) == 2
+
+
+def test_a_refusal_says_why_in_the_way_that_newer_clients_wait_for(lockstep: MakeLockstep) -> None:
+    gateway = lockstep()
+    errors = []
+    for name, value, kind in (
+        ("NOTHING", 1.0, REAL32),
+        ("DEADBAND_US", 5000.0, REAL32),
+        ("ROLL_MAX", field(700, INT32), INT32),
+    ):
+        gateway.station.link.mav.param_set_send(1, 1, name.encode(), value, kind)
+        gateway.settle()
+        errors.append((name, gateway.station.got("PARAM_ERROR")[-1]))
+    assert gateway.arm() == ACCEPTED
+    set_parameter(gateway.station, "DEADBAND_US", 3)
+    gateway.settle()
+    errors.append(("DEADBAND_US", gateway.station.got("PARAM_ERROR")[-1]))
+    assert [(name, one.param_id, one.error) for name, one in errors] == [
+        ("NOTHING", "NOTHING", mavlink.MAV_PARAM_ERROR_DOES_NOT_EXIST),
+        ("DEADBAND_US", "DEADBAND_US", mavlink.MAV_PARAM_ERROR_VALUE_OUT_OF_RANGE),
+        ("ROLL_MAX", "ROLL_MAX", TYPE_MISMATCH),
+        ("DEADBAND_US", "DEADBAND_US", mavlink.MAV_PARAM_ERROR_PERMISSION_DENIED),
     ]
 
 
@@ -215,14 +322,17 @@ def test_the_old_value_is_the_answer_when_a_new_one_is_refused(lockstep: MakeLoc
         ("roll_expo", 0.5, 5),
         ("deadband_us", field(101, 5), 5),
         ("deadband_us", 0.5, 9),
-        ("deadband_us", 1.0, 2),
+        ("deadband_us", 1.0, 8),
     ]:
         gateway.station.forget()
         gateway.station.link.mav.param_set_send(1, 1, name.encode(), value, kind)
         gateway.settle()
         (told,) = gateway.station.got("PARAM_VALUE")
         assert (told.param_id, number(told)) == (name, 0.0)
-        assert [text for text in gateway.station.texts() if text.startswith(f"{name}: ")], (name, value)
+        assert [text for text in gateway.station.texts() if text.startswith(f"{name.upper()}: ")], (
+            name,
+            value,
+        )
 
 
 def test_no_parameter_changes_while_armed(lockstep: MakeLockstep) -> None:
@@ -233,7 +343,7 @@ def test_no_parameter_changes_while_armed(lockstep: MakeLockstep) -> None:
     gateway.station.command(mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN, 1)
     gateway.settle()
     assert number(gateway.station.got("PARAM_VALUE")[-1]) == 0.0
-    assert "roll_expo: the motors are armed; disarm first" in gateway.station.texts()
+    assert "ROLL_EXPO: the motors are armed; disarm first" in gateway.station.texts()
     assert gateway.station.acks(mavlink.MAV_CMD_PREFLIGHT_STORAGE) == [REJECTED]
     assert gateway.station.acks(mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN) == [REJECTED]
     assert gateway.reply.armed
@@ -245,7 +355,7 @@ def test_all_rates_are_told_when_their_style_changes(lockstep: MakeLockstep) -> 
     gateway.settle()
     told = {m.param_id: number(m) for m in gateway.station.got("PARAM_VALUE")}
     assert len(told) == 10
-    assert [told[name] for name in ("rates_style", "roll_rate", "roll_max")] == pytest.approx([1, 1, 0.7])
+    assert [told[name] for name in ("rates_style", "ROLL_RATE", "ROLL_MAX")] == pytest.approx([1, 1, 0.7])
 
 
 def test_what_is_stored_is_there_after_a_restart_and_defaults_too(lockstep: MakeLockstep) -> None:
@@ -262,10 +372,11 @@ def test_what_is_stored_is_there_after_a_restart_and_defaults_too(lockstep: Make
     again.station.link.mav.param_request_read_send(1, 1, b"roll_expo", -1)
     again.settle()
     assert number(again.station.got("PARAM_VALUE")[-1]) == 0.5
+    again.station.forget()
     again.station.command(mavlink.MAV_CMD_PREFLIGHT_STORAGE, 2)
     again.settle()
     told = {m.param_id: number(m) for m in again.station.got("PARAM_VALUE")}
-    assert len(told) == len(PARAMETERS) and (told["roll_expo"], told["rx_protocol"]) == (0.0, 0.0)
+    assert len(told) == len(PARAMETERS) and (told["ROLL_EXPO"], told["RX_PROTOCOL"]) == (0.0, 0.0)
 
 
 def test_settings_that_contradict_each_other_are_not_stored_and_told(lockstep: MakeLockstep) -> None:
@@ -317,6 +428,128 @@ def test_no_channel_is_sent_unless_offboard_is_allowed_and_enabled(
     assert gateway.session.firmware.safety.receiver_percent == 0
     assert set(gateway.station.acks(mavlink.MAV_CMD_COMPONENT_ARM_DISARM)) <= {DENIED, REJECTED}
     assert not gateway.reply.armed
+
+
+PX4_OFFBOARD, PX4_HOLD = 6 << 16, 4 << 16 | 3 << 24
+SET_MODE = mavlink.MAVLINK_MSG_ID_SET_MODE
+DO_SET_MODE = mavlink.MAV_CMD_DO_SET_MODE
+ARMED = mavlink.MAV_MODE_FLAG_SAFETY_ARMED
+
+
+def choose(station: Station, main: int, sub: int = 0) -> None:
+    """Offboard in both ways that modes are set, as clients of all customs do."""
+    station.command(DO_SET_MODE, 1, main, sub)
+    station.link.mav.set_mode_send(1, 1, main << 16 | sub << 24 if main == 6 or sub else main)
+
+
+@pytest.mark.parametrize(("main", "told"), [(1, 1), (6, PX4_OFFBOARD), (4, 4), (20, 20)])
+def test_each_custom_has_its_number_of_offboard_and_hears_it_in_the_heartbeat(
+    lockstep: MakeLockstep, main: int, told: int
+) -> None:
+    gateway = lockstep()
+    station = gateway.station
+    choose(station, main)
+    gateway.settle()
+    assert (station.acks(DO_SET_MODE), station.acks(SET_MODE)) == ([REJECTED], [REJECTED])
+    assert "Offboard denied: send setpoints first, then enable" in station.texts()
+    gateway.run(1100, lambda: station.rates(0, 0, 0, 0))
+    assert not gateway.session.steered
+    assert station.got("HEARTBEAT")[-1].custom_mode == 0
+    choose(station, main)
+    gateway.run(1100, lambda: station.rates(0, 0, 0, 0))
+    assert gateway.session.steered and not gateway.reply.armed
+    assert (station.acks(DO_SET_MODE)[-1], station.acks(SET_MODE)[-1]) == (ACCEPTED, ACCEPTED)
+    assert station.got("HEARTBEAT")[-1].custom_mode == told
+    station.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1)
+    gateway.run(1000, lambda: station.rates(0, 0, 0, 0))
+    assert station.acks(mavlink.MAV_CMD_COMPONENT_ARM_DISARM)[-1] == ACCEPTED
+    gateway.run(400)
+    assert not gateway.session.steered, "silence ends it"
+    gateway.run(1100, lambda: station.rates(0, 0, 0, 0))
+    assert station.got("HEARTBEAT")[-1].custom_mode == 0
+
+
+@pytest.mark.parametrize("options", [WATCHING, Options(offboard=True)], ids=["no offboard", "no arming"])
+def test_no_mode_arms_and_none_steers_without_permission(lockstep: MakeLockstep, options: Options) -> None:
+    gateway = lockstep(options)
+    station = gateway.station
+    gateway.run(READY_MS, lambda: station.rates(0, 0, 0, 0))
+
+    def attempts() -> None:
+        station.rates(0, 0, 0, 0)
+        for main in (1, 4, 6, 20):
+            for base in (1, 1 | ARMED, 0xFF):
+                station.command(DO_SET_MODE, base, main)
+                station.link.mav.set_mode_send(1, base, main << 16 if main == 6 else main)
+        station.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1, 21196)
+        station.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1)
+
+    gateway.run(600, attempts)
+    gateway.run(400, lambda: station.rates(0, 0, 0, 0))
+    assert not gateway.reply.armed and not gateway.reply.dshot.any()
+    assert gateway.session.steered == options.offboard
+    assert set(station.acks(mavlink.MAV_CMD_COMPONENT_ARM_DISARM)) == {DENIED}
+    if not options.offboard:
+        assert {*station.acks(DO_SET_MODE), *station.acks(SET_MODE)} == {DENIED}
+        assert (
+            "Offboard denied: start the gateway with --offboard to let a companion steer" in station.texts()
+        )
+
+
+def test_a_mode_that_is_chosen_while_it_may_fly_does_not_arm(lockstep: MakeLockstep) -> None:
+    gateway = lockstep()
+    station = gateway.station
+    gateway.run(READY_MS, lambda: station.rates(0, 0, 0, 0))
+
+    def attempts() -> None:
+        station.rates(0, 0, 0, 0.3)
+        station.command(DO_SET_MODE, 1 | ARMED, 6)
+        station.link.mav.set_mode_send(1, 1 | ARMED, PX4_OFFBOARD)
+        station.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1, 21196)  # with thrust: whatever forces
+
+    gateway.run(1000, attempts)
+    assert gateway.session.steered
+    assert set(station.acks(mavlink.MAV_CMD_COMPONENT_ARM_DISARM)) == {REJECTED}
+    assert not gateway.reply.armed and not gateway.reply.dshot.any()
+
+
+def test_others_neither_take_over_by_any_mode_nor_end_it_by_hold(lockstep: MakeLockstep) -> None:
+    gateway = lockstep(stations=2)
+    first, second = gateway.stations
+    assert gateway.arm() == ACCEPTED
+
+    def both() -> None:
+        first.rates(0, 0, 0, 0.3)
+        second.rates(0, 0, 0, 0.3)
+        for main in (1, 4, 6, 20):
+            choose(second, main)
+        choose(second, 4, 3)
+        first.link.mav.srcComponent = 7  # another component of the same system
+        choose(first, 6)
+        choose(first, 4, 3)
+        first.link.mav.srcComponent = 191
+
+    gateway.run(400, both)
+    assert gateway.session.steered and gateway.reply.armed
+    assert set(second.acks(DO_SET_MODE)) == {REJECTED, DENIED}
+    assert gateway.station.got("HEARTBEAT")[-1].custom_mode in (0, 1)
+    choose(first, 4, 3)
+    gateway.settle()
+    assert not gateway.session.steered
+    assert "Offboard ends: no more channels are sent" in first.texts()
+
+
+def test_return_to_launch_of_an_ardupilot_client_is_denied(lockstep: MakeLockstep) -> None:
+    gateway = lockstep()
+    station = gateway.station
+    station.link.mav.request_data_stream_send(0, 0, 0, 4, 1)
+    station.rates(0, 0, 0, 0)
+    station.command(DO_SET_MODE, 1, 6)
+    station.link.mav.set_mode_send(1, 1, 6)
+    gateway.settle()
+    assert (station.acks(DO_SET_MODE), station.acks(SET_MODE)) == ([DENIED], [DENIED])
+    assert any(text.startswith("Mode denied: there is no mode 6") for text in station.texts())
+    assert not gateway.session.steered
 
 
 def test_arming_is_refused_without_permission_whatever_is_tried(lockstep: MakeLockstep) -> None:
@@ -513,6 +746,80 @@ def test_no_heartbeat_comes_while_the_firmware_is_silent_and_nobody_steers_after
         assert station.got("HEARTBEAT")
         assert station.texts()[0].startswith("Neuroflight 0.1.0")
     station.close()
+
+
+class Cut:
+    """A line that can be cut, and then does not open again before it may."""
+
+    def __init__(self, line: Transport) -> None:
+        self._line, self.name, self.cut = line, line.name, False
+
+    def read(self, timeout: float) -> bytes:
+        self._check()
+        return self._line.read(timeout)
+
+    def write(self, data: bytes) -> None:
+        self._check()
+        self._line.write(data)
+
+    def close(self) -> None:
+        self._line.close()
+
+    def _check(self) -> None:
+        if self.cut:
+            raise LineGoneError("the line is gone")
+
+
+class Opener:
+    """Opens lines while it may."""
+
+    def __init__(self) -> None:
+        self.may, self.opened = True, list[Cut]()
+
+    def __call__(self, line: Transport) -> Cut:
+        if not self.may:
+            line.close()
+            raise LinkError("nobody listens")
+        self.opened.append(Cut(line))
+        return self.opened[-1]
+
+
+def test_a_line_that_goes_is_opened_again_and_nobody_steers_then(lockstep: MakeLockstep) -> None:
+    opener = Opener()
+    gateway = lockstep(through=opener)
+    station = gateway.station
+    assert gateway.arm() == ACCEPTED
+    gateway.run(400, lambda: station.rates(0, 0, 0, 0.3))
+    opener.may, opener.opened[-1].cut = False, True
+    gateway.run(200, lambda: station.rates(0, 0, 0, 0.3))
+    assert not gateway.session.steered
+    assert "The line to the flight controller is gone; it has 60 s to come back" in station.texts()
+    station.forget()
+    station.command(DO_SET_MODE, 1, 6)
+    gateway.run(1000, lambda: station.rates(0, 0, 0, 0.3))
+    assert station.acks(DO_SET_MODE) == [REJECTED] and not station.got("HEARTBEAT")
+    assert gateway.session.firmware.armed, "as far as it knows"
+    opener.may = True
+    gateway.run(1500, lambda: station.rates(0, 0, 0, 0.3))
+    assert not gateway.reply.dshot.any() and not gateway.session.steered, "the failsafe has acted"
+    assert station.got("HEARTBEAT") and len(station.got("ATTITUDE")) >= 8
+    assert any(text.startswith("Neuroflight 0.1.0") for text in station.texts())
+    assert gateway.enable() == ACCEPTED
+    gateway.run(100, lambda: station.rates(0, 0, 0, 0))
+    assert not gateway.reply.armed
+
+
+def test_a_line_that_does_not_come_back_ends_the_gateway_after_a_minute(lockstep: MakeLockstep) -> None:
+    opener = Opener()
+    gateway = lockstep(WATCHING, through=opener)
+    opener.may, opener.opened[-1].cut = False, True
+    gateway.run(200)
+    gateway.samples += 59 * GYRO_HZ  # the clock alone goes on
+    gateway.settle()
+    gateway.samples += 2 * GYRO_HZ
+    with pytest.raises(LinkError, match="nobody listens"):
+        gateway.settle()
+    assert gateway.lines.count("The line to the flight controller is gone; it has 60 s to come back") == 1
 
 
 def test_a_firmware_of_another_make_is_refused(tcp_server: Callable[[Callable[[bytes], bytes]], str]) -> None:

@@ -9,14 +9,16 @@ import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
 from flash.mavlink import telemetry
-from flash.mavlink.frames import euler_frd, swap_frame
-from flash.mavlink.telemetry import UNKNOWN, Vehicle
+from flash.mavlink.customs import MODE_OFFBOARD, MODE_RECEIVER
+from flash.mavlink.frames import euler_frd, quaternion_frd, swap_frame
+from flash.mavlink.telemetry import UNKNOWN, Inertial, Vehicle
 from flash.messages import Attitude, BatteryLevel, BatteryState, Status, StatusEx
 from flash.records import Safety
 from toolchain.contract import FallbackCause, FlightState, GyroHealth, StopCause
 
 NF1 = Vehicle(4, (1, 2, 3), "00112233445566778899aabb", 0)
 FULL = BatteryState(4, BatteryLevel.GOOD, 16.8, 250, 1.25)
+ROUGH = Inertial((1000.0, -1000.0, 35.0), (40.0, -40.0, 1.0), -300.0)  # more than 16 bits of thousandths hold
 STATUS = StatusEx(Status(1000, 0, 0, 0, 0, 16), 32, 0)
 SAFE = Safety(
     FlightState.DISARMED,
@@ -64,23 +66,68 @@ def test_attitude_tells_rates_about_forward_right_and_down() -> None:
     assert (message.rollspeed, message.pitchspeed, message.yawspeed) == (0.1, -0.2, -0.3)
 
 
+@pytest.mark.parametrize("roll_deg", [-170.0, -30.0, 0.0, 45.0])
+@pytest.mark.parametrize("pitch_deg", [-80.0, 0.0, 30.0])
+@pytest.mark.parametrize("heading_deg", [0.0, 90.0, 200.0])
+def test_the_quaternion_is_the_same_attitude_as_the_angles(
+    roll_deg: float, pitch_deg: float, heading_deg: float
+) -> None:
+    told = Attitude(roll_deg, pitch_deg, heading_deg)
+    w, x, y, z = quaternion_frd(told)
+    assert w * w + x * x + y * y + z * z == pytest.approx(1.0)
+    angles = (
+        math.atan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y)),
+        math.asin(2 * (w * y - z * x)),
+        math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)),
+    )
+    assert angles == pytest.approx(euler_frd(told))
+    message = telemetry.attitude_quaternion(7, told, (0.1, 0.2, 0.3))
+    assert (message.rollspeed, message.pitchspeed, message.yawspeed) == (0.1, -0.2, -0.3)
+
+
+@pytest.mark.parametrize(
+    ("armed", "airborne", "landed"),
+    [
+        (False, False, mavlink.MAV_LANDED_STATE_ON_GROUND),
+        (False, True, mavlink.MAV_LANDED_STATE_ON_GROUND),  # it was stopped
+        (True, False, mavlink.MAV_LANDED_STATE_ON_GROUND),
+        (True, True, mavlink.MAV_LANDED_STATE_IN_AIR),
+        (True, None, mavlink.MAV_LANDED_STATE_UNDEFINED),  # a firmware that does not tell
+    ],
+)
+def test_it_is_in_the_air_once_it_has_taken_off(armed: bool, airborne: bool | None, landed: int) -> None:
+    message = telemetry.extended_sys_state(replace(SAFE, airborne=airborne), armed=armed)
+    assert message.landed_state == landed
+
+
+def test_inertial_sensors_have_mavlinks_axes_and_units() -> None:
+    told = Inertial((0.1, 0.2, 0.3), (0.0, 0.5, 1.0), 30.0)  # rests on its right side, almost
+    precise = telemetry.highres_imu(2000, told)
+    assert (precise.xacc, precise.yacc, precise.zacc) == pytest.approx((0, -4.903325, -9.80665))
+    assert (precise.xgyro, precise.ygyro, precise.zgyro) == (0.1, -0.2, -0.3)
+    assert (precise.time_usec, precise.temperature) == (2_000_000, 30.0)
+    for message in (telemetry.scaled_imu(2000, told), telemetry.raw_imu(2000, told)):
+        assert (message.xacc, message.yacc, message.zacc) == (0, -500, -1000)
+        assert (message.xgyro, message.ygyro, message.zgyro, message.temperature) == (100, -200, -300, 3000)
+
+
 @pytest.mark.parametrize(
     ("motors", "kind"),
     [(4, mavlink.MAV_TYPE_QUADROTOR), (6, mavlink.MAV_TYPE_HEXAROTOR), (5, mavlink.MAV_TYPE_GENERIC)],
 )
 def test_the_type_of_aircraft_follows_from_its_motors(motors: int, kind: int) -> None:
     vehicle = replace(NF1, motor_count=motors)
-    message = telemetry.heartbeat(vehicle, SAFE, armed=False, offboard=False)
+    message = telemetry.heartbeat(vehicle, SAFE, armed=False, mode=MODE_RECEIVER)
     assert (message.type, message.autopilot) == (kind, mavlink.MAV_AUTOPILOT_GENERIC)
 
 
 @pytest.mark.parametrize("armed", [False, True])
-@pytest.mark.parametrize("offboard", [False, True])
-def test_the_heartbeat_tells_who_steers_and_whether_it_is_armed(armed: bool, offboard: bool) -> None:
-    message = telemetry.heartbeat(NF1, SAFE, armed=armed, offboard=offboard)
+@pytest.mark.parametrize("mode", [MODE_RECEIVER, MODE_OFFBOARD, 4, 6 << 16])
+def test_the_heartbeat_tells_who_steers_and_whether_it_is_armed(armed: bool, mode: int) -> None:
+    message = telemetry.heartbeat(NF1, SAFE, armed=armed, mode=mode)
     assert bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED) == armed
-    assert bool(message.base_mode & mavlink.MAV_MODE_FLAG_GUIDED_ENABLED) == offboard
-    assert message.custom_mode == offboard
+    assert bool(message.base_mode & mavlink.MAV_MODE_FLAG_GUIDED_ENABLED) == (mode != MODE_RECEIVER)
+    assert message.custom_mode == mode
 
 
 @pytest.mark.parametrize("state", FlightState)
@@ -150,8 +197,11 @@ def test_the_version_says_how_parameters_are_encoded_and_who_it_is() -> None:
 def test_every_message_fits_its_packet() -> None:
     encoder = mavlink.MAVLink(None, 1, 1)
     for message in (
-        telemetry.heartbeat(NF1, SAFE, armed=True, offboard=True),
+        telemetry.heartbeat(NF1, SAFE, armed=True, mode=2**32 - 1),
         telemetry.attitude(2**32 - 1, Attitude(-180, 90, 359), (1, 2, 3)),
+        telemetry.attitude_quaternion(2**32 - 1, Attitude(-180, 90, 359), (1, 2, 3)),
+        telemetry.extended_sys_state(SAFE, armed=True),
+        *(message(2**32 - 1, ROUGH) for message in telemetry.IMU.values()),
         telemetry.sys_status(NF1, SAFE, STATUS, replace(FULL, voltage_v=1e3)),
         telemetry.battery_status(NF1, FULL),
         telemetry.rc_channels(2**32 - 1, [2250] * 16, 100),

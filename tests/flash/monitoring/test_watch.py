@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from flash.client import Client
+from flash.info import read_info
 from flash.monitoring import watch as watching
-from flash.monitoring.snapshot import CHANNELS
+from flash.monitoring.snapshot import CHANNELS, read_snapshot
 from flash.monitoring.watch import Watch
 from flash.msp import Decoder, Message, encode, error, reply
 from flash.transport import Transport, open_transport
@@ -39,6 +42,20 @@ def test_everything_is_seen_of_a_firmware_in_flight(booted: Lockstep) -> None:
     assert seen.motors_us[2] > seen.motors_us[0]  # a roll to the right is asked for
     assert seen.tasks is not None and seen.tasks.loads[1].runs > 1000
     assert len(seen.rates_deg_s) == 3 and seen.overview.battery.cells == 4
+
+
+def test_rates_are_deg_s_by_the_counts_of_the_firmware_and_api_that_tell_them(booted: Lockstep) -> None:
+    for _ in range(50):
+        booted.program.sticks()
+        booted.program.step(np.radians([100.0, -50.0, 25.0]).tolist())
+    with booted.client() as client:
+        info = read_info(client)
+        assert info.api.minor == 47
+        assert read_snapshot(client, info).rates_deg_s == (100, 50, -25)
+        older = replace(info, api=replace(info.api, minor=46))
+        assert read_snapshot(client, older).rates_deg_s == (410, 205, -103), "whole deg/s up to 1.46"
+        betaflights = replace(info, policy=None)
+        assert read_snapshot(client, betaflights).rates_deg_s == (25, 13, -6), "16.4 counts a deg/s"
 
 
 def test_it_goes_on_when_the_firmware_is_gone_and_comes_back(host_program: Path, tmp_path: Path) -> None:

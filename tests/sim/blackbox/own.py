@@ -8,6 +8,7 @@ import numpy as np
 
 from sim.flight.trace import Trace
 from tests.sim.blackbox.writer import END, PRODUCT, Column, event, fields, flight, header, slow
+from toolchain.contract import FlightState
 
 AXES = range(3)
 LEAD = 7  # rows before the motors turn
@@ -47,9 +48,13 @@ def log_of(
     exact: bool = True,
     divider: int = 1,
     clock: Sequence[int] | None = None,
+    own_flags: bool = False,
     **headers: object,
 ) -> bytes:
-    """Encode LEAD disarmed rows, the flight, and LEAD disarmed rows. clock: time of each row [us]."""
+    """Encode LEAD disarmed rows, the flight, and LEAD disarmed rows.
+
+    clock: time of each row [us]. own_flags: slow frames have nfFlags too, in the first the state DISARMED.
+    """
     deg = np.rad2deg(flown.setpoint), np.rad2deg(flown.gyro)
     wanted = np.column_stack((deg[0], 1000 * flown.throttle))
     bits = np.column_stack((flown.gyro, flown.setpoint, flown.throttle)).astype(np.float32).view(np.int32)
@@ -70,5 +75,12 @@ def log_of(
     }
     period = 1_000_000 * divider // rate
     frames = flight(columns, whole, period=period, divider=divider, clock=clock)
-    parts = (PRODUCT, header(told), fields(columns, ["flightModeFlags"]), event(0, 5_000_000), slow([1]))
+    first = {"flightModeFlags": 1, **({"nfFlags": FlightState.DISARMED << 1} if own_flags else {})}
+    parts = (
+        PRODUCT,
+        header(told),
+        fields(columns, list(first)),
+        event(0, 5_000_000),
+        slow([*first.values()]),
+    )
     return b"".join((*parts, frames, event(15, 4), END))

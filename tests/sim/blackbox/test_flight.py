@@ -23,8 +23,8 @@ from sim.flight.trace import save_trace
 from sim.identification.recording import read_recording
 from sim.recorded.files import load_commands
 from tests.sim.blackbox.own import LEAD, log_of, trace
-from tests.sim.blackbox.writer import event
-from toolchain.contract import FallbackCause, FlightState, Mix
+from tests.sim.blackbox.writer import event, slow
+from toolchain.contract import FallbackCause, FlightState, Mix, StopCause
 from toolchain.errors import TraceError
 
 IDLE = 0.055
@@ -250,6 +250,26 @@ def test_events_are_told_in_words(tmp_path: Path) -> None:
     # The same flags are other modes where another firmware wrote them.
     log = read_log(save(tmp_path, data.replace(b"H nf_version", b"H xx_version")))
     assert words(log, log.events[1]) == "armed"
+
+
+def test_events_are_the_same_when_the_flags_are_in_slow_frames_alone(tmp_path: Path) -> None:
+    """Firmwares since MSP API 1.47 tell nfFlags there, and the ecosystem's modes alone in the event."""
+    armed, crashed = FlightState.ARMED << 1, FlightState.CRASHED << 1 | StopCause.CRASH << 4
+    falls_back = armed | 1 | FallbackCause.POLICY_OUTPUT << 8
+    parts = (
+        *(event(30, 1, 0), slow([1, armed]), slow([1, falls_back]), slow([1, falls_back])),
+        *(event(30, 0, 1), event(15, 5), slow([0, falls_back & 0xF01 | crashed])),
+    )
+    data = log_of(trace(100), own_flags=True).replace(event(15, 4), b"".join(parts))
+    log = read_log(save(tmp_path, data))
+    assert [words(log, one) for one in log.events] == [
+        "arming",
+        "armed",
+        "the PID flies, because of policy output",
+        "crashed, stopped by crash",
+        "disarming: crash",
+        "end",
+    ]
 
 
 def test_our_log_is_told_from_betaflights_when_its_version_is_lost(tmp_path: Path) -> None:

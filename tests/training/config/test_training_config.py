@@ -57,7 +57,6 @@ def world(**options: Any) -> dict[str, WorldConfig]:
         (world(throttle_max=1.5), "throttle_max 1.5, expected 0 to 1"),
         (world(throttle_share=-0.1), "throttle_share -0.1, expected 0 to 1"),
         (world(throttle_steps=1.1), "throttle_steps 1.1, expected 0 to 1"),
-        (world(throttle_steps=0.5), "throttle_steps: ppo flies one throttle; set it to 0 or choose pathwise"),
         ({"recurrent": "rnn"}, "recurrent 'rnn', expected one of: none, gru, lstm"),
         ({"recurrent": "gru"}, "recurrent 'gru': ppo trains no memory; choose pathwise"),
         (world(randomization=Randomization(lag=(2.0, 1.0))), r"randomization lag \[2.0, 1.0\]"),

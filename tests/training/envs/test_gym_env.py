@@ -1,6 +1,8 @@
 """The Gymnasium environment of one aircraft."""
 
+import copy
 import math
+import pickle
 import warnings
 from collections.abc import Iterator
 from typing import Any
@@ -10,19 +12,20 @@ import numpy as np
 import pytest
 import torch
 from gymnasium.utils.env_checker import check_env
-from gymnasium.wrappers import RescaleAction
 from stable_baselines3 import PPO
 from stable_baselines3.common.env_checker import check_env as check_env_of_sb3
 
+from tests.conftest import ROOT
 from toolchain.errors import AircraftError, TrainingError
+from training.config.config_file import load_config, recipes
 from training.config.training_config import TrainingConfig, WorldConfig
 from training.envs.gym_env import AttitudeEnv
 from training.tasks.reward import NormalizedReward
 from training.tasks.task import EpisodicTask
 
-ID = "training:neuroflight/Attitude-v0"
+ID = "neuroflight/Attitude-v0"
+AIRCRAFT = {"hexa": "hexa", "iris-ppo": "iris"}
 SHORT = EpisodicTask(hold_s=0.02)
-LOW, HIGH = np.float32(-1), np.float32(1)
 
 
 @pytest.fixture
@@ -56,7 +59,7 @@ def test_passes_the_checkers_without_a_warning(options: dict[str, Any], make: An
         warnings.simplefilter("error")
         env = make(**options)
         check_env(env.unwrapped)
-        check_env_of_sb3(RescaleAction(env, LOW, HIGH))
+        check_env_of_sb3(env)
 
 
 def test_observations_stay_within_the_space_at_extreme_actions(make: Any) -> None:
@@ -64,7 +67,7 @@ def test_observations_stay_within_the_space_at_extreme_actions(make: Any) -> Non
     observation, _ = env.reset(seed=1)
     rng = np.random.default_rng(1)
     for _ in range(12):
-        action = rng.integers(0, 2, 6).astype(np.float32)
+        action = rng.choice([-1, 1], 6).astype(np.float32)
         for _ in range(50):
             assert env.observation_space.contains(observation)
             observation, *_ = env.step(action)
@@ -75,7 +78,7 @@ def rollout(env: gymnasium.Env, seed: int, steps: int = 60) -> np.ndarray:
     rng = np.random.default_rng(0)
     rows = [observation]
     for _ in range(steps):
-        rows.append(env.step(rng.uniform(0, 1, 4).astype(np.float32))[0])
+        rows.append(env.step(rng.uniform(-1, 1, 4).astype(np.float32))[0])
     return np.array(rows)
 
 
@@ -114,7 +117,7 @@ def test_the_reward_is_the_configured_one(make: Any) -> None:
         _, seen, _, _, info = env.step(np.zeros(4, np.float32))
         assert np.abs(info["setpoint"]).max() <= math.radians(90)
         error = np.abs(info["setpoint"] - info["rate"]).sum()
-        assert seen == pytest.approx(-error / (3 * math.radians(300)), rel=1e-5)
+        assert seen == pytest.approx(-0.01 * error / (3 * math.radians(300)), rel=1e-5)
 
 
 def test_arguments_replace_values_of_the_configuration() -> None:
@@ -122,7 +125,7 @@ def test_arguments_replace_values_of_the_configuration() -> None:
     base = TrainingConfig(task=EpisodicTask(), control_rate_hz=2000, observation="rate", world=still)
     env = AttitudeEnv(config=base, task=SHORT, observation="rate,throttle", control_rate_hz=1000)
     observation, _ = env.reset(seed=1)
-    assert observation.tolist() == [0, 0, 0, 0]  # no noise: the configuration's world
+    assert observation.tolist() == [0, 0, 0, 0]  # no noise and no throttle: the configuration's world
     steps, over = 0, False
     while not over:
         *_, over, _ = env.step(np.zeros(4, np.float32))
@@ -131,9 +134,53 @@ def test_arguments_replace_values_of_the_configuration() -> None:
     assert steps == 20
 
 
-def test_a_recipe_names_the_whole_environment(make: Any) -> None:
-    env = make(config="ppo")
-    assert env.observation_space.shape == (6,)
+@pytest.mark.parametrize("recipe", recipes())
+def test_every_recipe_is_an_environment(recipe: str, make: Any) -> None:
+    env = make(config=recipe, aircraft=AIRCRAFT.get(recipe, "nf1"))
+    observation, _ = env.reset(seed=1)
+    assert env.observation_space.contains(observation)
+    assert math.isfinite(env.step(env.action_space.sample())[1])
+
+
+def test_the_shipped_policys_configuration_is_a_file_too(make: Any) -> None:
+    env = make(config=ROOT / "training/policies/nf1/training.json")
+    config, recipe = env.unwrapped.batch.setup.config, load_config("nf1")
+    assert (config.task, config.world, config.observation) == (recipe.task, recipe.world, recipe.observation)
+    assert (config.idle, config.mix, config.gyro_filter) == (0.055, "centred", "mean")
+
+
+def test_the_throttle_moves_where_the_world_says_so(make: Any) -> None:
+    env = make(observation="throttle", throttle_max=0.8, throttle_share=1.0, throttle_steps=1.0, task="pulse")
+    seen = [env.reset(seed=3)[0], *(env.step(np.zeros(4, np.float32))[0] for _ in range(1500))]
+    assert np.ptp(seen) > 0.2
+    assert np.abs(np.diff(seen, axis=0)).max() < 0.8
+
+
+def test_an_action_is_scaled_to_motor_fractions_and_limited(make: Any) -> None:
+    env = make(observation="previous_action", output={"scale": 0.25, "offset": 0.5})
+    env.reset(seed=1)
+    seen = env.step(np.array([-1, 0, 1, 3], np.float32))[0]
+    assert seen.tolist() == [0.25, 0.5, 0.75, 0.75]
+
+
+def test_a_picture_shows_the_aircraft_in_its_attitude(make: Any) -> None:
+    env = make(render_mode="rgb_array")
+    env.reset(seed=1)
+    level = env.render()
+    assert level.shape == (400, 400, 3)
+    assert level.dtype == np.uint8
+    for _ in range(150):
+        env.step(np.array([1, 1, -1, -1], np.float32))
+    assert (env.render() != level).any(axis=2).mean() > 0.05
+    assert make().unwrapped.render() is None
+
+
+def test_a_copy_or_pickle_is_a_new_environment_of_the_same_arguments(make: Any) -> None:
+    env = make(task=SHORT, observation="rate,throttle").unwrapped
+    env.step(np.zeros(4, np.float32))
+    for other in (copy.deepcopy(env), pickle.loads(pickle.dumps(env))):
+        assert np.array_equal(rollout(other, 5, 20), rollout(env, 5, 20))
+        other.close()
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
@@ -156,6 +203,15 @@ def test_rejects_an_action_that_is_not_finite(value: float, make: Any) -> None:
         ({"observation": "rate,smell"}, TrainingError, "unknown observation block 'smell'"),
         ({"control_rate_hz": 900}, TrainingError, "control rate 900 Hz, expected one of"),
         ({"config": "nothing"}, TrainingError, "config nothing: no such file"),
+        ({"config": {"idle": 1}}, TrainingError, "config: got a dict, expected a recipe's name, a file or"),
+        ({"aircraft": 5}, TrainingError, "aircraft: got a int, expected a shipped name"),
+        ({"throttle": 0.5}, TrainingError, "environment: throttle: unknown argument; nearest: throttle_"),
+        ({"throttle_max": "half"}, TrainingError, "throttle_max: got 'half', expected a finite number"),
+        ({"idle": 2}, TrainingError, "idle 2.0, expected 0 to 0.5"),
+        ({"mix": "none"}, TrainingError, "mix 'none', expected one of: attitude-first, centred"),
+        ({"reward_scale": 0}, TrainingError, "reward_scale: got 0, expected 1e-09 to 1e"),
+        ({"output": {"gain": 1}}, TrainingError, r"output\.gain: unknown key"),
+        ({"render_mode": "ansi"}, ValueError, "render_mode 'ansi', expected one of: rgb_array"),
     ],
 )  # fmt: skip
 def test_rejects_unknown_options(options: dict[str, Any], error: type[Exception], message: str) -> None:
@@ -165,8 +221,7 @@ def test_rejects_unknown_options(options: dict[str, Any], error: type[Exception]
 
 def test_a_stock_learner_trains_on_it(make: Any) -> None:
     torch.set_num_threads(1)
-    env = RescaleAction(make(), LOW, HIGH)
-    model = PPO("MlpPolicy", env, n_steps=500, batch_size=250, n_epochs=2, seed=1, device="cpu")
+    model = PPO("MlpPolicy", make(), n_steps=500, batch_size=250, n_epochs=2, seed=1, device="cpu")
     before = [parameter.detach().clone() for parameter in model.policy.parameters()]
     model.learn(2000)
     assert model.num_timesteps == 2000

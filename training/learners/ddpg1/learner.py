@@ -40,7 +40,7 @@ from numpy.typing import NDArray
 from sim.aircraft.model import Aircraft
 from training.config.algorithms import Ddpg1Config
 from training.config.training_config import TrainingConfig
-from training.envs.vector import AttitudeVecEnv
+from training.envs.sb3_vector import LearnerVecEnv
 from training.learners.ddpg1.replay import Replay, row_width
 from training.learners.ddpg1.update import ActorCritic, Engine, Learnt, Losses
 from training.learners.memory import check_memory
@@ -60,7 +60,7 @@ class Ddpg1Learner:
         self._config, self._ddpg1 = config, ddpg1
         inputs, motors = len(config.observation_scale(aircraft.motor_count)), aircraft.motor_count
         check_memory(ddpg1.buffer, config.steps, row_width(inputs, motors))
-        self._env = AttitudeVecEnv(aircraft, config, ddpg1.aircraft)
+        self._env = LearnerVecEnv(aircraft, config, ddpg1.aircraft)
         self._networks = ActorCritic(inputs, config.hidden, motors, config.activation)
         self._engine = Engine(self._networks)
         self._learnt = Learnt.fresh(self._networks.fresh(np.random.default_rng(config.seed)))

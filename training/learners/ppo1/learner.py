@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 from sim.aircraft.model import Aircraft
 from training.config.algorithms import Ppo1Config
 from training.config.training_config import OutputMap, TrainingConfig
-from training.envs.vector import AttitudeVecEnv
+from training.envs.sb3_vector import LearnerVecEnv
 from training.learners.network.normalization import ObservedMoments
 from training.learners.network.shape import Shape
 from training.learners.ppo1.normalization import ReturnMoments
@@ -49,7 +49,7 @@ class Ppo1Learner:
 
     def __init__(self, aircraft: Aircraft, config: TrainingConfig, ppo1: Ppo1Config) -> None:
         self._config, self._ppo1 = config, ppo1
-        self._env = AttitudeVecEnv(aircraft, config, ppo1.aircraft)
+        self._env = LearnerVecEnv(aircraft, config, ppo1.aircraft)
         inputs = len(config.observation_scale(aircraft.motor_count))
         layers, plain = (inputs, *config.hidden), OutputMap()
         self._networks = ActorCritic(

@@ -17,6 +17,7 @@ enum outcome {
 	RUN_RESET = 3,     /* the image or a peripheral asks for a system reset */
 	RUN_FAILED = 4,    /* engine_message says what */
 	RUN_ASLEEP = 5,    /* WFI with nothing that could ever end it, and no time to run to */
+	RUN_WATCHPOINT = 6, /* before the access that engine_watch_hit tells of; inside an IT block: behind the block */
 };
 
 /* What the engine calls; `user` comes back as it was given. They never unwind: a failure is reported by engine_fail. */
@@ -53,6 +54,17 @@ struct node {
 	uint32_t function, parent, child, sibling;
 	uint32_t return_to; /* address, UINT32_MAX: a handler or the thread */
 	uint64_t instructions;
+};
+
+/* Memory that a debugger watches. */
+struct watchpoint {
+	uint32_t address, size;
+	bool loads, stores; /* which of the core's accesses count */
+};
+
+struct watch_hit {
+	uint32_t number;  /* of the watchpoint */
+	uint32_t address; /* the first byte of it that is accessed */
 };
 
 struct engine;
@@ -119,7 +131,10 @@ uint64_t *engine_enters(struct engine *e);
 uint64_t *engine_leaves(struct engine *e);
 uint64_t engine_accesses(const struct engine *e); /* to peripherals so far */
 int engine_set_breakpoints(struct engine *e, const uint32_t *addresses, uint32_t count);
-/* The breakpoint at the program counter is run over once. */
+/* More than WATCHPOINT_MAX: -1. While there is one, each instruction is looked at: the run is slower and the same. */
+int engine_set_watchpoints(struct engine *e, const struct watchpoint *watchpoints, uint32_t count);
+const struct watch_hit *engine_watch_hit(const struct engine *e);
+/* Break- and watchpoints at the program counter are run over once; what interrupts the instruction there does not count. */
 void engine_skip_breakpoint(struct engine *e);
 const struct node *engine_nodes(const struct engine *e, uint32_t *count);
 /* Runs until `cycle` (of 216 MHz) or for at most `instructions`. Returns an enum outcome. */

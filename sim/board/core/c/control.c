@@ -80,6 +80,8 @@ void engine_reset(struct engine *e, uint32_t vectors)
 
 	e->block = NULL;
 	e->failed = e->reset_wanted = e->attention = false;
+	e->watch_passed = false;
+	e->skip = NOWHERE;
 	exceptions_reset(e);
 	system_reset_registers(e);
 	e->s.vtor = vectors;

@@ -21,6 +21,7 @@ enum {
 	ALARM_MAX = 128,
 	WINDOW_MAX = 128,
 	BREAKPOINT_MAX = 64,
+	WATCHPOINT_MAX = 32,
 	DEPTH_MAX = EXCEPTION_COUNT,
 	MPU_REGIONS = 8,
 	MESSAGE_BYTES = 512,
@@ -262,8 +263,13 @@ struct engine {
 	bool flash_stored, code_changed;
 
 	uint32_t breakpoints[BREAKPOINT_MAX], breakpoint_count;
-	uint32_t skip;               /* breakpoint to run over */
-	bool at_breakpoint;
+	struct watchpoint watchpoints[WATCHPOINT_MAX];
+	struct watch_hit watch_hit;
+	uint32_t watch_count;
+	uint32_t skip;               /* address of a breakpoint or access to run over */
+	uint32_t skip_depth;         /* once an instruction has been executed there or further out */
+	bool at_breakpoint, at_watchpoint;
+	bool watch_passed;           /* a watched access was executed, inside an IT block */
 
 	/* The call tree, when asked for. */
 	bool profiling;

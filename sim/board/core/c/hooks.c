@@ -21,6 +21,7 @@
 #include "hooks.h"
 #include "memory.h"
 #include "thumb.h"
+#include "watch.h"
 
 #define CCR_UNALIGN_TRP (1u << 3)
 #define CCR_DIV_0_TRP (1u << 4)
@@ -29,7 +30,8 @@
 static inline void hooks_pass(struct engine *e, const struct block *b, uint32_t count, uint32_t bytes)
 {
 	e->block = NULL;
-	e->skip = NOWHERE;
+	if (e->s.depth <= e->skip_depth)
+		e->skip = NOWHERE;
 	/* Only jumps are hashed: a run cut in two by an alarm is the same run. */
 	if (e->s.last_end != e->start)
 		engine_mix(&e->s, (uint64_t)e->s.last_end << 32 | e->start);
@@ -139,7 +141,7 @@ static void hooks_set_stop(struct engine *e)
 
 	if (e->next_special < b->special_count && e->start + b->specials[e->next_special].offset < stop)
 		stop = e->start + b->specials[e->next_special].offset;
-	e->stop_at = stop;
+	e->stop_at = e->watch_count != 0u ? 0 : stop;
 }
 
 static void hooks_leave(struct engine *e, uint32_t address)
@@ -230,6 +232,21 @@ static bool hooks_want_loop(struct engine *e, uint32_t address)
 	return exceptions_deliverable(e) != EXC_THREAD;
 }
 
+/* Leaves before a watched access, or behind the IT block of one. */
+static bool hooks_watch(struct engine *e, uint32_t address)
+{
+	const uint32_t index = clock_index_at(e, address);
+
+	if (e->block->offsets[index] & 1u) {
+		e->watch_passed = e->watch_passed || (!watch_is_skipped(e, index) && watch_sees(e, address));
+		return false;
+	}
+	e->at_watchpoint = !e->watch_passed && address != e->skip && watch_sees(e, address);
+	if (e->watch_passed || e->at_watchpoint)
+		hooks_leave(e, address);
+	return e->stopped;
+}
+
 /* An instruction at which something is due, or that must be checked. */
 static __attribute__((noinline)) void hooks_consider(struct engine *e, uint32_t address)
 {
@@ -273,6 +290,8 @@ static __attribute__((noinline)) void hooks_consider(struct engine *e, uint32_t 
 		       "a floating-point instruction while CPACR = 0x%08X does not allow it", e->s.cpacr);
 		return;
 	}
+	if (e->watch_count != 0u && hooks_watch(e, address))
+		return;
 	hooks_set_stop(e);
 	if (e->s.cpacr != 0x00F00000u && b->float_offset != UINT16_MAX && address < e->start + b->float_offset &&
 	    e->start + b->float_offset < e->stop_at)

@@ -53,6 +53,7 @@ void engine_restored(struct engine *e)
 	e->block = NULL;
 	e->failed = e->reset_wanted = false;
 	e->skip = NOWHERE;
+	e->watch_passed = false;
 	blocks_forget(e);
 	uc_mem_protect(e->uc, ITCM_BASE, ITCM_BYTES, e->s.itcm_closed ? UC_PROT_READ | UC_PROT_EXEC : UC_PROT_ALL);
 	if (e->s.node >= e->node_count)
@@ -144,6 +145,7 @@ int engine_set_breakpoints(struct engine *e, const uint32_t *addresses, uint32_t
 void engine_skip_breakpoint(struct engine *e)
 {
 	e->skip = e->s.pc;
+	e->skip_depth = e->s.depth;
 }
 
 const struct node *engine_nodes(const struct engine *e, uint32_t *count)

@@ -222,7 +222,7 @@ int engine_run(struct engine *e, uint64_t cycle, uint64_t instructions)
 {
 	e->until = cycle > NEVER >> FRACTION ? NEVER : cycle << FRACTION;
 	e->limit = instructions > NEVER - e->s.instructions ? NEVER : e->s.instructions + instructions;
-	e->at_breakpoint = false;
+	e->at_breakpoint = e->at_watchpoint = false;
 	for (;;) {
 		if (e->failed)
 			return RUN_FAILED;
@@ -255,12 +255,16 @@ int engine_run(struct engine *e, uint64_t cycle, uint64_t instructions)
 			continue;
 		const uint32_t exception = exceptions_deliverable(e);
 		if (exception != EXC_THREAD) {
-			e->at_breakpoint = false;
+			e->at_breakpoint = e->at_watchpoint = false;
 			exceptions_enter(e, exception);
 			continue;
 		}
 		if (e->at_breakpoint)
 			return RUN_BREAKPOINT;
+		if (e->at_watchpoint || e->watch_passed) {
+			e->watch_passed = false;
+			return RUN_WATCHPOINT;
+		}
 		if (e->s.instructions >= e->limit)
 			return RUN_LIMIT;
 		run_execute(e);

@@ -8,26 +8,29 @@ import numpy as np
 import pytest
 from gymnasium import spaces
 from numpy.typing import NDArray
+from stable_baselines3 import PPO
+from stable_baselines3.common.evaluation import evaluate_policy
+from stable_baselines3.common.vec_env import VecMonitor, VecNormalize
 
 from sim.aircraft.model import load_aircraft
 from training.config.algorithms import PpoConfig
 from training.config.training_config import OutputMap, TrainingConfig, WorldConfig
-from training.envs.vector import AttitudeVecEnv
+from training.envs.sb3_vector import AttitudeVecEnv, BatchVecEnv, LearnerVecEnv
 from training.tasks.reward import Transition
 from training.tasks.task import PulseTask
 
 NF1 = load_aircraft("nf1")
 SMALL = PpoConfig(aircraft=8, horizon=16, minibatch=128)
 SHORT = PulseTask(idle_s=0.02, command_s=0.03, rest_s=0.02)
-Build = Callable[..., AttitudeVecEnv]
+Build = Callable[..., LearnerVecEnv]
 
 
 @pytest.fixture
 def build() -> Iterator[Build]:
     envs = []
 
-    def make(**options: object) -> AttitudeVecEnv:
-        envs.append(AttitudeVecEnv(NF1, TrainingConfig(steps=1000, algorithm=SMALL, **options), 8))  # type: ignore[arg-type]
+    def make(**options: object) -> LearnerVecEnv:
+        envs.append(LearnerVecEnv(NF1, TrainingConfig(steps=1000, algorithm=SMALL, **options), 8))  # type: ignore[arg-type]
         return envs[-1]
 
     yield make
@@ -38,7 +41,7 @@ def build() -> Iterator[Build]:
 Step = tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]
 
 
-def advance(env: AttitudeVecEnv, actions: NDArray[np.float32]) -> Step:
+def advance(env: BatchVecEnv, actions: NDArray[np.float32]) -> Step:
     env.step_async(actions)
     return env.step_wait()
 
@@ -120,3 +123,54 @@ def test_outputs_keep_within_the_map_when_squashed(build: Build) -> None:
     env.reset()
     seen = advance(env, np.tile(np.array([100.0, -100.0, 0.0, 0.5], np.float32), (8, 1)))[0]
     assert seen[0] == pytest.approx([0.7, 0.1, 0.4, 0.4 + 0.3 * 0.46211716])  # tanh(0.5)
+
+
+@pytest.fixture
+def public() -> Iterator[AttitudeVecEnv]:
+    env = AttitudeVecEnv(3, task={"name": "episodic", "hold_s": 0.03})
+    yield env
+    env.close()
+
+
+def test_every_episode_of_the_public_one_is_whole(public: AttitudeVecEnv) -> None:
+    public.reset()
+    for step in range(1, 91):
+        observation, _, done, infos = advance(public, np.zeros((3, 4), np.float32))
+        assert done.all() == done.any() == (step % 30 == 0)
+        for i in np.flatnonzero(done):
+            assert infos[i]["TimeLimit.truncated"] is True
+            assert not np.array_equal(infos[i]["terminal_observation"], observation[i])
+        assert done.any() or not any(infos)
+
+
+def test_a_seed_repeats_the_flights_of_the_public_one(public: AttitudeVecEnv) -> None:
+    def flown(seed: int | None) -> NDArray[np.float32]:
+        if seed is not None:
+            public.seed(seed)
+        return np.array(
+            [public.reset(), *(advance(public, np.ones((3, 4), np.float32))[0] for _ in range(40))]
+        )
+
+    first = flown(5)
+    assert not np.array_equal(first, flown(None))
+    assert np.array_equal(first, flown(5))
+
+
+def test_the_public_one_takes_the_wrappers_and_learners_of_stable_baselines(public: AttitudeVecEnv) -> None:
+    env = VecNormalize(VecMonitor(public))
+    model = PPO("MlpPolicy", env, n_steps=60, batch_size=60, n_epochs=1, seed=1, device="cpu")
+    model.learn(360)
+    assert {episode["l"] for episode in model.ep_info_buffer or ()} == {30}
+    rewards, lengths = evaluate_policy(model, env, n_eval_episodes=3, return_episode_rewards=True)
+    assert lengths == [30, 30, 30]
+    assert np.isfinite(rewards).all()
+
+
+def test_pictures_of_all_aircraft_are_tiled() -> None:
+    env = AttitudeVecEnv(2, render_mode="rgb_array")
+    env.reset()
+    picture = env.render()
+    env.close()
+    assert picture is not None
+    assert picture.shape == (800, 400, 3)
+    assert 0.05 < (picture < 200).mean() < 0.5  # there is an aircraft on white

@@ -1,0 +1,113 @@
+"""Which custom a client follows, as far as it shows: MAVLink leaves open how parameters hold whole numbers
+and what the numbers of modes mean, and PX4's clients and ArduPilot's take them differently.
+
+A client that asks for AUTOPILOT_VERSION by MAV_CMD_REQUEST_MESSAGE (MAVSDK, QGroundControl) is told there
+that whole numbers stand in bytes. One that asks for REQUEST_DATA_STREAM, which only ArduPilot still serves
+(MAVProxy, dronekit, Mission Planner), takes parameters for floats and mode numbers for ArduPilot's.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from pymavlink.dialects.v20 import common as mavlink
+
+from flash.mavlink.offboard import Source
+
+SOURCES_MAX = 64  # whose customs are kept; a client that is forgotten reads floats
+
+CUSTOM_MODE = mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
+
+# The autopilot's modes: in HEARTBEAT.custom_mode, MAV_CMD_DO_SET_MODE and SET_MODE.
+MODE_RECEIVER = 0  # whoever the firmware's receiver hears; the gateway sends no channels
+MODE_OFFBOARD = 1  # a companion steers through the gateway
+
+PX4_AUTO, PX4_OFFBOARD = 4, 6  # main modes
+PX4_HOLD = 3  # sub mode of PX4_AUTO; MAVSDK's offboard.stop()
+ARDUPILOT_GUIDED = (4, 20)  # GUIDED, GUIDED_NOGPS
+
+
+@dataclass(frozen=True)
+class Mode:
+    """A mode that was asked for."""
+
+    offboard: bool
+    number: int  # that HEARTBEAT tells while it lasts
+    owner_only: bool = False  # to end offboard so is up to who steers
+
+
+RECEIVER = Mode(False, MODE_RECEIVER)
+# MAVSDK ends offboard so; it asks for the same where somebody wants an aircraft to hover, and none does here.
+HOLD = Mode(False, MODE_RECEIVER, owner_only=True)
+
+
+class ModeError(ValueError):
+    """There is no such mode."""
+
+
+class Customs:
+    """What sources have shown so far."""
+
+    def __init__(self) -> None:
+        self._told_bytes: dict[Source, None] = {}
+        self._ardupilot: dict[Source, None] = {}
+
+    def hear_request(self, source: Source) -> None:
+        """It asked how whole numbers are encoded."""
+        _note(self._told_bytes, source)
+
+    def hear_stream_request(self, source: Source) -> None:
+        """It sent REQUEST_DATA_STREAM."""
+        _note(self._ardupilot, source)
+
+    def reads_bytes(self, source: Source | None) -> bool:
+        """Whether whole numbers are told to it in bytes."""
+        return source in self._told_bytes and source not in self._ardupilot
+
+    def command_mode(self, source: Source, base: int, main: int, sub: int) -> Mode:
+        """The mode that the parameters of its MAV_CMD_DO_SET_MODE mean. Raises ModeError."""
+        _check_base(base)
+        if main == MODE_RECEIVER:
+            return RECEIVER
+        if (main, sub) == (PX4_AUTO, PX4_HOLD):
+            return HOLD
+        if main == MODE_OFFBOARD or (main in ARDUPILOT_GUIDED and sub == 0):
+            return Mode(True, main)
+        if main == PX4_OFFBOARD and source not in self._ardupilot:  # to whom it is RTL
+            return Mode(True, px4_number(PX4_OFFBOARD))
+        raise _no_mode(f"{main}, {sub}" if sub else str(main))
+
+
+def message_mode(base: int, custom: int) -> Mode:
+    """The mode that SET_MODE means. Raises ModeError."""
+    _check_base(base)
+    if custom == MODE_RECEIVER:
+        return RECEIVER
+    if custom == px4_number(PX4_AUTO, PX4_HOLD):
+        return HOLD
+    if custom in (MODE_OFFBOARD, *ARDUPILOT_GUIDED, px4_number(PX4_OFFBOARD)):
+        return Mode(True, custom)
+    raise _no_mode(str(custom))
+
+
+def px4_number(main: int, sub: int = 0) -> int:
+    """PX4's custom_mode."""
+    return main << 16 | sub << 24
+
+
+def _check_base(base: int) -> None:
+    if not base & CUSTOM_MODE:
+        raise ModeError(f"base mode {base} names no custom mode, expected {CUSTOM_MODE} in it")
+
+
+def _no_mode(number: str) -> ModeError:
+    return ModeError(
+        f"there is no mode {number}, expected {MODE_RECEIVER} (receiver) or {MODE_OFFBOARD} (offboard)"
+    )
+
+
+def _note(kept: dict[Source, None], source: Source) -> None:
+    kept.pop(source, None)
+    kept[source] = None
+    if len(kept) > SOURCES_MAX:
+        del kept[next(iter(kept))]

@@ -1,0 +1,90 @@
+"""Makes a policy file of an actor that another library trained in one of these environments."""
+
+from __future__ import annotations
+
+import json
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from sim.control.estimator import model_constants
+from toolchain.contract import needs_model
+from toolchain.errors import TrainingError
+from toolchain.policy.import_onnx import PolicyClaims, import_onnx
+from toolchain.policy.model import PolicyModel
+from toolchain.verification.original import compare
+from training.envs.batch import AttitudeBatch
+from training.envs.setup import Setup
+
+
+class Fractions(torch.nn.Module):
+    """An actor between raw observations and motor fractions, as its environment has them."""
+
+    scale: torch.Tensor
+
+    def __init__(self, actor: torch.nn.Module, batch: AttitudeBatch) -> None:
+        super().__init__()
+        output = batch.setup.config.output
+        self.actor, self.gain, self.offset = actor, output.scale, output.offset
+        self.low, self.high = max(0.0, self.offset - self.gain), min(1.0, self.offset + self.gain)
+        self.register_buffer("scale", torch.from_numpy(batch.scale))
+
+    def forward(self, observation: torch.Tensor) -> torch.Tensor:
+        """Return motor fractions (1, M) of a raw observation (1, n)."""
+        action = self.actor(observation * self.scale)
+        return torch.clamp(self.gain * action + self.offset, self.low, self.high)
+
+
+def export_policy(actor: torch.nn.Module, env: object, path: str | Path) -> PolicyModel:
+    """Write what `actor` does in `env` as a policy file: raw observations in, motor fractions out.
+
+    actor: a module that gives actions (1, M), the mean of a distribution, of the environment's observations
+    (1, n); with everything that its trainer puts between the two, such as a normalizer. env: any of our
+    environments, wrapped or not, or a vector of them; it says observation, rate, aircraft, idle, mix and
+    filters. Raises PolicyError, one line, on an actor that is no policy; then nothing is written.
+    """
+    batch = _batch(env)
+    module = Fractions(actor, batch)
+    modes = {part: part.training for part in module.modules()}
+    observation = torch.zeros(1, len(batch.scale))
+    try:
+        with tempfile.TemporaryDirectory() as folder:
+            model = Path(folder) / "actor.onnx"
+            torch.onnx.export(module.eval(), (observation,), str(model), verbose=False)
+            policy, _ = import_onnx(model, Path(path), _claims(batch.setup), clip=False, prove=compare)
+    finally:
+        for part, training in modes.items():
+            part.training = training
+    return policy
+
+
+def _claims(setup: Setup) -> PolicyClaims:
+    aircraft, config = setup.aircraft, setup.config
+    rate_hz = config.control_rate_hz
+    return PolicyClaims(
+        observation=config.observation,
+        control_rate_hz=rate_hz,
+        filters=json.dumps(config.filters),
+        aircraft=aircraft.name,
+        aircraft_sha256=aircraft.sha256,
+        motors=aircraft.motor_count,
+        idle=config.idle,
+        mix=config.mixing,
+        model=model_constants(aircraft, rate_hz) if needs_model(config.blocks()) else None,
+    )
+
+
+def _batch(env: Any) -> AttitudeBatch:  # noqa: ANN401
+    """Return the batch that an environment, or the first one of a vector of them, is a view of."""
+    found = getattr(env, "unwrapped", env)
+    if getattr(found, "envs", None):  # of DummyVecEnv and SyncVectorEnv
+        found = found.envs[0].unwrapped
+    batch = getattr(found, "batch", None)
+    if not isinstance(batch, AttitudeBatch):
+        raise TrainingError(
+            f"export_policy: {type(found).__name__} is no environment of ours in this process; give one that "
+            f"was made with the same arguments, such as gymnasium.make('neuroflight/Attitude-v0')"
+        )
+    return batch

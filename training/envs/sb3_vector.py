@@ -1,0 +1,158 @@
+"""Many aircraft as one Stable-Baselines3 vector env: one physics client, one call a step for all."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+from gymnasium.utils import EzPickle
+from numpy.typing import NDArray
+from stable_baselines3.common.vec_env import VecEnv
+from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices
+
+from sim.aircraft.model import Aircraft
+from training.config.training_config import TrainingConfig
+from training.envs.batch import AttitudeBatch, check_render_mode
+from training.envs.setup import Setup, make_setup
+from training.envs.simulation import StepResult
+
+# SB3 clips the outputs of a policy without bounds to the action space, which must be finite. This limit is
+# beyond the outputs of any network in use: the simulation clips, so that the reward can see by how much.
+OUTPUT_MAX = 1e3
+
+Floats = NDArray[np.float32]
+Infos = list[dict[str, Any]]
+
+
+def _empty(count: int) -> Infos:
+    return [{} for _ in range(count)]
+
+
+class BatchVecEnv(VecEnv):
+    """A batch behind SB3's vector interface.
+
+    An episode ends only when its time is over: every end is reported as a truncation with its last
+    observation, so that the learner bootstraps its value.
+    """
+
+    def __init__(self, batch: AttitudeBatch, action_space: spaces.Box, render_mode: str | None) -> None:
+        self.batch, self.render_mode = batch, render_mode
+        self._actions = np.zeros((batch.count, *action_space.shape), np.float32)
+        super().__init__(batch.count, batch.observation_space, action_space)
+
+    def step_async(self, actions: Floats) -> None:
+        """Take the actions (N, M) for the next `step_wait`."""
+        self._actions = actions
+
+    def step_wait(self) -> tuple[Floats, Floats, NDArray[np.bool_], Infos]:
+        """Advance all aircraft; ended ones begin anew, their last observation goes into the info."""
+        result = self._advance(self._actions)
+        observation, infos = result.observation, _empty(self.num_envs)
+        if result.ended.any():
+            index = np.flatnonzero(result.ended)
+            for i in index:
+                infos[i] = {"TimeLimit.truncated": True, "terminal_observation": observation[i].copy()}
+            observation[index] = self.batch.restart(index)
+        return observation, result.reward, result.ended, infos
+
+    def _advance(self, actions: Floats) -> StepResult:
+        raise NotImplementedError
+
+    def close(self) -> None:
+        """Leave the physics client."""
+        self.batch.close()
+
+    def get_images(self) -> Sequence[NDArray[np.uint8] | None]:
+        """Return a picture of each aircraft."""
+        return self.batch.frames(range(self.num_envs))
+
+    def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
+        """Return the same attribute for each aircraft: they share one object."""
+        return [getattr(self, attr_name)] * len(self._indices(indices))
+
+    def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:  # noqa: ANN401
+        """Set an attribute of the one object all aircraft share."""
+        setattr(self, attr_name, value)
+
+    def env_method(
+        self,
+        method_name: str,
+        *method_args: Any,  # noqa: ANN401
+        indices: VecEnvIndices = None,
+        **method_kwargs: Any,  # noqa: ANN401
+    ) -> list[Any]:
+        """Refuse: aircraft have no methods of their own."""
+        raise AttributeError(f"{type(self).__name__} has no per-aircraft method {method_name!r}")
+
+    def env_is_wrapped(self, wrapper_class: type[Any], indices: VecEnvIndices = None) -> list[bool]:
+        """Return that no aircraft is wrapped."""
+        return [False] * len(self._indices(indices))
+
+    def _indices(self, indices: VecEnvIndices) -> Sequence[int]:
+        return list(self._get_indices(indices))
+
+
+class AttitudeVecEnv(BatchVecEnv, EzPickle):
+    """N aircraft, each as `AttitudeEnv` has it: `PPO("MlpPolicy", AttitudeVecEnv(8))`.
+
+    One random stream serves all: a seed repeats the flights of all aircraft together. Infos are empty but at
+    an episode's end, as a dictionary an aircraft takes as long as its flight: `batch.info()` has the rates.
+    """
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        *,
+        render_mode: str | None = None,
+        **arguments: Any,  # noqa: ANN401
+    ) -> None:
+        """arguments: see `training.envs.setup.make_setup`; render_mode: None or "rgb_array"."""
+        EzPickle.__init__(self, num_envs, render_mode=render_mode, **arguments)
+        check_render_mode(render_mode)
+        batch = AttitudeBatch(make_setup(num_envs, **arguments), num_envs, np.random.default_rng())
+        super().__init__(batch, batch.action_space, render_mode)
+
+    def reset(self) -> Floats:
+        """Begin an episode on every aircraft; after `seed`, those that its number repeats."""
+        if self._seeds[0] is not None:
+            self.batch.reseed(np.random.default_rng(self._seeds[0]))
+        elif self.batch.closed:
+            self.batch.reseed(np.random.default_rng())
+        self._reset_seeds()
+        self._reset_options()
+        return self.batch.reset()
+
+    def _advance(self, actions: Floats) -> StepResult:
+        return self.batch.step(actions)
+
+
+class LearnerVecEnv(BatchVecEnv):
+    """N aircraft as our own learners fly them: no limit on outputs, episodes spread over their time.
+
+    Off-policy actors end in tanh, and PPO's with a beta distribution too, so their actions lie in -1..1;
+    those of the others have no bound, and with `OutputMap.squash` go through tanh here.
+    """
+
+    def __init__(
+        self, aircraft: Aircraft, config: TrainingConfig, count: int, *, reward_scale: float = 1.0
+    ) -> None:
+        """`count` aircraft; the first episodes use the configuration's seed; rewards are scaled."""
+        rng = np.random.default_rng(config.seed)
+        batch = AttitudeBatch(Setup(aircraft, config, reward_scale), count, rng)
+        bounded = config.drawn_bounded
+        self._squash = config.output.squash and not bounded
+        limit = 1.0 if bounded else OUTPUT_MAX
+        super().__init__(batch, spaces.Box(-limit, limit, (aircraft.motor_count,), np.float32), None)
+
+    def restart(self, rng: np.random.Generator) -> None:
+        """Replace the twin by a new one with the random stream `rng`; call `reset` next."""
+        self.batch.reseed(rng)
+
+    def reset(self) -> Floats:
+        """Begin an episode on every aircraft, spread over the episode's time."""
+        return self.batch.reset(stagger=True)
+
+    def _advance(self, actions: Floats) -> StepResult:
+        return self.batch.step(np.tanh(actions) if self._squash else actions, limit=None)
