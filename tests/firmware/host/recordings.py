@@ -1,0 +1,169 @@
+"""Visits of the Betaflight app as they were recorded, replayed in order at the host program's TCP port.
+
+A recording has a line for each thing that happened. Numbers are MSP's, payloads hexadecimal:
+
+    connect                 a connection, and what the app asks first
+    NUMBER [HEX] = [HEX]    a request, and the reply to it
+    NUMBER [HEX] : COUNT    a request, and the bytes of its reply, which this test does not look at
+    NUMBER [HEX] refused    a request that is refused on purpose
+    poll                    what it asks every 250 ms, whatever tab is shown
+    frame LINE              a command line in a frame, answered without an error
+    typed LINE              bytes for the command line that is open, up to its next prompt
+    + MS                    time that passes, with sticks down and the arm switch off
+    turning MOTORS          which motors turn then, by number; 0: none
+    gone                    the app hangs up
+    ends                    the program has ended by itself, as told, and is started anew
+    power                   the power goes and comes back
+    stored SETTINGS         what differs from the defaults after that, as the command line sets it; ; between them
+
+What begins with # says what the pilot did.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+from flash.msp import Decoder, Direction, Message, encode, request
+
+GYRO_HZ = 1000
+POLL = (110, 130, 116, 150)
+# What the app asks when it has connected, before it shows a tab.
+HANDSHAKE = (
+    *((1, ""), (2, ""), (3, ""), (5, ""), (4, ""), (101, ""), (160, ""), (12294, "05"), (12294, "02")),
+    *((12294, "01"), (99, "0100"), (246, "0db8086ba002"), (36, ""), (32, ""), (80, ""), (70, ""), (79, "")),
+)
+REFUSED_AT_FIRST = {(12294, "05"), (246, "0db8086ba002")}  # the build's key, the time of day
+STX, ETX, PROMPT = b"\x02", b"\x03", b"\r\n# "
+
+
+class Replay:
+    """The program that a recording is replayed at, and the app's connection to it."""
+
+    def __init__(self, start: Callable[..., Any], build: Path, flash: Path) -> None:
+        """flash: where the program keeps what is stored."""
+        self._start = lambda: start(f"--gyro-hz={GYRO_HZ}", f"--settings={flash}", build=build)
+        self._program = self._start()
+        self._motors: tuple[float, ...] = ()
+        self._peer: socket.socket | None = None
+        self._decoder = Decoder()
+
+    def do(self, line: str) -> None:
+        """Do what a line of a recording says. Raises AssertionError where something else comes of it."""
+        word, _, rest = line.partition(" ")
+        known: dict[str, Callable[[str], None]] = {
+            "connect": self._connect,
+            "poll": lambda _: [self._ask(number, b"") for number in POLL] and None,
+            "frame": self._frame,
+            "typed": self._typed,
+            "+": lambda ms: self._run(int(ms)),
+            "turning": self._turning,
+            "gone": lambda _: self._hang_up(),
+            "ends": self._ends,
+            "power": self._power,
+            "stored": self._stored,
+        }
+        if word in known:
+            known[word](rest)
+        elif word != "#":
+            self._request(line)
+
+    def _connect(self, _: str) -> None:
+        self._peer, self._decoder = self._program.connect(), Decoder()
+        for number, payload in HANDSHAKE:
+            told = self._ask(number, bytes.fromhex(payload))
+            assert (told is None) == ((number, payload) in REFUSED_AT_FIRST), (number, payload)
+
+    def _ask(self, number: int, payload: bytes) -> bytes | None:
+        """The reply, None: it was refused."""
+        assert self._peer is not None
+        self._peer.sendall(encode(request(number, payload)))
+        while True:
+            data = self._peer.recv(4096)
+            assert data, f"hung up at {number}"
+            for event in self._decoder.feed(data):
+                assert isinstance(event, Message), event
+                assert event.command == number
+                return event.payload if event.direction == Direction.REPLY else None
+
+    def _request(self, line: str) -> None:
+        asked, sign, told = (part.strip() for part in line.partition("=" if "=" in line else ":"))
+        number, *payload = asked.removesuffix("refused").split()
+        reply = self._ask(int(number), bytes.fromhex("".join(payload)))
+        if sign == "":
+            assert asked.endswith("refused"), line
+            assert reply is None, "it was taken"
+        else:
+            assert reply is not None, "it was refused"
+            assert told == (reply.hex() if sign == "=" else str(len(reply)))
+
+    def _frame(self, command: str) -> None:
+        assert self._peer is not None
+        self._peer.sendall(STX + command.encode() + b"\n" + ETX)
+        said = self._read_to(ETX)
+        assert said.startswith(STX)
+        assert b"###ERROR" not in said, said
+
+    def _typed(self, text: str) -> None:
+        assert self._peer is not None
+        self._peer.sendall((text.removesuffix("\\n") + "\n" * text.endswith("\\n")).encode())
+        said = self._read_to(b"Rebooting\r\n" if text in ("save\\n", "exit\\n") else PROMPT)
+        assert b"###ERROR" not in said, said
+
+    def _read_to(self, end: bytes) -> bytes:
+        said = b""
+        while not said.endswith(end):
+            assert self._peer is not None
+            data = self._peer.recv(4096)
+            assert data, said
+            said += data
+        return said
+
+    def _run(self, ms: int) -> None:
+        for _ in range(ms * GYRO_HZ // 1000):
+            self._program.sticks()
+            self._motors = self._program.step()
+
+    def _turning(self, motors: str) -> None:
+        assert [n for n, fraction in enumerate(self._motors, 1) if fraction] == [
+            int(n) for n in motors.split() if n != "0"
+        ]
+
+    def _hang_up(self) -> None:
+        if self._peer is not None:
+            self._peer.close()
+        self._peer = None
+
+    def _ends(self, _: str) -> None:
+        self._hang_up()
+        assert self._program.process.wait(5.0) == 0
+        self._program = self._start()
+
+    def _power(self, _: str) -> None:
+        self._hang_up()
+        self._program.end()
+        self._program = self._start()
+
+    def _stored(self, settings: str) -> None:
+        with contextlib.closing(self._program.connect()) as peer:
+            self._peer = peer
+            peer.sendall(STX + b"diff all\n" + ETX)
+            lines = self._read_to(ETX).decode().splitlines()
+        self._peer = None
+        assert [line.removeprefix("set ") for line in lines if line.startswith("set ")] == [
+            each.strip() for each in settings.split(";") if each.strip()
+        ]
+
+    def close(self) -> None:
+        self._hang_up()
+
+
+def replay(recording: Path, start: Callable[..., Any], build: Path, flash: Path) -> Iterator[str]:
+    """Replay a recording; yields each line before it is done."""
+    with contextlib.closing(Replay(start, build, flash)) as at:
+        for line in recording.read_text().splitlines():
+            yield line
+            at.do(line)
