@@ -24,7 +24,7 @@ RUN  := $(VENV)/bin/python -m cli.main
 PYTEST = $(VENV)/bin/python -m pytest -n $(JOBS) --dist worksteal
 CLANG_PACKAGES := clang libclang-rt-dev
 ARM_PACKAGES := gcc-arm-none-eabi libnewlib-arm-none-eabi llvm
-PEER_PACKAGES := dfu-util dosfstools mtools stm32flash
+PEER_PACKAGES := dfu-util dosfstools gdb-multiarch mtools stm32flash
 
 # Installs the packages $(3) where one of the programs $(1) and $(2) is missing and the system lets us. Where it does not,
 # we go on without $(2), and a missing $(1) is an error.
@@ -97,7 +97,7 @@ clang: # the compiler that brings libFuzzer, as the ARM compiler is brought
 	$(call bring,clang,,$(CLANG_PACKAGES))
 
 peers: # programs of others that tests hold ours against, brought as the ARM compiler is
-	$(call bring,stm32flash dfu-suffix mcopy mkfs.vfat,,$(PEER_PACKAGES))
+	$(call bring,stm32flash dfu-suffix gdb-multiarch mcopy mkfs.vfat,,$(PEER_PACKAGES))
 
 coverage: $(READY) ## what the tests reach of the firmware's core, under sanitizers
 	@$(VENV)/bin/python -m tests.coverage $(ARGS)

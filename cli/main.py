@@ -67,15 +67,13 @@ EXTRAS = {  # of pyproject.toml: packages that not every command needs, under th
     "gateway": ("pymavlink",),
     "sim": ("PIL", "cffi", "matplotlib", "pybullet", "scipy", "trimesh"),
     "train": (
-        *(
-            "gymnasium",
-            "onnxruntime",
-            "onnxscript",
-            "sb3_contrib",
-            "stable_baselines3",
-            "tensorboard",
-            "torch",
-        ),
+        "gymnasium",
+        "onnxruntime",
+        "onnxscript",
+        "sb3_contrib",
+        "stable_baselines3",
+        "tensorboard",
+        "torch",
     ),
     "sweep": ("ray",),
 }

@@ -29,17 +29,21 @@ class Info:
     policy: PolicyInfo | None  # None from a firmware of another make
 
 
+def is_ours(client: Client) -> bool:
+    """Return True if it is this project's firmware, whatever FC_VARIANT says. Raises LinkError."""
+    try:
+        client.request(Msp.IDENTITY)
+    except RefusedError:
+        return False
+    return True
+
+
 def own_identity(client: Client) -> Identity | None:
     """Read who a firmware of this project is; None from one of another make. Raises LinkError."""
     try:
         return messages.identity(client.request(Msp.IDENTITY))
     except RefusedError:
         return None
-
-
-def is_ours(client: Client) -> bool:
-    """Return True if it is this project's firmware. Raises LinkError."""
-    return own_identity(client) is not None
 
 
 def version_of(client: Client) -> str:

@@ -32,7 +32,8 @@ class Hiding:
     def find_spec(self, name, path=None, target=None):
         if path is None and name in hidden:
             raise ModuleNotFoundError(f"No module named {name!r}", name=name)
-hidden = set(packages_distributions()) - kept - {"cli", "flash", "sim", "toolchain", "training"}
+ours = {"cli", "flash", "neuroflight", "sim", "toolchain", "training"}
+hidden = set(packages_distributions()) - kept - ours
 sys.meta_path.insert(0, Hiding())
 import importlib.util
 found = importlib.util.find_spec
@@ -105,6 +106,24 @@ def test_one_line_names_the_extra_when_a_package_is_not_installed(
         rf"or pip install 'neuroflight\[{extra}\]'\n",
         done.stderr,
     ), done.stderr
+
+
+@pytest.mark.parametrize("before", ["", "import neuroflight; "])
+def test_gymnasium_knows_the_environment_where_the_package_is_installed(before: str, tmp_path: Path) -> None:
+    code = f"{before}import gymnasium; print(gymnasium.spec('neuroflight/Attitude-v0').vector_entry_point)"
+    started = [sys.executable, "-c", code]
+    if before:  # as from a clone that is not installed: without the file that an installation places
+        started[1:1] = ["-S"]
+        code = f"import sys; sys.path[:] = {[str(ROOT), *sys.path]}; {code}"
+        started[-1] = code
+    done = subprocess.run(started, cwd=tmp_path, capture_output=True, text=True)
+    assert done.stdout == "training.envs.gym_vector:AttitudeVectorEnv\n", done.stderr
+
+
+def test_python_starts_without_gymnasium(tmp_path: Path) -> None:
+    code = "import sys; print({'gymnasium', 'training', 'numpy', 'typing'}.intersection(sys.modules))"
+    done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True)
+    assert done.stdout == "set()\n"
 
 
 def test_the_commands_table_of_packages_is_what_the_extras_bring() -> None:

@@ -132,34 +132,28 @@ static enum nf_refusal background_storing(void *context, bool busy)
 }
 
 /* Settings that are flown as soon as they are changed and the motors stand: rates and dead bands, and the PID's factors. */
-static const struct span {
-	uint16_t at, bytes; /* of struct nf_settings */
-} tuned[] = {
-	{ offsetof(struct nf_settings, rates_style), 12 * sizeof(uint32_t) },
-	{ offsetof(struct nf_settings, pid_roll_p), 9 * sizeof(uint32_t) },
-};
+#define TUNED_RATES_BYTES (12u * sizeof(uint32_t))
+#define TUNED_PID_BYTES (9u * sizeof(uint32_t))
+#define TUNED_BYTES \
+	(offsetof(struct nf_settings, pid_roll_p) + TUNED_PID_BYTES - offsetof(struct nf_settings, rates_style))
 _Static_assert(SETTING_AT_interpolation - SETTING_AT_rates_style == 12, "style, three numbers an axis, two dead bands");
 _Static_assert(SETTING_AT_battery_cells - SETTING_AT_pid_roll_p == 9, "three factors an axis");
 
-/* Takes over what of those was changed since the last time. Not while a log is written, which tells how it began; then, and while
- * the motors turn, it is tried again later. */
+/* Flies them as they are edited, once some were since the last time. Not while a log is written, which tells how it began; then,
+ * and while the motors turn, it is tried again later. */
 static void background_tune(struct background *background)
 {
+	const struct nf_settings *edited = &background->edited;
 	struct nf_settings flown = background->settings;
-	bool changed = false;
 
-	for (size_t i = 0; i < sizeof tuned / sizeof tuned[0]; ++i) {
-		const uint8_t *edited = (const uint8_t *)&background->edited + tuned[i].at;
-		if (memcmp(edited, (const uint8_t *)&background->seen + tuned[i].at, tuned[i].bytes) == 0)
-			continue;
-		memcpy((uint8_t *)&flown + tuned[i].at, edited, tuned[i].bytes);
-		changed = true;
-	}
-	if (!changed || blackbox_logs(&background->blackbox) || settings_conflict(&flown) != NF_SETTING_COUNT ||
+	memcpy(&flown.rates_style, &edited->rates_style, TUNED_RATES_BYTES);
+	memcpy(&flown.pid_roll_p, &edited->pid_roll_p, TUNED_PID_BYTES);
+	if (memcmp(&edited->rates_style, &background->seen.rates_style, TUNED_BYTES) == 0 ||
+	    blackbox_logs(&background->blackbox) || settings_conflict(&flown) != NF_SETTING_COUNT ||
 	    background_storing(background, true) != NF_REFUSAL_NONE)
 		return;
 	background->settings = flown;
-	background->seen = background->edited;
+	background->seen = *edited;
 	firmware_tune_init(background->config.firmware, &background->settings);
 	background->snapshot.taken = false;
 	(void)background_storing(background, false);
@@ -170,10 +164,7 @@ static enum nf_refusal background_test_motors(void *context, uint32_t magic)
 	struct background *background = context;
 	struct firmware *fw = background->config.firmware;
 
-	/* The wizards' goes on behind the commands that they send, whose frames go before its values. */
-	return motor_test_ask(&fw->motor_test, magic,
-			      fw->status.state == NF_FLIGHT_DISARMED &&
-				      (magic == NF_MOTOR_WIZARD_MAGIC || !dshot_command_busy(&fw->dshot_command)));
+	return motor_test_ask(&fw->motor_test, magic, fw->status.state == NF_FLIGHT_DISARMED);
 }
 
 /* Is the test that the peer opened by saying that it tests motors the one that is open? */
@@ -189,10 +180,11 @@ static enum nf_refusal background_arming(void *context, struct msp_peer *peer, b
 	bool locked = false;
 
 	if (test) {
-		const enum nf_refusal refusal = background_test_motors(context, disabled ? NF_MOTOR_WIZARD_MAGIC :
-											   NF_MOTOR_TEST_MAGIC);
+		const enum nf_refusal refusal = background_test_motors(context, NF_MOTOR_TEST_MAGIC);
 		if (refusal != NF_REFUSAL_NONE)
 			return refusal;
+		if (disabled)
+			fw->motor_test.most = NF_MOTOR_WIZARD_MAX;
 	} else if (background_owns_test(background, peer)) {
 		(void)background_test_motors(context, 0);
 	}

@@ -13,14 +13,14 @@ from typing import Any
 from cli.main import THREADS
 
 RECIPES = ("nf1", "ppo")  # pathwise gradient and PPO
-SUBJECTS = ("twin", "training", "compiler", "firmware", "board", "flights")
+SUBJECTS = ("twin", "envs", "training", "compiler", "firmware", "board", "flights")
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Measure and print."""
     parser = argparse.ArgumentParser(prog="tests.bench", description="speed and cost, in one run")
     parser.add_argument("--only", nargs="+", choices=SUBJECTS, default=SUBJECTS, metavar="|".join(SUBJECTS))
-    parser.add_argument("--seconds", type=float, default=3.0, help="for each figure of the twin")
+    parser.add_argument("--seconds", type=float, default=3.0, help="for each figure of twin and environments")
     parser.add_argument("--steps", type=int, default=1_000_000, help="to take training's speed with")
     parser.add_argument("--seeds", type=int, nargs="+", default=[1], metavar="S", help="of training")
     parser.add_argument("--inputs", type=int, default=10_000, help="of each compiled network; armed steps")
@@ -31,6 +31,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     document: dict[str, Any] = {}
     if "twin" in args.only:
         document |= measure_twin(args)
+    if "envs" in args.only:
+        document |= measure_envs(args)
     if "training" in args.only:
         document |= measure_training(args)
     if "compiler" in args.only:
@@ -56,6 +58,18 @@ def measure_twin(args: argparse.Namespace) -> dict[str, Any]:
         for speed in speeds:
             print(f"{speed.name:44}{speed.value / speed.floor:>34.2f}{speed.value:>25,.0f}")
     return {"aircraft_steps_a_second": {speed.name: round(speed.value) for speed in speeds}}
+
+
+def measure_envs(args: argparse.Namespace) -> dict[str, Any]:
+    """Aircraft steps a second of the environments for other learners, beside the batch that they show."""
+    from tests.bench.envs import env_speeds
+
+    speeds = env_speeds(args.seconds)
+    if not args.json:
+        print(f"{'':44}of the batch, as many aircraft  aircraft steps a second")
+        for speed in speeds:
+            print(f"{speed.name:44}{speed.value / speed.batch:>30.2f}{speed.value:>25,.0f}")
+    return {"environment_steps_a_second": {speed.name: round(speed.value) for speed in speeds}}
 
 
 def measure_training(args: argparse.Namespace) -> dict[str, Any]:

@@ -4,20 +4,25 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from flash.settings import parse_change
+from sim.board.board import Board
+from sim.board.core.context import TIME_HZ
 from sim.board.debug.variables import pointers_in, read_variables
 from sim.board.matekf722 import GYROS
+from sim.board.peripherals.usart import CRSF as CRSF_FORMAT
 from sim.control import sticks
 from sim.flight.scenario import Scenario, Segment
 from sim.flight.trace import Trace
 from sim.ports.emulator import EmulatedPort
 from sim.ports.library import ReferencePort
 from sim.ports.port import Sample
+from sim.ports.receiver_frames import crsf_frame
 from tests.firmware.board.banks import RUN_WELL, compose, read_build
 from toolchain.contract import FLASH_BANK_B
 from toolchain.errors import BuildError, LinkError
@@ -59,6 +64,35 @@ def test_the_image_for_bank_b_flies_the_same_bits(
     )
     on_board = flown(port, BUSY)
     assert flown(ReferencePort(reference_library), BUSY).same(on_board)
+
+
+def test_a_switch_that_is_on_since_power_up_arms_nothing_until_it_was_off(image: Path) -> None:
+    """Frames of CRSF come while it boots, each behind what seems to begin a longer one."""
+
+    def frames(board: Board, count: int, *, on: bool) -> None:
+        """So many, 4 ms apart, from now on."""
+        channels = sticks.channels((0.0, 0.0, 0.0), 0.0, armed=on).tolist()
+        line, begin = board.hardware.usarts["USART2"], board.hardware.usarts["USART2"].context.cycle
+        for k in range(count):
+            end = begin + (k + 1) * TIME_HZ // 250
+            line.feed(b"\xc8\x3e" + crsf_frame(channels), CRSF_FORMAT, end=end)
+
+    def powered(board: Board) -> Callable[[int], None]:
+        frames(board, 50, on=True)
+        return board.run_to
+
+    def arms(seconds: float, *, on: bool) -> bool:
+        frames(port.board, round(seconds * 250), on=on)
+        replies = [port.exchange(STILL, None) for _ in range(round(seconds * 1000))]
+        return any(reply.armed for reply in replies)
+
+    settings = {"receiver_protocol": CRSF, "gyro_stuck_ms": 0}
+    with closing(EmulatedPort(image, 1000, settings, attach=powered)) as port:
+        assert not arms(2.5, on=True)
+        assert port.arming_reasons() == ("SWITCH_NOT_CYCLED",)
+        assert not arms(0.1, on=False)
+        assert port.arming_reasons() == ()
+        assert arms(0.1, on=True)
 
 
 def test_a_frame_is_refused_when_it_was_not_announced_in_time(image: Path) -> None:

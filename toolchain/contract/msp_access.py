@@ -60,8 +60,7 @@ _ACTS = {
         MspWhen.ALWAYS,
         (_R.PAYLOAD, _R.ARMED, _R.ABSENT),
         "nothing arms while a peer says so; `00 01` opens the motor test and is `armed` unless the state "
-        "is disarmed and no DShot command is under way; it lasts until the peer takes it back, hangs up "
-        "(TCP) or the firmware starts anew",
+        "is disarmed; it lasts until the peer takes it back, hangs up (TCP) or the firmware starts anew",
     ),
     Msp.STREAM: Access(
         MspWhen.ALWAYS, (_R.PAYLOAD, _R.ABSENT), "ends with rate 0, with its TCP connection, with a restart"
@@ -82,14 +81,14 @@ _ACTS = {
     Msp.MOTOR_TEST: Access(
         _STOPPED,
         (_R.PAYLOAD, _R.ABSENT),
-        "`armed` unless the state is disarmed without a DShot command",
+        "`armed` unless the state is disarmed; the frames of a DShot command go before its values",
     ),
     Msp.SET_MOTOR: Access(
         _STOPPED,
         (_R.PAYLOAD, _R.INDEX, _R.RANGE, _R.ORDER, _R.ABSENT),
         "`order` without an open motor test, `range` above its limits for a motor and for all together; "
-        "values that stop are always taken; as many values as the aircraft has motors, of a peer that holds the "
-        "arming lock, open a test up to 1120, which ends with values that stop all",
+        "values that stop are always taken; as many values as the aircraft has motors, none above 1125, of a "
+        "peer that holds the arming lock, open a test up to there, which values that stop all end",
     ),
     Msp.DSHOT_COMMAND: Access(
         _STOPPED,

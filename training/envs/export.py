@@ -45,7 +45,7 @@ def export_policy(actor: torch.nn.Module, env: object, path: str | Path) -> Poli
     environments, wrapped or not, or a vector of them; it says observation, rate, aircraft, idle, mix and
     filters. Raises PolicyError, one line, on an actor that is no policy; then nothing is written.
     """
-    batch = _batch(env)
+    batch = batch_of(env)
     module = Fractions(actor, batch)
     modes = {part: part.training for part in module.modules()}
     observation = torch.zeros(1, len(batch.scale))
@@ -76,8 +76,11 @@ def _claims(setup: Setup) -> PolicyClaims:
     )
 
 
-def _batch(env: Any) -> AttitudeBatch:  # noqa: ANN401
-    """Return the batch that an environment, or the first one of a vector of them, is a view of."""
+def batch_of(env: Any) -> AttitudeBatch:  # noqa: ANN401
+    """Return the batch that an environment, or the first one of a vector of them, is a view of.
+
+    Raises TrainingError on another environment, or on one in another process.
+    """
     found = getattr(env, "unwrapped", env)
     if getattr(found, "envs", None):  # of DummyVecEnv and SyncVectorEnv
         found = found.envs[0].unwrapped

@@ -25,14 +25,14 @@ bool motor_test_open(const struct motor_test *test)
 
 enum nf_refusal motor_test_ask(struct motor_test *test, uint32_t magic, bool stopped)
 {
-	const bool bench = magic == NF_MOTOR_BENCH_MAGIC, wizard = magic == NF_MOTOR_WIZARD_MAGIC;
-	const bool opens = bench || wizard || magic == NF_MOTOR_TEST_MAGIC;
+	const bool bench = magic == NF_MOTOR_BENCH_MAGIC;
+	const bool opens = bench || magic == NF_MOTOR_TEST_MAGIC;
 
 	if (opens && !stopped)
 		return NF_REFUSAL_ARMED;
 	for (unsigned i = 0; i < NF_MOTOR_COUNT_MAX; ++i)
 		test->given[i] = NF_DSHOT_STOP;
-	test->most = bench ? NF_MOTOR_BENCH_MAX : wizard ? NF_MOTOR_WIZARD_MAX : NF_MOTOR_TEST_MAX;
+	test->most = bench ? NF_MOTOR_BENCH_MAX : NF_MOTOR_TEST_MAX;
 	fence();
 	test->wish += motor_test_wished(test) == opens ? 2u : 1u;
 	return opens || magic == 0 ? NF_REFUSAL_NONE : NF_REFUSAL_PAYLOAD;

@@ -38,14 +38,14 @@ struct motor_test_view {
 void motor_test_init(struct motor_test *test, unsigned control_rate_hz, unsigned motor_count);
 
 /* From the background: NF_MOTOR_TEST_MAGIC opens, all motors at 0; NF_MOTOR_BENCH_MAGIC too, for one rotor on a
- * dynamometer, and NF_MOTOR_WIZARD_MAGIC, for motors that turn slowly; 0 closes; any other number closes too and is refused as PAYLOAD. `stopped` as in the view, as last
+ * dynamometer; 0 closes; any other number closes too and is refused as PAYLOAD. `stopped` as in the view, as last
  * known: ARMED without it. */
 enum nf_refusal motor_test_ask(struct motor_test *test, uint32_t magic, bool stopped);
 
 /* From the background: motor fractions, 0 stops, of the first `count` motors; the others stop. To be given again
  * within NF_MOTOR_TEST_TIMEOUT_MS. All are taken or none: ORDER while the test is closed, INDEX for more motors than
- * there are, RANGE for one outside 0..NF_MOTOR_TEST_MAX (NF_MOTOR_BENCH_MAX, NF_MOTOR_WIZARD_MAX where those magics opened it), NaN, or a sum
- * above NF_MOTOR_TEST_SUM_MAX. */
+ * there are, RANGE for one outside 0..most (NF_MOTOR_TEST_MAX, or NF_MOTOR_BENCH_MAX where that magic opened it), NaN, or a
+ * sum above NF_MOTOR_TEST_SUM_MAX. */
 enum nf_refusal motor_test_give(struct motor_test *test, const float fractions[], size_t count);
 
 /* From the background: an open test goes on for NF_MOTOR_TEST_TIMEOUT_MS, its values as they are. */

@@ -149,18 +149,19 @@ static enum nf_refusal command_arming_disable(struct request *q)
 }
 
 /* The app's wizards ask for consent before they turn motors, and tell the board nothing of it. What shows them: the peer holds
- * the arming lock, and gives each motor of the aircraft a value, which the app's sliders, eight of them, never do. open: such
- * values open a test of that peer, up to NF_MOTOR_WIZARD_MAX. Not open: it is over. */
-static bool command_wizard(const struct request *q, bool open)
+ * the arming lock, and gives each motor of the aircraft a value, which the app's sliders, eight of them, never do, and none above
+ * NF_MOTOR_WIZARD_MAX. Such values open a test of that peer, up to there. Values that stop all, and commands, close it. */
+static enum nf_refusal command_wizard(const struct request *q, bool opens)
 {
-	return q->peer->locks && q->services->arming(q->services->context, q->peer, true, open) == NF_REFUSAL_NONE;
+	return q->peer->locks ? q->services->arming(q->services->context, q->peer, true, opens) : NF_REFUSAL_ORDER;
 }
+#define WIZARD_MAX_US (NF_CHANNEL_MIN_US + (unsigned)(NF_MOTOR_WIZARD_MAX * (NF_CHANNEL_MAX_US - NF_CHANNEL_MIN_US)))
 
 /* As many values as there may be motors; a motor that is not there may only be stopped, by 1000 or 0. */
 static enum nf_refusal command_motors(struct request *q)
 {
 	const struct msp_services *s = q->services;
-	const bool each = q->payload.left == POLICY_ACTION_COUNT * sizeof(uint16_t);
+	bool wizard = q->payload.left == POLICY_ACTION_COUNT * sizeof(uint16_t);
 	uint16_t values_us[NF_MOTOR_COUNT_MAX];
 	size_t count = 0, turning = 0;
 
@@ -173,17 +174,23 @@ static enum nf_refusal command_motors(struct request *q)
 		values_us[count++] = us == 0 ? NF_CHANNEL_MIN_US : us;
 		if (us > NF_CHANNEL_MIN_US)
 			turning = count;
+		wizard &= us <= WIZARD_MAX_US;
 	}
 	if (turning > POLICY_ACTION_COUNT)
 		return NF_REFUSAL_INDEX;
 	count = count < POLICY_ACTION_COUNT ? count : POLICY_ACTION_COUNT;
 	enum nf_refusal refusal = s->motors(s->context, values_us, count);
-	if (refusal == NF_REFUSAL_ORDER && turning > 0 && each && command_wizard(q, true))
-		refusal = s->motors(s->context, values_us, count);
-	if (turning == 0 || refusal != NF_REFUSAL_NONE)
+	if (turning == 0) {
 		(void)command_wizard(q, false);
-	/* Without a test the motors stand already. */
-	return refusal == NF_REFUSAL_ORDER && turning == 0 ? NF_REFUSAL_NONE : refusal;
+		/* Without a test the motors stand already. */
+		return refusal == NF_REFUSAL_ORDER ? NF_REFUSAL_NONE : refusal;
+	}
+	if (wizard && refusal == NF_REFUSAL_ORDER) {
+		refusal = command_wizard(q, true);
+		if (refusal == NF_REFUSAL_NONE)
+			refusal = s->motors(s->context, values_us, count);
+	}
+	return refusal;
 }
 
 static enum nf_refusal command_dshot_command(struct request *q)

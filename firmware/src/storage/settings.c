@@ -432,20 +432,21 @@ unsigned settings_conflict(const struct nf_settings *settings)
 	return NF_SETTING_COUNT;
 }
 
-void settings_mend(struct nf_settings *settings)
-{
-	for (size_t i = 0; i < sizeof rules / sizeof rules[0]; ++i)
-		if (!rules[i].fits(settings, rules[i].first))
-			settings_put_defaults(settings, rules[i].first, rules[i].last);
-}
-
 void settings_undo(struct nf_settings *settings, const struct nf_settings *before)
 {
 	for (size_t i = 0; i < sizeof rules / sizeof rules[0]; ++i) {
-		const struct setting *first = &table[rules[i].first], *end = &table[rules[i].last] + 1;
-		const size_t at = first->offset; /* no text is among them */
-		if (!rules[i].fits(settings, rules[i].first))
-			memcpy((uint32_t *)settings + at, (const uint32_t *)before + at,
-			       (size_t)(end - first) * sizeof(uint32_t));
+		const unsigned first = rules[i].first, last = rules[i].last;
+		const size_t at = table[first].offset, end = table[last].offset + 1u; /* no text is among them */
+		if (rules[i].fits(settings, first))
+			continue;
+		if (before)
+			memcpy((uint32_t *)settings + at, (const uint32_t *)before + at, (end - at) * sizeof(uint32_t));
+		else
+			settings_put_defaults(settings, first, last);
 	}
+}
+
+void settings_mend(struct nf_settings *settings)
+{
+	settings_undo(settings, NULL);
 }

@@ -60,7 +60,7 @@ class GdbServer:
         self._halted = self._steps = self._restarted = False
         self._depth = 0  # of exceptions, where a step began
         self._greet()
-        self._answers = self._table()
+        self._whole, self._begun = self._commands(), self._beginnings()
 
     def _greet(self) -> None:
         self._inbox, self._acknowledges, self._last, self._signal = Inbox(), True, b"", f"S{TRAP:02x}"
@@ -88,7 +88,9 @@ class GdbServer:
             self.wait()
 
     def close(self) -> None:
-        """No debugger any more; the core runs free."""
+        """No debugger any more: it is told that the program has ended."""
+        if self._client is not None:
+            self._send("W00")
         self._leave()
         self._listener.close()
 
@@ -208,7 +210,10 @@ class GdbServer:
 
     def _answer(self, text: str) -> str | None:
         """The reply; None: it comes when the core stands again."""
-        for start, answer in self._answers.items():
+        whole = self._whole.get(text)
+        if whole is not None:
+            return whole()
+        for start, answer in self._begun.items():
             if text.startswith(start):
                 try:
                     return answer(text[len(start) :])
@@ -218,10 +223,25 @@ class GdbServer:
                     return "E01"
         return ""
 
-    def _table(self) -> dict[str, Callable[[str], str | None]]:
+    def _commands(self) -> dict[str, Callable[[], str | None]]:
+        """Packets without arguments."""
         return {
-            "?": lambda rest: self._signal,
-            "g": lambda rest: "".join(map(self._value, REGISTERS)),
+            "?": lambda: self._signal,
+            "g": lambda: "".join(map(self._value, REGISTERS)),
+            "vCont?": lambda: "vCont;c;C;s;S",
+            "vFlashDone": self._restart,
+            "QStartNoAckMode": self._quieten,
+            "k": self._leave,
+            "!": lambda: "OK",
+            "qAttached": lambda: "1",
+            "qC": lambda: "QC1",
+            "qfThreadInfo": lambda: "m1",
+            "qsThreadInfo": lambda: "l",
+        }
+
+    def _beginnings(self) -> dict[str, Callable[[str], str | None]]:
+        """Others, by what they begin with."""
+        return {
             "G": self._set_all,
             "p": lambda rest: self._value(_register(rest)),
             "P": self._set_one,
@@ -230,31 +250,22 @@ class GdbServer:
             "X": lambda rest: self._write(rest, lambda text: text.encode("latin-1")),
             "c": lambda rest: self._resume(rest, steps=False),
             "s": lambda rest: self._resume(rest, steps=True),
-            "vCont?": lambda rest: "vCont;c;C;s;S",
             "vCont;": lambda rest: self._resume("", steps="cCsS".index(rest[0]) > 1),
             "Z": lambda rest: self._break_at(rest, on=True),
             "z": lambda rest: self._break_at(rest, on=False),
             "vFlashErase:": self._erase,
             "vFlashWrite:": self._program,
-            "vFlashDone": lambda rest: self._restart(),
             "qRcmd,": self._command,
             "R": lambda rest: self._restart() and None,
             "H": lambda rest: "OK",
             "T": lambda rest: "OK",
-            "!": lambda rest: "OK",
             "D": lambda rest: self._detach(),
-            "k": lambda rest: self._leave(),
             "qSupported": lambda rest: (
                 f"PacketSize={PACKET_BYTES:x};qXfer:features:read+;qXfer:memory-map:read+;"
                 "QStartNoAckMode+;vContSupported+"
             ),
-            "QStartNoAckMode": lambda rest: self._quieten(),
             "qXfer:features:read:target.xml:": lambda rest: _piece(target_xml(), rest),
             "qXfer:memory-map:read::": lambda rest: _piece(memory_map_xml(), rest),
-            "qAttached": lambda rest: "1",
-            "qC": lambda rest: "QC1",
-            "qfThreadInfo": lambda rest: "m1",
-            "qsThreadInfo": lambda rest: "l",
         }
 
     def _quieten(self) -> str:
