@@ -161,7 +161,8 @@ def access_of(message: Msp) -> Access:
     """Of a message; what only reads is always answered. FAULTS without a payload, which reads."""
     if message in _SETS:
         if _SETS[message]:
-            return Access(_STOPPED, (*_BESIDES, _R.ORDER), _READ_FIRST)
+            slot = "; a refused range leaves its slot empty" if message is Msp.SET_MODE_RANGE else ""
+            return Access(_STOPPED, (*_BESIDES, _R.ORDER), _READ_FIRST + slot)
         return Access(_STOPPED, _BESIDES)
     if message in (Msp.FILTER_CONFIG, Msp.SIMPLIFIED_TUNING):
         return Access(MspWhen.ALWAYS, (_R.ABSENT,), "where the filters are a chain that it cannot say")

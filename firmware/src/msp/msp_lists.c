@@ -65,9 +65,10 @@ static enum nf_refusal lists_set_mode(const struct msp_view *view, struct msp_re
 	const unsigned logic = size >= MODE_BYTES_LOGIC ? msp_take_u8(&payload) : range.and_others;
 	const unsigned linked = msp_take_u8(&payload);
 	range.and_others = logic == 1;
-	if (logic > 1 || linked != 0)
-		return NF_REFUSAL_PAYLOAD;
-	if (range.aux >= NF_AUX_COUNT || range.low > STEP_MAX || range.high > STEP_MAX)
+	/* The app numbers its ranges anew at each save. Where this one is refused, the one before it in the slot may be one that
+	 * the pilot took away, and goes too. */
+	(void)settings_set_whole(view->settings, SETTING_AT_mode1 + slot, 0);
+	if (logic > 1 || linked != 0 || range.aux >= NF_AUX_COUNT || range.low > STEP_MAX || range.high > STEP_MAX)
 		return NF_REFUSAL_RANGE; /* each must fit into its bits */
 	return settings_set_whole(view->settings, SETTING_AT_mode1 + slot, mode_range_pack(&range));
 }

@@ -41,11 +41,31 @@ def test_modes_are_saved_slot_by_slot_when_all_twenty_are_sent(app: App) -> None
     app.ask(250)
     assert app.settings() == before | {"mode8": new}
     assert app.get(238)["ranges"][7] == {"mode": 13, "logic": 1, "linked": 0}
-    for bad in ([20, 0, 0, 0, 0, 0, 0], [0, 1, 0, 32, 48, 0, 0], [0, 0, 12, 32, 48, 0, 0],
-                [0, 0, 0, 32, 49, 0, 0],
-                [0, 0, 0, 32, 48, 2, 0], [0, 0, 0, 32, 48, 0, 1], [0, 0, 0, 32]):  # fmt: skip
+    for bad in ([20, 0, 0, 0, 0, 0, 0], [0, 0, 0, 32]):  # no such slot, half a range
         assert app.refused(35, bytes(bad)), bad
     assert app.settings() == before | {"mode8": new}
+
+
+@pytest.mark.parametrize(
+    "range_",
+    [(0, 255, 16, 32, 0, 0), (1, 0, 32, 48, 0, 0), (0, 12, 32, 48, 0, 0), (0, 0, 32, 49, 0, 0), (0, 0, 32, 48, 2, 0),
+     (0, 0, 32, 48, 0, 1)],
+    ids=["left at AUTO", "no mode", "no channel", "beyond the end", "no logic", "linked"],
+)  # fmt: skip
+def test_a_refused_range_leaves_none_behind_that_the_pilot_took_away(
+    app: App, range_: tuple[int, ...]
+) -> None:
+    before = app.settings()
+    app.get(34)
+    app.ask(35, mode_payload(8, ModeRange(Mode.ARM, 3, 1700, 2100).packed))
+    assert app.settings() != before
+    # The pilot deletes that one, and puts another into its place.
+    assert app.refused(35, bytes([8, *range_]))
+    app.ask(35, mode_payload(9, ModeRange(Mode.BEEPER, 3, 1700, 2100).packed))
+    expected = before | {"mode9": 0, "mode10": ModeRange(Mode.BEEPER, 3, 1700, 2100).packed}
+    assert app.settings() == expected
+    assert app.refused(250), "not all is stored"
+    assert app.settings() == expected
 
 
 def test_ports_outputs_and_names_change_one_thing_when_saved(app: App) -> None:
