@@ -134,21 +134,20 @@ static enum nf_refusal background_storing(void *context, bool busy)
 /* Settings that are flown as soon as they are changed and the motors stand: rates and dead bands, and the PID's factors. */
 #define TUNED_RATES_BYTES (12u * sizeof(uint32_t))
 #define TUNED_PID_BYTES (9u * sizeof(uint32_t))
-#define TUNED_BYTES \
-	(offsetof(struct nf_settings, pid_roll_p) + TUNED_PID_BYTES - offsetof(struct nf_settings, rates_style))
 _Static_assert(SETTING_AT_interpolation - SETTING_AT_rates_style == 12, "style, three numbers an axis, two dead bands");
 _Static_assert(SETTING_AT_battery_cells - SETTING_AT_pid_roll_p == 9, "three factors an axis");
 
-/* Flies them as they are edited, once some were since the last time. Not while a log is written, which tells how it began; then,
- * and while the motors turn, it is tried again later. */
+/* Flies them as they are edited, once some were since the last time; before, a start may have others than are stored. Not while a
+ * log is written, which tells how it began; then, and while the motors turn, it is tried again later. */
 static void background_tune(struct background *background)
 {
-	const struct nf_settings *edited = &background->edited;
+	const struct nf_settings *edited = &background->edited, *seen = &background->seen;
 	struct nf_settings flown = background->settings;
 
 	memcpy(&flown.rates_style, &edited->rates_style, TUNED_RATES_BYTES);
 	memcpy(&flown.pid_roll_p, &edited->pid_roll_p, TUNED_PID_BYTES);
-	if (memcmp(&edited->rates_style, &background->seen.rates_style, TUNED_BYTES) == 0 ||
+	if ((memcmp(&edited->rates_style, &seen->rates_style, TUNED_RATES_BYTES) == 0 &&
+	     memcmp(&edited->pid_roll_p, &seen->pid_roll_p, TUNED_PID_BYTES) == 0) ||
 	    blackbox_logs(&background->blackbox) || settings_conflict(&flown) != NF_SETTING_COUNT ||
 	    background_storing(background, true) != NF_REFUSAL_NONE)
 		return;
