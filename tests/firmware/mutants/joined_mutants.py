@@ -98,7 +98,7 @@ JOINED_MUTANTS = (
         name="motors turn as fast in a wizard's test as in another",
         file=BACKGROUND,
         old="\t\t\tfw->motor_test.most = NF_MOTOR_WIZARD_MAX;",
-        new="\t\t\t;",
+        new="\t\t\tfw->motor_test.most = NF_MOTOR_TEST_MAX;",
         tests=(OF_WIZARDS,),
     ),
     Mutant(
@@ -111,8 +111,8 @@ JOINED_MUTANTS = (
     Mutant(
         name="gains are tuned while the motors turn",
         file=BACKGROUND,
-        old="blackbox_logs(&background->blackbox) || background_storing(background, true) != NF_REFUSAL_NONE)",
-        new="blackbox_logs(&background->blackbox))",
+        old="&background->blackbox) || background_storing(background, true) != NF_REFUSAL_NONE)",
+        new="&background->blackbox))",
         tests=(OF_TUNED,),
     ),
     Mutant(
@@ -342,10 +342,10 @@ JOINED_MUTANTS = (
         tests=(OF_ACKNOWLEDGE,),
     ),
     Mutant(
-        name="armed motors end no command",
+        name="armed motors are taken for stopped ones",
         file=FIRMWARE,
-        old="return dshot_command_step(&fw->dshot_command, !fw->status.trace.armed, dshot);",
-        new="return dshot_command_step(&fw->dshot_command, true, dshot);",
+        old="return !fw->status.trace.armed && !motor_test_open(test)",
+        new="return !motor_test_open(test)",
         tests=(OF_FIRMWARE, OF_BENCH, OF_INTERRUPT),
     ),
     Mutant(
