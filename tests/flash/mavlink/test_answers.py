@@ -52,8 +52,8 @@ def test_there_are_no_files(lockstep: MakeLockstep, opcode: int, answer: int) ->
     payload = [0xFF, 0xFF, 5, opcode, 200, 0, 0, 0, 1, 2, 3, 4, *b"@PARAM/param.pck", *[9] * 223]
     gateway.station.link.mav.file_transfer_protocol_send(0, 1, 1, payload)
     (told,) = asked(gateway, "FILE_TRANSFER_PROTOCOL")
-    number, session, kind, size, request = told.payload[0:2], *told.payload[2:6]
-    assert (number, session, kind, request) == ([0, 0], 5, answer, opcode)  # the number after its own
+    size = told.payload[4]
+    assert told.payload[:4] + [told.payload[5]] == [0, 0, 5, answer, opcode]  # the number after its own
     assert told.payload[12 : 12 + size] == ([UNKNOWN_COMMAND] if answer == NAK else [])
     assert (told.target_system, told.target_component) == OWN
 
