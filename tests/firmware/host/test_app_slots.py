@@ -106,6 +106,7 @@ def test_ports_outputs_and_names_change_one_thing_when_saved(app: App) -> None:
     expected |= {"craft_name": "Kitty"}
     assert app.settings() == expected
     assert app.refused(12290, bytes([4, 0, 0, 2, 3]))
+    assert app.refused(12290, bytes([4, 0, 1, 2, 200])), "half an order is another order"
     assert app.refused(12295, b"\3\4mine")
     assert app.refused(12295, bytes(2))
     for channel in range(16):
@@ -249,7 +250,7 @@ def test_a_range_left_at_auto_is_refused_and_the_ones_beside_it_are_stored(
     program.end()
     arm, beeper = (ModeRange(mode, aux, 1400, 2100).packed for mode, aux in ((Mode.ARM, 3), (Mode.BEEPER, 6)))
     with connected(start(option)) as app:
-        assert app.settings() == before | {"mode1": arm, "mode9": beeper}
+        assert app.settings() == before | {"mode1": arm, "mode3": 0, "mode9": beeper}
 
 
 NOISE = (
