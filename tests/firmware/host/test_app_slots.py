@@ -50,8 +50,8 @@ def test_modes_are_saved_slot_by_slot_when_all_twenty_are_sent(app: App) -> None
 
 @pytest.mark.parametrize(
     "range_",
-    [(0, 255, 16, 32, 0, 0), (1, 0, 32, 48, 0, 0), (0, 12, 32, 48, 0, 0), (0, 0, 32, 49, 0, 0), (0, 0, 32, 48, 2, 0),
-     (0, 0, 32, 48, 0, 1)],
+    [(0, 255, 16, 32, 0, 0), (1, 0, 32, 48, 0, 0), (0, 12, 32, 48, 0, 0), (0, 0, 32, 49, 0, 0),
+     (0, 0, 32, 48, 2, 0), (0, 0, 32, 48, 0, 1)],
     ids=["left at AUTO", "no mode", "no channel", "beyond the end", "no logic", "linked"],
 )  # fmt: skip
 def test_a_refused_range_leaves_none_behind_that_the_pilot_took_away(
@@ -249,7 +249,7 @@ def test_a_range_left_at_auto_is_refused_and_the_ones_beside_it_are_stored(
     program.end()
     arm, beeper = (ModeRange(mode, aux, 1400, 2100).packed for mode, aux in ((Mode.ARM, 3), (Mode.BEEPER, 6)))
     with connected(start(option)) as app:
-        assert app.settings() == before | {"mode1": arm, "mode9": beeper}
+        assert app.settings() == before | {"mode1": arm, "mode3": 0, "mode9": beeper}
 
 
 NOISE = (
