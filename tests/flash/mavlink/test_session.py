@@ -102,6 +102,22 @@ def test_a_message_is_told_once_when_it_is_requested(lockstep: MakeLockstep) -> 
     assert gateway.station.acks(mavlink.MAV_CMD_REQUEST_MESSAGE) == [ACCEPTED]
 
 
+def test_what_it_measures_is_told_in_mavlinks_units(lockstep: MakeLockstep) -> None:
+    gateway = lockstep(WATCHING)
+    gateway.run(1000)
+    rests = 0, 0, -9.80665  # m/s^2, of what holds it up: down is positive
+    (*_, imu) = gateway.station.got("HIGHRES_IMU")
+    assert (imu.xacc, imu.yacc, imu.zacc) == pytest.approx(rests, abs=0.05)
+    assert (imu.xgyro, imu.ygyro, imu.zgyro) == pytest.approx((0, 0, 0), abs=0.1)
+    for kind in ("SCALED_IMU", "RAW_IMU"):
+        (*_, scaled) = gateway.station.got(kind)
+        assert (scaled.xacc, scaled.yacc, scaled.zacc) == pytest.approx((0, 0, -1000), abs=5)
+    (*_, turned) = gateway.station.got("ATTITUDE_QUATERNION")
+    assert (turned.q1, turned.q2, turned.q3, turned.q4) == pytest.approx((1, 0, 0, 0), abs=0.02)
+    (*_, landed) = gateway.station.got("EXTENDED_SYS_STATE")
+    assert landed.landed_state == mavlink.MAV_LANDED_STATE_ON_GROUND
+
+
 RESULTS: list[tuple[int, tuple[float, ...], int]] = [
     (mavlink.MAV_CMD_NAV_TAKEOFF, (), UNSUPPORTED),
     (65535, (), UNSUPPORTED),
