@@ -485,6 +485,20 @@ def test_each_custom_has_its_number_of_offboard_and_hears_it_in_the_heartbeat(
     assert station.got("HEARTBEAT")[-1].custom_mode == 0
 
 
+def test_who_watches_is_told_a_mode_that_it_knows(lockstep: MakeLockstep) -> None:
+    gateway = lockstep(stations=4)
+    first, ardupilot, px4, script = gateway.stations
+    ardupilot.link.mav.request_data_stream_send(0, 0, 0, 4, 1)
+    px4.command(mavlink.MAV_CMD_REQUEST_MESSAGE, mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION)
+    first.rates(0, 0, 0, 0)
+    choose(first, 20)
+    gateway.run(1100, lambda: first.rates(0, 0, 0, 0))
+    modes = [station.got("HEARTBEAT")[-1].custom_mode for station in (first, ardupilot, px4, script)]
+    assert modes == [20, 4, PX4_OFFBOARD, 1]
+    gateway.run(1500)
+    assert {station.got("HEARTBEAT")[-1].custom_mode for station in gateway.stations} == {0}
+
+
 @pytest.mark.parametrize("options", [WATCHING, Options(offboard=True)], ids=["no offboard", "no arming"])
 def test_no_mode_arms_and_none_steers_without_permission(lockstep: MakeLockstep, options: Options) -> None:
     gateway = lockstep(options)
