@@ -17,7 +17,10 @@ if TYPE_CHECKING:
     from flash.settings import Stored
 
 STORED = "they are flown from the next boot on"
-UNSAVED = "nothing flies them before `save` and a restart; a restart alone forgets them"
+UNSAVED = (
+    "nothing flies them before `save` and a restart, but rates, dead bands and PID factors, which are flown "
+    "at once; a restart alone forgets them"
+)
 
 
 def get(args: argparse.Namespace) -> int:

@@ -284,6 +284,7 @@ def _tell(image: Path, bridges: Sequence[Bridge], debugger: GdbServer | None, *,
         print(f"{label:7}{name}, {bridge.line.format.baud:.0f} baud; neuroflight {then}")
     if debugger is not None:
         elf = image.with_suffix(".elf")
+        elf = elf if elf.is_file() else BUILD / "neuroflight.elf"
         remote = f"-ex 'target remote :{debugger.port}'"
         print(f"gdb    127.0.0.1:{debugger.port}; gdb-multiarch -d firmware {remote} {elf}")
     print("Ctrl-C ends it", flush=True)

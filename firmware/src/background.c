@@ -37,7 +37,7 @@ static enum nf_err background_load_settings(struct background *background)
 	const struct background_config *config = &background->config;
 
 	background->mended = settings_load(&background->edited, &config->hal->flash) == SETTINGS_MENDED;
-	background->settings = background->seen = background->edited;
+	background->settings = background->tuned = background->edited;
 	if (!background_change_settings(&background->settings, config))
 		return NF_ERR_SETTINGS;
 	if (config->gyro_rate_hz > 0)
@@ -134,28 +134,29 @@ static enum nf_refusal background_storing(void *context, bool busy)
 /* Settings that are flown as soon as they are changed and the motors stand: rates and dead bands, and the PID's factors. */
 #define TUNED_RATES_BYTES (12u * sizeof(uint32_t))
 #define TUNED_PID_BYTES (9u * sizeof(uint32_t))
-#define TUNED_BYTES \
-	(offsetof(struct nf_settings, pid_roll_p) + TUNED_PID_BYTES - offsetof(struct nf_settings, rates_style))
 _Static_assert(SETTING_AT_interpolation - SETTING_AT_rates_style == 12, "style, three numbers an axis, two dead bands");
 _Static_assert(SETTING_AT_battery_cells - SETTING_AT_pid_roll_p == 9, "three factors an axis");
 
-/* Flies them as they are edited, once some were since the last time. Not while a log is written, which tells how it began; then,
- * and while the motors turn, it is tried again later. */
+/* Flies them as they are edited, once some were since the last time; before, a start may have others than are stored. Not while a
+ * log is written, which tells how it began: then, and while the motors turn, it is tried again later. What does not go with the
+ * other settings that are flown, as gains with slow filters, waits for the next boot. */
 static void background_tune(struct background *background)
 {
 	const struct nf_settings *edited = &background->edited;
-	struct nf_settings flown = background->settings;
+	struct nf_settings *tuned = &background->tuned;
 
-	memcpy(&flown.rates_style, &edited->rates_style, TUNED_RATES_BYTES);
-	memcpy(&flown.pid_roll_p, &edited->pid_roll_p, TUNED_PID_BYTES);
-	if (memcmp(&edited->rates_style, &background->seen.rates_style, TUNED_BYTES) == 0 ||
-	    blackbox_logs(&background->blackbox) || settings_conflict(&flown) != NF_SETTING_COUNT ||
-	    background_storing(background, true) != NF_REFUSAL_NONE)
+	if ((memcmp(&edited->rates_style, &tuned->rates_style, TUNED_RATES_BYTES) == 0 &&
+	     memcmp(&edited->pid_roll_p, &tuned->pid_roll_p, TUNED_PID_BYTES) == 0) ||
+	    blackbox_logs(&background->blackbox) || background_storing(background, true) != NF_REFUSAL_NONE)
 		return;
-	background->settings = flown;
-	background->seen = *edited;
-	firmware_tune_init(background->config.firmware, &background->settings);
-	background->snapshot.taken = false;
+	*tuned = background->settings;
+	memcpy(&tuned->rates_style, &edited->rates_style, TUNED_RATES_BYTES);
+	memcpy(&tuned->pid_roll_p, &edited->pid_roll_p, TUNED_PID_BYTES);
+	if (settings_conflict(tuned) == NF_SETTING_COUNT) {
+		background->settings = *tuned;
+		firmware_tune_init(background->config.firmware, tuned);
+		background->snapshot.taken = false;
+	}
 	(void)background_storing(background, false);
 }
 

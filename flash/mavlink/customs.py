@@ -1,9 +1,10 @@
 """Which custom a client follows, as far as it shows: MAVLink leaves open how parameters hold whole numbers
 and what the numbers of modes mean, and PX4's clients and ArduPilot's take them differently.
 
-A client that asks for AUTOPILOT_VERSION by MAV_CMD_REQUEST_MESSAGE (MAVSDK, QGroundControl) is told there
-that whole numbers stand in bytes. One that asks for REQUEST_DATA_STREAM, which only ArduPilot still serves
-(MAVProxy, dronekit, Mission Planner), takes parameters for floats and mode numbers for ArduPilot's.
+A client that asks for AUTOPILOT_VERSION by MAV_CMD_REQUEST_MESSAGE before it asks for parameters (MAVSDK,
+QGroundControl) is told there that whole numbers stand in bytes. Others take the field for a float; some ask
+later, for the version alone (MAVProxy). Who asks for REQUEST_DATA_STREAM, which only ArduPilot still serves
+(MAVProxy, dronekit, Mission Planner), takes mode numbers for ArduPilot's as well.
 """
 
 from __future__ import annotations
@@ -49,20 +50,25 @@ class Customs:
     """What sources have shown so far."""
 
     def __init__(self) -> None:
-        self._told_bytes: dict[Source, None] = {}
-        self._ardupilot: dict[Source, None] = {}
+        self._in_bytes: dict[Source, bool] = {}  # how whole numbers are told, from its first question on
+        self._ardupilot: dict[Source, bool] = {}
 
     def hear_request(self, source: Source) -> None:
         """It asked how whole numbers are encoded."""
-        _note(self._told_bytes, source)
+        _note(self._in_bytes, source, self._in_bytes.get(source, True))
+
+    def hear_parameters(self, source: Source) -> None:
+        """It asked for parameters, or set one."""
+        _note(self._in_bytes, source, self._in_bytes.get(source, False))
 
     def hear_stream_request(self, source: Source) -> None:
         """It sent REQUEST_DATA_STREAM."""
-        _note(self._ardupilot, source)
+        _note(self._in_bytes, source, False)
+        _note(self._ardupilot, source, True)
 
     def reads_bytes(self, source: Source | None) -> bool:
         """Whether whole numbers are told to it in bytes."""
-        return source in self._told_bytes and source not in self._ardupilot
+        return source is not None and self._in_bytes.get(source, False)
 
     def command_mode(self, source: Source, base: int, main: int, sub: int) -> Mode:
         """The mode that the parameters of its MAV_CMD_DO_SET_MODE mean. Raises ModeError."""
@@ -106,8 +112,8 @@ def _no_mode(number: str) -> ModeError:
     )
 
 
-def _note(kept: dict[Source, None], source: Source) -> None:
-    kept.pop(source, None)
-    kept[source] = None
-    if len(kept) > SOURCES_MAX:
-        del kept[next(iter(kept))]
+def _note(known: dict[Source, bool], source: Source, what: bool) -> None:
+    known.pop(source, None)
+    known[source] = what
+    if len(known) > SOURCES_MAX:
+        del known[next(iter(known))]

@@ -86,6 +86,7 @@ class ParameterServer:
     def handle(self, source: Source, message: Any) -> None:  # noqa: ANN401
         """One of MESSAGES. Raises NoAnswerError, LinkError once the line is gone."""
         self._readers[source[0]] = source
+        self._customs.hear_parameters(source)
         if message.get_type() == "PARAM_REQUEST_LIST":
             self.tell_all()
             return

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import shutil
 import subprocess
+import sys
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -16,6 +17,7 @@ from flash.transport import open_transport
 from sim.board.core.engine import Engine
 from sim.board.debug.gdb import GdbServer
 from tests.cli.test_board import Running
+from tests.conftest import ROOT
 from tests.sim.board.programs import Program, compile_program  # noqa: F401 - a fixture
 from toolchain.contract import FLASH_BASE, Msp
 
@@ -148,3 +150,38 @@ def test_the_image_is_loaded_and_runs_from_its_reset(board_image: Path) -> None:
         assert out.endswith("resets: pin, pin\n")
     finally:
         board.end()
+
+
+@pytest.mark.slow
+def test_the_session_of_the_page_goes_as_it_says(board_image: Path) -> None:
+    page = (ROOT / "docs" / "emulated-board.md").read_text().partition("## A session with gdb")[2]
+    session = page.split("```")[3].strip().splitlines()
+    command = [
+        sys.executable,
+        "-m",
+        "cli.main",
+        "fly",
+        "--on",
+        "emulator",
+        "--scenario",
+        "roll",
+        "--gdb",
+        "0",
+    ]
+    with subprocess.Popen(
+        [*command, "--build", str(board_image.parent)],
+        stderr=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    ) as flight:
+        assert flight.stderr is not None
+        port = re.search(r"target remote :(\d+)", flight.stderr.readline())
+        assert port is not None
+        said = gdb(board_image, int(port[1]), *session)
+        out, errors = flight.communicate(timeout=LIMIT_S)
+    assert (flight.returncode, errors) == (0, "")
+    assert re.search(
+        r"watchpoint 2: firmware.control.motors\[0\]\n\nOld value = \S+\nNew value = \S+\ncontrol_mix ", said
+    )
+    assert re.search(r"^Value returned is \$3 = ", said, re.MULTILINE)
+    assert "flown, disarmed" in out

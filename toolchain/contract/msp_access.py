@@ -74,7 +74,8 @@ _ACTS = {
     Msp.SETTING_SET: Access(
         _STOPPED,
         (_R.PAYLOAD, _R.INDEX, _R.RANGE),
-        "flown from the next boot on; what does not go together is refused when it is stored",
+        "flown from the next boot on, rates, dead bands and PID factors at once; "
+        "what does not go together is refused when it is stored",
     ),
     Msp.SETTINGS_DEFAULT: Access(_STOPPED, (_R.PAYLOAD,), "not stored yet"),
     Msp.CALIBRATE: Access(_STOPPED, (_R.PAYLOAD, _R.ABSENT), "in the state disarmed only, else `armed`"),

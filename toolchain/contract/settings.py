@@ -55,7 +55,7 @@ class Span:
 
 @dataclass(frozen=True)
 class Setting:
-    """What a pilot may change: kept in flash, flown from the next boot on."""
+    """What a pilot may change: kept in flash, flown from the next boot on; rates and PID factors at once."""
 
     name: str
     kind: str  # "uint32_t", "float", "mode" (a ModeRange, packed) or "text" (SETTING_TEXT_BYTES)

@@ -54,7 +54,7 @@ def fly(aircraft: Aircraft, config: TrainingConfig, steps: int, policy: Weights)
     rng = np.random.default_rng(SEED)
     simulation = AttitudeSimulation(aircraft, EPISODES, config=flown(config), rng=rng)
     setpoint, rate = (np.empty((simulation.steps, EPISODES, 3)) for _ in range(2))
-    output = np.empty((simulation.steps, EPISODES, simulation.motors))
+    output = np.empty((simulation.steps, EPISODES, simulation.motor_count))
     reward = np.zeros(EPISODES)
     try:
         observation, state = simulation.reset(), clear_state(network, EPISODES)

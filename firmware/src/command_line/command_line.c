@@ -109,11 +109,11 @@ bool command_line_begin(struct command_line *cl, uint8_t byte)
 	command_line_clear(cl);
 	cl->heard = command_line_samples(cl);
 	cl->after_cr = false;
+	cl->failed = false;
 	cl->mode = COMMAND_LINE_FRAMED;
 	if (byte == COMMAND_LINE_FRAME)
 		return true;
 	cl->mode = COMMAND_LINE_TYPED;
-	cl->failed = false;
 	command_line_run(cl, &greeting);
 	return true;
 }
@@ -135,12 +135,6 @@ void command_line_leave(struct command_line *cl)
 	cl->frame_ended = false;
 	cl->mode = COMMAND_LINE_CLOSED;
 	(void)cl->services->session(cl->services->context, false);
-}
-
-void command_line_reset(struct command_line *cl)
-{
-	command_line_leave(cl);
-	cl->failed = false;
 }
 
 void command_line_spoil(struct command_line *cl)
@@ -304,7 +298,7 @@ size_t command_line_continue(struct command_line *cl, const struct firmware_stat
 	if (capacity < COMMAND_LINE_ROOM || cl->mode == COMMAND_LINE_CLOSED)
 		return 0;
 	if (command_line_forgotten(cl, status)) {
-		command_line_reset(cl);
+		command_line_leave(cl);
 		return 0;
 	}
 	if (!command_line_busy(cl)) {

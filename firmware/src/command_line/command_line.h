@@ -26,10 +26,7 @@ void command_line_init(struct command_line *cl, const struct command_line_servic
  * open. */
 bool command_line_begin(struct command_line *cl, uint8_t byte);
 
-/* The peer has gone: ends the session, stops its motor, forgets what it said. */
-void command_line_reset(struct command_line *cl);
-
-/* Ends the session because the peer speaks MSP; half a line is forgotten. */
+/* Ends the session because the peer speaks MSP or has gone: its motor stops, half a line is forgotten. */
 void command_line_leave(struct command_line *cl);
 
 bool command_line_open(const struct command_line *cl);

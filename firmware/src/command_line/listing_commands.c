@@ -108,7 +108,7 @@ static void listing_restart(const struct task_line *t)
 	}
 	printer_text(t->out, "Rebooting");
 	printer_end(t->out);
-	command_line_reset(t->cl);
+	command_line_leave(t->cl);
 }
 
 static void save_refuse(const struct task_line *t, const char *why)

@@ -128,12 +128,6 @@ static const struct rate {
 };
 #define HECTOBAUD 100u
 
-struct line {
-	uint32_t functions;
-	unsigned baud_setting; /* NF_SETTING_COUNT: none, as its function says how fast it is */
-	unsigned log_baud_setting; /* the same of a log */
-};
-
 /* UART1 is always MSP's, UART2 the receiver's, UART3 is what its setting says. */
 #define LINE_COUNT 3u
 #define LINE_UART2 1u
@@ -143,16 +137,26 @@ struct line {
 static const uint8_t uart3_functions[] = { 0, FUNCTION_MSP, FUNCTION_BLACKBOX };
 _Static_assert(NF_UART3_FUNCTION_MSP == 1 && NF_UART3_FUNCTION_BLACKBOX == 2, "in the order of the setting");
 
-static struct line lists_line(const struct nf_settings *s, unsigned number)
+static uint32_t lists_functions(const struct nf_settings *s, unsigned number)
 {
-	const struct line lines[LINE_COUNT] = {
-		{ FUNCTION_MSP, SETTING_AT_msp_baud, NF_SETTING_COUNT },
-		{ s->receiver_protocol == NF_RECEIVER_PROTOCOL_MSP ? 0u : FUNCTION_RECEIVER, NF_SETTING_COUNT,
-		  NF_SETTING_COUNT },
-		{ uart3_functions[s->uart3_function], SETTING_AT_uart3_baud, SETTING_AT_blackbox_baud },
-	};
+	if (number == LINE_UART3)
+		return uart3_functions[s->uart3_function];
+	return number != LINE_UART2                             ? FUNCTION_MSP :
+	       s->receiver_protocol == NF_RECEIVER_PROTOCOL_MSP ? 0u :
+								  FUNCTION_RECEIVER;
+}
 
-	return lines[number];
+/* The setting that says how fast a line is for MSP, and for a log; NF_SETTING_COUNT: it is none for that. */
+static unsigned lists_baud(unsigned number)
+{
+	return number == LINE_UART3 ? SETTING_AT_uart3_baud :
+	       number == LINE_UART2 ? NF_SETTING_COUNT :
+				      SETTING_AT_msp_baud;
+}
+
+static unsigned lists_log_baud(unsigned number)
+{
+	return number == LINE_UART3 ? SETTING_AT_blackbox_baud : NF_SETTING_COUNT;
 }
 
 static unsigned lists_baud_index(const struct nf_settings *s, unsigned setting)
@@ -174,15 +178,15 @@ static enum nf_refusal lists_ports(const struct msp_view *view, struct msp_write
 	if (!old)
 		msp_put_u8(reply, LINE_COUNT);
 	for (unsigned number = 0; number < LINE_COUNT; ++number) {
-		const struct line line = lists_line(view->settings, number);
+		const uint32_t functions = lists_functions(view->settings, number);
 		msp_put_u8(reply, number);
 		if (old)
-			msp_put_u16(reply, line.functions);
+			msp_put_u16(reply, functions);
 		else
-			msp_put_u32(reply, line.functions);
-		msp_put_u8(reply, lists_baud_index(view->settings, line.baud_setting));
+			msp_put_u32(reply, functions);
+		msp_put_u8(reply, lists_baud_index(view->settings, lists_baud(number)));
 		msp_put_zeros(reply, 2); /* of GPS and telemetry: there are none */
-		msp_put_u8(reply, lists_baud_index(view->settings, line.log_baud_setting));
+		msp_put_u8(reply, lists_baud_index(view->settings, lists_log_baud(number)));
 	}
 	return NF_REFUSAL_NONE;
 }
@@ -200,7 +204,7 @@ static enum nf_refusal lists_set_baud(struct nf_settings *s, unsigned setting, u
 /* The link that is spoken over, and the receiver, which the features choose, cannot be taken away. */
 static enum nf_refusal lists_set_functions(struct nf_settings *s, unsigned number, uint32_t functions)
 {
-	if (functions == lists_line(s, number).functions)
+	if (functions == lists_functions(s, number))
 		return NF_REFUSAL_NONE;
 	for (unsigned choice = 0; number == LINE_UART3 && choice < sizeof uart3_functions; ++choice)
 		if (uart3_functions[choice] == functions)
@@ -218,14 +222,13 @@ static enum nf_refusal lists_set_port(const struct msp_view *view, struct msp_re
 	(void)msp_take_u16(&payload); /* of GPS and telemetry */
 	if (number >= LINE_COUNT)
 		return NF_REFUSAL_INDEX;
-	const struct line line = lists_line(view->settings, number);
 	const enum nf_refusal refusal = lists_set_functions(view->settings, number, functions);
 	if (refusal != NF_REFUSAL_NONE)
 		return refusal;
 	if (functions == FUNCTION_MSP)
-		return lists_set_baud(view->settings, line.baud_setting, baud);
+		return lists_set_baud(view->settings, lists_baud(number), baud);
 	return functions == FUNCTION_BLACKBOX ?
-		       lists_set_baud(view->settings, line.log_baud_setting, msp_take_u8(&payload)) :
+		       lists_set_baud(view->settings, SETTING_AT_blackbox_baud, msp_take_u8(&payload)) :
 		       NF_REFUSAL_NONE;
 }
 

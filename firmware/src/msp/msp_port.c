@@ -16,7 +16,7 @@ void msp_port_reset(struct msp_port *port)
 	const struct msp_services *services = port->services;
 
 	msp_reset(&port->msp);
-	command_line_reset(&port->command_line);
+	command_line_leave(&port->command_line);
 	port->hidden = 0;
 	port->held = 0;
 	if (services && services->arming)

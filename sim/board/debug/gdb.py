@@ -6,34 +6,21 @@ still for the whole board, and whoever drives it waits.
 
 from __future__ import annotations
 
-import re
 import select
 import socket
 from collections.abc import Callable
 
 from sim.board.core.context import TIME_HZ, BoardError
 from sim.board.core.engine import Engine, Outcome, Watchpoint
-from sim.board.debug.gdb_description import (
-    READABLE,
-    REGISTERS,
-    Register,
-    memory_map_xml,
-    readable_bytes,
-    target_xml,
-)
+from sim.board.debug.gdb_description import memory_map_xml, target_xml
 from sim.board.debug.gdb_packets import PACKET_BYTES, Inbox, Kind, packet
-from toolchain.contract import FLASH_BASE, FLASH_BYTES, FLASH_SECTORS
+from sim.board.debug.gdb_target import RefusedError, Target, numbers
 from toolchain.errors import LinkError
 
 SLICE = 2_160_000  # cycles between two checks for the debugger's Ctrl-C: 10 ms
-DATA_BYTES = PACKET_BYTES // 2  # of memory in one answer
 TRAP, INTERRUPT, ABORT = 5, 2, 6  # signals that tell why the core stands
 WATCHES = {"2": "watch", "3": "rwatch", "4": "awatch"}  # kinds of Z packets, and how a stop is told
 MONITOR = "reset: all starts anew, and stands at its first instruction\ntime: how long the board has run\n"
-
-
-class _RefusedError(Exception):
-    """What was asked for is not done; text: for the debugger's user."""
 
 
 class GdbServer:
@@ -44,7 +31,7 @@ class GdbServer:
 
         on_flashed: called when the debugger has changed flash.
         """
-        self._engine, self._on_flashed = engine, on_flashed
+        self._engine, self._target = engine, Target(engine, on_flashed)
         self._listener = socket.socket()
         self._listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
@@ -217,7 +204,7 @@ class GdbServer:
             if text.startswith(start):
                 try:
                     return answer(text[len(start) :])
-                except _RefusedError as refusal:
+                except RefusedError as refusal:
                     return f"E.{refusal}"
                 except (ValueError, IndexError):
                     return "E01"
@@ -227,7 +214,7 @@ class GdbServer:
         """Packets without arguments."""
         return {
             "?": lambda: self._signal,
-            "g": lambda: "".join(map(self._value, REGISTERS)),
+            "g": self._target.registers,
             "vCont?": lambda: "vCont;c;C;s;S",
             "vFlashDone": self._restart,
             "QStartNoAckMode": self._quieten,
@@ -242,19 +229,19 @@ class GdbServer:
     def _beginnings(self) -> dict[str, Callable[[str], str | None]]:
         """Others, by what they begin with."""
         return {
-            "G": self._set_all,
-            "p": lambda rest: self._value(_register(rest)),
-            "P": self._set_one,
-            "m": self._read,
-            "M": lambda rest: self._write(rest, bytes.fromhex),
-            "X": lambda rest: self._write(rest, lambda text: text.encode("latin-1")),
+            "G": self._target.set_registers,
+            "p": self._target.register,
+            "P": self._target.set_register,
+            "m": self._target.read,
+            "M": lambda rest: self._target.write(rest, bytes.fromhex),
+            "X": lambda rest: self._target.write(rest, lambda text: text.encode("latin-1")),
             "c": lambda rest: self._resume(rest, steps=False),
             "s": lambda rest: self._resume(rest, steps=True),
             "vCont;": lambda rest: self._resume("", steps="cCsS".index(rest[0]) > 1),
             "Z": lambda rest: self._break_at(rest, on=True),
             "z": lambda rest: self._break_at(rest, on=False),
-            "vFlashErase:": self._erase,
-            "vFlashWrite:": self._program,
+            "vFlashErase:": self._target.erase,
+            "vFlashWrite:": self._target.program,
             "qRcmd,": self._command,
             "R": lambda rest: self._restart() and None,
             "H": lambda rest: "OK",
@@ -272,65 +259,17 @@ class GdbServer:
         self._acknowledges = False
         return "OK"
 
-    # ---- registers and memory ----
-
-    def _value(self, register: Register) -> str:
-        return "".join(self._engine.register(i).to_bytes(4, "little").hex() for i in register.words)
-
-    def _set(self, register: Register, data: bytes) -> None:
-        for place, i in enumerate(register.words):
-            self._engine.set_register(i, int.from_bytes(data[4 * place : 4 * place + 4], "little"))
-
-    def _set_all(self, rest: str) -> str:
-        data = bytes.fromhex(rest)
-        if len(data) != sum(register.bits // 8 for register in REGISTERS):
-            raise ValueError(f"{len(data)} bytes for all registers")
-        for register in REGISTERS:
-            self._set(register, data[: register.bits // 8])
-            data = data[register.bits // 8 :]
-        return "OK"
-
-    def _set_one(self, rest: str) -> str:
-        number, _, value = rest.partition("=")
-        register, data = _register(number), bytes.fromhex(value)
-        if len(data) != register.bits // 8:
-            raise ValueError(f"{len(data)} bytes for {register.name}")
-        self._set(register, data)
-        return "OK"
-
-    def _read(self, rest: str) -> str:
-        """Memory, and what gdb needs to see through exceptions; reading other registers may change them."""
-        address, size = _numbers(rest, 2)
-        if size == 4 and address in READABLE:
-            return self._engine.load(address, size).to_bytes(4, "little").hex()
-        found = readable_bytes(address, min(size, DATA_BYTES))
-        if size and not found:
-            raise ValueError(f"no memory at 0x{address:08X}")
-        return self._engine.memory(address, found).hex() if found else ""
-
-    def _write(self, rest: str, decode: Callable[[str], bytes]) -> str:
-        place, _, text = rest.partition(":")
-        address, size = _numbers(place, 2)
-        data = decode(text)
-        if len(data) != size or readable_bytes(address, size) != size:
-            raise ValueError(f"{len(data)} bytes for {size} at 0x{address:08X}")
-        if _in_flash(address, 1):
-            raise _RefusedError("flash takes no store; program it by `load`")
-        if size:
-            self._engine.set_memory(address, data)
-        return "OK"
-
     # ---- running ----
 
     def _resume(self, rest: str, *, steps: bool) -> None:
         if rest:
-            self._engine.pc = _numbers(rest, 1)[0]
+            self._engine.pc = numbers(rest, 1)[0]
         self._engine.skip_breakpoint()
         self._halted, self._steps, self._depth = False, steps, self._engine.depth
 
     def _break_at(self, rest: str, *, on: bool) -> str:
         kind, _, place = rest.partition(",")
-        address, size = _numbers(place.partition(";")[0], 2)
+        address, size = numbers(place.partition(";")[0], 2)
         if kind in ("0", "1"):
             breakpoints = self._breakpoints | {address} if on else self._breakpoints - {address}
             self._apply(self._engine.set_breakpoints, breakpoints)
@@ -351,7 +290,7 @@ class GdbServer:
         try:
             function(wanted)
         except ValueError as error:
-            raise _RefusedError(str(error)) from error
+            raise RefusedError(str(error)) from error
 
     def _detach(self) -> None:
         self._send("OK")
@@ -379,48 +318,8 @@ class GdbServer:
             text = f"got {' '.join(words)!r}, expected one of\n{MONITOR}"
         return text.encode().hex()
 
-    # ---- flash ----
-
-    def _erase(self, rest: str) -> str:
-        address, size = _numbers(rest, 2)
-        sectors = [s for s in FLASH_SECTORS if address <= s.address < address + size]
-        if sum(s.size for s in sectors) != size or not sectors or sectors[0].address != address:
-            raise _RefusedError(f"{size} bytes at 0x{address:08X} are no whole sectors of flash")
-        self._change_flash(address, b"\xff" * size)
-        return "OK"
-
-    def _program(self, rest: str) -> str:
-        place, _, text = rest.partition(":")
-        (address,), data = _numbers(place, 1), text.encode("latin-1")
-        if not _in_flash(address, len(data)):
-            raise _RefusedError(f"{len(data)} bytes at 0x{address:08X}, expected flash")
-        old = self._engine.memory(address, len(data))
-        if any(new & ~before for new, before in zip(data, old, strict=True)):
-            raise _RefusedError(f"{len(data)} bytes at 0x{address:08X} over others that are not erased")
-        self._change_flash(address, data)
-        return "OK"
-
-    def _change_flash(self, address: int, data: bytes) -> None:
-        self._engine.set_memory(address, data)
-        self._on_flashed()
-
-
-def _register(number: str) -> Register:
-    return REGISTERS[_numbers(number, 1)[0]]
-
-
-def _numbers(text: str, count: int) -> list[int]:
-    """Read so many numbers of up to 32 bits. Raises ValueError for anything else."""
-    if not re.fullmatch(rf"[0-9a-fA-F]{{1,8}}(,[0-9a-fA-F]{{1,8}}){{{count - 1}}}", text):
-        raise ValueError(f"got {text!r}, expected {count} hexadecimal numbers")
-    return [int(part, 16) for part in text.split(",")]
-
-
-def _in_flash(address: int, size: int) -> bool:
-    return FLASH_BASE <= address <= FLASH_BASE + FLASH_BYTES - size
-
 
 def _piece(text: str, rest: str) -> str:
     """The part of a document that is asked for."""
-    offset, size = _numbers(rest, 2)
+    offset, size = numbers(rest, 2)
     return ("m" if offset + size < len(text) else "l") + text[offset : offset + size]

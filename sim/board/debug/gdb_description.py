@@ -44,11 +44,11 @@ FEATURES: dict[str, tuple[Register, ...]] = {
 }
 REGISTERS = tuple(register for feature in FEATURES.values() for register in feature)
 
-# Registers that reading leaves alone: system control block, floating-point context (ARMv7-M B3.2, B4.6).
-READABLE = (*range(0xE000ED00, 0xE000ED40, 4), 0xE000EF34, 0xE000EF38, 0xE000EF3C)
+# Registers that gdb reads to see through exceptions, and that reading leaves alone: system control block,
+# floating-point context (ARMv7-M B3.2, B4.6).
+UNCHANGED = (*range(0xE000ED00, 0xE000ED40, 4), 0xE000EF34, 0xE000EF38, 0xE000EF3C)
 
 ROM_BASE, ROM_BYTES = 0x1FF00000, 0x10000
-# Memory that can be read; the chip's other addresses hold registers, which reading may change.
 MEMORY = (
     (0, ITCM_BYTES),
     (FLASH_ALIAS, FLASH_BYTES),
@@ -56,7 +56,7 @@ MEMORY = (
     (ROM_BASE, ROM_BYTES),
     RAM[1],
 )
-_REGISTER_SPACES = ((0x40000000, 0x20000000), (0xE0000000, 0x100000))
+REGISTER_SPACES = ((0x40000000, 0x20000000), (0xE0000000, 0x100000))
 
 
 def readable_bytes(address: int, size: int) -> int:
@@ -84,7 +84,7 @@ def target_xml() -> str:
 def memory_map_xml() -> str:
     """Return the map by which gdb erases and programs flash in sectors, and refuses to store to it."""
     spaces = [("ram", 0, ITCM_BYTES), ("rom", FLASH_ALIAS, FLASH_BYTES), ("rom", ROM_BASE, ROM_BYTES)]
-    spaces += [("ram", *RAM[1]), *(("ram", *space) for space in _REGISTER_SPACES)]
+    spaces += [("ram", *RAM[1]), *(("ram", *space) for space in REGISTER_SPACES)]
     rows = [f'<memory type="{kind}" start="0x{base:x}" length="0x{size:x}"/>' for kind, base, size in spaces]
     for size, group in groupby(FLASH_SECTORS, key=lambda sector: sector.size):
         sectors = list(group)

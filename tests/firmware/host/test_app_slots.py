@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import struct
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -9,7 +10,8 @@ from typing import Any
 import pytest
 
 from flash import layouts
-from tests.firmware.host.app import App, connected
+from flash.client import NoAnswerError
+from tests.firmware.host.app import GETS, App, connected
 from toolchain.contract import Direction, ModeRange, Msp, layout_of
 from toolchain.contract.modes import Mode
 
@@ -180,3 +182,101 @@ def test_the_receivers_of_the_features_are_kept_when_others_come_with_them(app: 
     assert app.refused(37, struct.pack("<I", told ^ 1 << 3)), "no receiver"
     assert app.refused(37, struct.pack("<I", told | 1 << 14)), "two of them"
     assert app.settings() == expected
+
+
+# What each SET of a list is of the reply of its counterpart; those of fields are held in test_app_tabs.py.
+def parts(app: App) -> list[tuple[int, list[bytes]]]:
+    """Each SET of a list, and the payloads that bring what its counterpart tells."""
+    modes, logic = app.get(34)["ranges"], app.get(238)["ranges"]
+    ranges = [
+        bytes([slot, *row.values(), more["logic"], more["linked"]])
+        for slot, (row, more) in enumerate(zip(modes, logic, strict=True))
+    ]
+    failsafe = app.get(77)["channels"]
+    channels = [struct.pack("<BBH", n, row["mode"], row["value"]) for n, row in enumerate(failsafe)]
+    texts = [app.ask(Msp.GET_TEXT, bytes([kind])) for kind in (1, 2, 3, 4)]
+    return [(35, ranges), (78, channels), (4106, [app.ask(4105)]), (12290, [app.ask(12289)]), (12295, texts)]
+
+
+def test_lists_change_nothing_when_what_they_told_is_sent_back(app: App) -> None:
+    sets = {int(message) for message in Msp if re.search("(^|_)SET_", message.name)}
+    acts = {Msp.SET_RAW_RC, Msp.SET_MOTOR}
+    assert {command for command, _ in parts(app)} | {*GETS} == sets - acts, "each SET is held, here or there"
+    app.change(uart3_function=2, blackbox_baud=1_000_000, motor1_output=2, motor2_output=1)
+    app.ask(12295, b"\2\3NF1")
+    app.get(34)
+    app.ask(35, bytes([7, 13, 4, 16, 24, 1, 0]))
+    before = app.settings()
+    for command, payloads in parts(app):
+        for payload in payloads:
+            app.ask(command, payload)
+            assert app.settings() == before, (command, payload)
+    app.ask(250)
+    for command, payloads in parts(app):
+        for payload in payloads:
+            for length in range(len(payload)):
+                app.refused(command, payload[:length])
+        assert app.settings() == before, command
+
+
+@pytest.mark.parametrize(
+    "name", ["M\xfcller".encode(), "M\xfcller".encode("latin-1"), b"\x1b[31m", b"a\0b", b"x" * 17, b"\x7f"]
+)
+def test_a_name_that_is_no_ascii_is_refused_and_what_was_changed_beside_it_is_stored(
+    start: Start, tmp_path: Any, name: bytes
+) -> None:
+    option = f"--settings={tmp_path / 'flash.bin'}"
+    program = start(option)
+    with connected(program) as app:
+        before = app.settings()
+        app.ask(12295, b"\2\5Kitty")
+        assert app.refused(12295, bytes([2, len(name)]) + name)
+        assert app.refused(12295, b"\3\4race"), "the PID's profile has a name of its own"
+        app.ask(62, app.payload(62, small_angle=40))
+        assert app.refused(250)
+    program.end()
+    with connected(start(option)) as app:
+        assert app.settings() == before | {"craft_name": "Kitty", "level_limit_deg": 40.0}
+
+
+def test_a_range_left_at_auto_is_refused_and_the_ones_beside_it_are_stored(
+    start: Start, tmp_path: Any
+) -> None:
+    option = f"--settings={tmp_path / 'flash.bin'}"
+    program = start(option)
+    with connected(program) as app:
+        before = app.settings()
+        app.get(34)
+        app.ask(35, bytes([0, 0, 2, 20, 48, 0, 0]))
+        assert app.refused(35, bytes.fromhex("020dff10200000")), "aux 255, as the app sends it"
+        app.ask(35, bytes([8, 13, 5, 20, 48, 0, 0]))
+        assert app.refused(250)
+    program.end()
+    arm, beeper = (ModeRange(mode, aux, 1400, 2100).packed for mode, aux in ((Mode.ARM, 3), (Mode.BEEPER, 6)))
+    with connected(start(option)) as app:
+        assert app.settings() == before | {"mode1": arm, "mode9": beeper}
+
+
+NOISE = (
+    b"$GPGGA,123519,4807.038,N,01131.000,E,1,08,0.9*47\r\n",
+    b"RRRR",
+    bytes(range(256)),
+    b"$",
+    b"\xb5\x62$M",
+)
+
+
+@pytest.mark.parametrize("noise", NOISE, ids=["NMEA", "R", "every byte", "dollar", "half a frame"])
+def test_a_save_stores_what_was_set_when_noise_comes_between(app: App, noise: bytes) -> None:
+    """A public report: a save wiped everything, as bytes between two frames asked for the boot loader."""
+    before = app.settings()
+    payload = app.payload(76, delay=5)
+    for command, data in ((76, payload), (250, b"")):
+        app.client._transport.write(noise)
+        for _ in range(100):
+            try:
+                app.ask(command, data)
+                break
+            except NoAnswerError:
+                continue
+    assert app.settings() == before | {"failsafe_delay_ms": 500}

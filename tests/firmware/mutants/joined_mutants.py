@@ -17,6 +17,7 @@ OF_INTERRUPT, OF_TRIAL, OF_WEIGHTS = (
 )
 OF_ACKNOWLEDGE, OF_BOARD = "joined/test_acknowledge.py", "joined/test_board_reasons.py"
 OF_ORDER = "joined/test_motor_order.py"
+OF_WIZARDS, OF_TUNED = "joined/test_wizards.py", "joined/test_tuned_settings.py"
 OF_BENCH, OF_DOUBT, OF_LOST = "joined/test_motor_bench.py", "joined/test_doubt.py", "joined/test_lost.py"
 SATURATED = "joined/test_faults.py::test_it_flies_a_saturated_gyro_tells_it_and_stops_when_that_lasts"
 
@@ -71,6 +72,62 @@ JOINED_MUTANTS = (
         old="\t\tpeer->spoilt |= *refusal != NF_REFUSAL_NONE;\n",
         new="",
         tests=(OF_APP,),
+    ),
+    Mutant(
+        name="who has not read may change a part of what it sends",
+        file="msp/msp_configure.c",
+        old="(told && *refusal",
+        new="(*refusal",
+        tests=(OF_APP,),
+    ),
+    Mutant(
+        name="a wizard turns motors of a peer that holds no lock",
+        file="msp/msp_commands.c",
+        old="return q->peer->locks ? q->services->arming(",
+        new="return true ? q->services->arming(",
+        tests=(OF_WIZARDS,),
+    ),
+    Mutant(
+        name="the sliders' eight values open a wizard's test",
+        file="msp/msp_commands.c",
+        old="bool wizard = q->payload.left == POLICY_ACTION_COUNT * sizeof(uint16_t);",
+        new="bool wizard = true;",
+        tests=(OF_WIZARDS,),
+    ),
+    Mutant(
+        name="motors turn as fast in a wizard's test as in another",
+        file=BACKGROUND,
+        old="\t\t\tfw->motor_test.most = NF_MOTOR_WIZARD_MAX;",
+        new="\t\t\tfw->motor_test.most = NF_MOTOR_TEST_MAX;",
+        tests=(OF_WIZARDS,),
+    ),
+    Mutant(
+        name="a wizard's test stays open when all motors are stopped",
+        file="msp/msp_commands.c",
+        old="\t\t(void)command_wizard(q, false);\n\t\t/*",
+        new="\t\t/*",
+        tests=(OF_WIZARDS,),
+    ),
+    Mutant(
+        name="gains are tuned while the motors turn",
+        file=BACKGROUND,
+        old="&background->blackbox) || background_storing(background, true) != NF_REFUSAL_NONE)",
+        new="&background->blackbox))",
+        tests=(OF_TUNED,),
+    ),
+    Mutant(
+        name="gains are tuned beside filters that are too slow for them",
+        file=BACKGROUND,
+        old="if (settings_conflict(tuned) == NF_SETTING_COUNT) {",
+        new="if (tuned) {",
+        tests=(OF_TUNED,),
+    ),
+    Mutant(
+        name="gains are tuned while a log is written",
+        file=BACKGROUND,
+        old="blackbox_logs(&background->blackbox) || ",
+        new="",
+        tests=(OF_TUNED,),
     ),
     Mutant(
         name="another peer's requests keep a motor test alive",
@@ -285,10 +342,10 @@ JOINED_MUTANTS = (
         tests=(OF_ACKNOWLEDGE,),
     ),
     Mutant(
-        name="armed motors end no command",
+        name="armed motors are taken for stopped ones",
         file=FIRMWARE,
-        old="return dshot_command_step(&fw->dshot_command, !fw->status.trace.armed, dshot);",
-        new="return dshot_command_step(&fw->dshot_command, true, dshot);",
+        old="return !fw->status.trace.armed && !motor_test_open(test)",
+        new="return !motor_test_open(test)",
         tests=(OF_FIRMWARE, OF_BENCH, OF_INTERRUPT),
     ),
     Mutant(

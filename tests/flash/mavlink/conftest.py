@@ -135,7 +135,7 @@ class Lockstep:
         self.station = self.stations[0]
         addresses = [*(station.address for station in self.stations), *also]
         self.peers = [stack.enter_context(closing(UdpPeer(parse_address(address)))) for address in addresses]
-        self._open = lambda: through(TcpTransport(TcpPort(LOOPBACK, self.port.msp_port)))
+        self._through = through
         client = stack.enter_context(Client(self._open()))
         self.lines: list[str] = []
         self._client, self._options = client, options
@@ -143,6 +143,10 @@ class Lockstep:
         stack.callback(lambda: self.session.close())
         for station in self.stations:
             station.read()
+
+    def _open(self) -> Transport:
+        """A line to the firmware."""
+        return self._through(TcpTransport(TcpPort(LOOPBACK, self.port.msp_port)))
 
     def restart_gateway(self) -> None:
         """Another gateway on the same lines; the one before it ends without a word."""

@@ -43,19 +43,17 @@ def test_time_is_told_as_telemetry_has_it(lockstep: MakeLockstep) -> None:
     assert 0 <= told.tc1 / 1e6 - attitude.time_boot_ms < 150
 
 
-@pytest.mark.parametrize(
-    ("opcode", "answer"),
-    [(0, ACK), (1, ACK), (2, ACK), *((opcode, NAK) for opcode in (3, 4, 5, 6, 7, 8, 9, 13, 14, 15, 77))],
-)
-def test_there_are_no_files(lockstep: MakeLockstep, opcode: int, answer: int) -> None:
+def test_there_are_no_files(lockstep: MakeLockstep) -> None:
     gateway = lockstep(WATCHING)
-    payload = [0xFF, 0xFF, 5, opcode, 200, 0, 0, 0, 1, 2, 3, 4, *b"@PARAM/param.pck", *[9] * 223]
-    gateway.station.link.mav.file_transfer_protocol_send(0, 1, 1, payload)
-    (told,) = asked(gateway, "FILE_TRANSFER_PROTOCOL")
-    number, session, kind, size, request = told.payload[0:2], *told.payload[2:6]
-    assert (number, session, kind, request) == ([0, 0], 5, answer, opcode)  # the number after its own
-    assert told.payload[12 : 12 + size] == ([UNKNOWN_COMMAND] if answer == NAK else [])
-    assert (told.target_system, told.target_component) == OWN
+    for opcode in (*range(16), 77):
+        payload = [0xFF, 0xFF, 5, opcode, 200, 0, 0, 0, 1, 2, 3, 4, *b"@PARAM/param.pck", *[9] * 223]
+        gateway.station.forget()
+        gateway.station.link.mav.file_transfer_protocol_send(0, 1, 1, payload)
+        (told,) = asked(gateway, "FILE_TRANSFER_PROTOCOL")
+        answer, size = (NAK, 1) if opcode > 2 else (ACK, 0)  # there is no session to end
+        assert told.payload[:6] == [0, 0, 5, answer, size, opcode]  # the number after its own
+        assert told.payload[12 : 12 + size] == [UNKNOWN_COMMAND][:size]
+        assert (told.target_system, told.target_component) == OWN
 
 
 def test_an_answer_about_files_is_not_answered(lockstep: MakeLockstep) -> None:
@@ -80,12 +78,14 @@ MISSIONS = [
 ]
 
 
-@pytest.mark.parametrize(("message", "result", "kind"), MISSIONS, ids=lambda one: getattr(one, "name", ""))
-def test_there_are_no_missions(lockstep: MakeLockstep, message: Any, result: int, kind: int) -> None:
+def test_there_are_no_missions(lockstep: MakeLockstep) -> None:
     gateway = lockstep(WATCHING)
-    gateway.station.link.mav.send(message)
-    (told,) = asked(gateway, "MISSION_ACK")
-    assert (told.target_system, told.target_component, told.type, told.mission_type) == (*OWN, result, kind)
+    for message, result, kind in MISSIONS:
+        gateway.station.forget()
+        gateway.station.link.mav.send(message)
+        (told,) = asked(gateway, "MISSION_ACK")
+        assert (told.target_system, told.target_component) == OWN
+        assert (told.type, told.mission_type) == (result, kind), message
 
 
 def test_what_is_meant_for_others_is_not_answered(lockstep: MakeLockstep) -> None:

@@ -94,13 +94,17 @@ def test_six_is_return_to_launch_for_who_speaks_as_to_ardupilot() -> None:
     assert customs.command_mode(ONE, CUSTOM_MODE, 6, 0).offboard
 
 
-def test_whole_numbers_come_in_bytes_to_who_asked_how_they_do_and_speaks_not_as_to_ardupilot() -> None:
+def test_whole_numbers_come_in_bytes_to_who_asks_first_how_they_do() -> None:
     customs = Customs()
     assert not customs.reads_bytes(None) and not customs.reads_bytes(ONE)
     customs.hear_request(ONE)
-    customs.hear_request(OTHER)
-    customs.hear_stream_request(OTHER)  # MAVProxy, whose user typed `version`
+    customs.hear_parameters(ONE)
+    customs.hear_parameters(OTHER)
+    customs.hear_request(OTHER)  # MAVProxy, whose user typed `version`
     assert customs.reads_bytes(ONE) and not customs.reads_bytes(OTHER)
+    customs.hear_stream_request(ONE)
+    customs.hear_request(ONE)
+    assert not customs.reads_bytes(ONE), "it speaks as to ArduPilot"
 
 
 def test_what_is_known_of_sources_has_an_end() -> None:

@@ -242,9 +242,9 @@ def listed(gateway: Any, station: Station) -> dict[str, Any]:
 def test_whole_numbers_are_told_to_each_client_as_it_reads_them(lockstep: MakeLockstep) -> None:
     gateway = lockstep(WATCHING, stations=3)
     px4, ardupilot, script = gateway.stations
+    listed(gateway, ardupilot)
     for station in (px4, ardupilot):  # as MAVSDK does; and MAVProxy, whose user types `version`
         station.command(mavlink.MAV_CMD_REQUEST_MESSAGE, mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION)
-    ardupilot.link.mav.request_data_stream_send(1, 1, 0, 4, 1)
     gateway.settle()
     truth = {one.param_id: number(one) for one in listed(gateway, script).values()}
     whole = {parameter_name(s.name).upper() for s in PARAMETERS if s.kind != "float"}

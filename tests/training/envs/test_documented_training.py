@@ -21,7 +21,7 @@ SECONDS_MAX = 3600  # a busy machine has taken a quarter of it
 
 
 def snippet() -> str:
-    (found,) = re.findall(r"^```python\n(.*?)^```$", PAGE.read_text(), re.MULTILINE | re.DOTALL)
+    (found,) = map(str, re.findall(r"^```python\n(.*?)^```$", PAGE.read_text(), re.MULTILINE | re.DOTALL))
     return found
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import socket
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from flash.info import read_info
 from flash.msp import encode, request
 from flash.settings import Settings
 from sim.board.core.context import TIME_HZ
+from sim.board.debug.gdb import GdbServer
 from sim.board.debug.snapshot import Snapshot, restore_snapshot, take_snapshot
 from sim.board.matekf722 import GYROS, Gyro
 from sim.board.serial import idle_board as idle_board
@@ -173,6 +175,23 @@ def test_flash_is_kept_once_when_a_save_has_come_to_rest(idle: IdleBoard) -> Non
     assert any(
         kept[0][s.address - FLASH_BASE : s.address - FLASH_BASE + 4] == b"NFPS" for s in FLASH_SETTINGS
     )
+
+
+def test_flash_is_kept_once_when_a_debugger_has_programmed_it(idle: IdleBoard) -> None:
+    kept: list[bytes] = []
+    keeper = Keeper(idle, kept.append)
+    server = GdbServer(idle.board.engine, 0, on_flashed=keeper.note_change)
+    with socket.create_connection(("127.0.0.1", server.port), 20) as client:
+        server.wait(20)
+        client.sendall(b"$vFlashErase:8060000,20000#0a$D#44")
+        server.run_to(idle.board.cycle + 1)
+    server.close()
+    keeper.update()
+    assert kept == [], "more may come"
+    serve(idle, [], seconds=0.2, update=keeper.update, clock=lambda: 0.0, sleep=lambda _: None)
+    keeper.update(at_once=True)
+    assert kept == [idle.flash()]
+    assert kept[0][-0x20000:] == b"\xff" * 0x20000
 
 
 def test_all_but_the_image_stays_when_another_image_is_flashed(image: Path) -> None:
