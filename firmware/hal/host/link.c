@@ -18,6 +18,7 @@ _Static_assert(__BYTE_ORDER__ == __ORDER_LITTLE_ENDIAN__, "packets are read and 
 #define SERVO_PACKET_MOTORS 16
 #define PACKET_MAX 256 /* longer than any good packet, so that a longer one shows */
 #define LATE_MAX_S 1.0 /* no packet is so long on its way over loopback */
+#define LATE_IN_A_ROW 10 /* more are those of a sender whose clock went back: a tenth of a second, as pilots send */
 
 /* The packets of toolchain/contract/simulator_link.py. */
 struct state_packet {
@@ -156,10 +157,13 @@ bool link_take_receiver(struct link *link, uint16_t channels_us[NF_CHANNEL_COUNT
 			continue;
 		}
 		memcpy(&packet, bytes, sizeof packet);
-		if (packet.time_s < link->heard_s && packet.time_s > link->heard_s - LATE_MAX_S) {
+		if (packet.time_s < link->heard_s && packet.time_s > link->heard_s - LATE_MAX_S &&
+		    link->late_in_a_row < LATE_IN_A_ROW) {
 			++link->late;
+			++link->late_in_a_row;
 			continue;
 		}
+		link->late_in_a_row = 0;
 		link->heard_s = packet.time_s;
 		memcpy(channels_us, packet.channels_us, sizeof packet.channels_us);
 		return true;

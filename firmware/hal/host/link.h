@@ -16,6 +16,7 @@ struct link {
 	unsigned long ignored;          /* packets of a wrong size */
 	double heard_s;                 /* time in the last receiver packet that was taken; NaN: there was none */
 	unsigned long late;             /* receiver packets that came behind a newer one */
+	unsigned late_in_a_row;
 };
 
 /* Binds the three ports. On failure one line on stderr and false. */
@@ -42,8 +43,9 @@ struct link_power {
 /* Takes one waiting state packet. False if none was waiting or it was malformed. */
 bool link_take_state(struct link *link, struct link_state *state);
 
-/* Takes one waiting receiver packet. False if no good one waits. What is older than the one before, but not by so much
- * that its sender has begun anew, has been overtaken on its way and is dropped: it would undo what the pilot did. */
+/* Takes one waiting receiver packet. False if no good one waits. What is older than the one before has been overtaken on
+ * its way and is dropped: it would undo what the pilot did. Not so when it is much older, or many in a row are: then its
+ * sender's clock has begun anew or went back, and the pilot must be heard. */
 bool link_take_receiver(struct link *link, uint16_t channels_us[NF_CHANNEL_COUNT]);
 
 /* Takes one waiting power packet. False if no good one waits. */

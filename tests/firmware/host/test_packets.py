@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import random
 import select
 import struct
@@ -109,6 +110,24 @@ def test_an_overtaken_on_does_not_arm_and_an_overtaken_off_does_not_disarm(fligh
         assert flight.step(), back_ms
     told = p.end()
     assert f"dropped {3 + 3 * (contract.RECEIVER_OFF_FRAMES + 1)} receiver packets" in told
+
+
+@pytest.mark.parametrize("stands", [True, False])
+@pytest.mark.parametrize("ahead_s", [0.05, 0.99, 1.5, 1e6, math.inf, math.nan])
+def test_a_packet_from_the_future_does_not_keep_the_pilot_from_disarming(
+    flight: Flight, ahead_s: float, stands: bool
+) -> None:
+    """A clock that was put back; one that stands as well never catches up with what came from it before."""
+    flight.run(BOOT_MS, OFF)
+    assert flight.run(100, ON)
+    began = flight.ms
+    flight.program.sticks(ON, time_s=began / 1000 + ahead_s)
+    for _ in range(200):
+        if flight.ms % 10 == 0:
+            flight.program.sticks(OFF, time_s=(began if stands else flight.ms) / 1000)
+        if not flight.step():
+            break
+    assert flight.ms - began < 200 < contract.RECEIVER_LOST_MS
 
 
 def test_a_pilot_whose_clock_began_anew_is_heard_and_repeated_packets_are_no_news(flight: Flight) -> None:
