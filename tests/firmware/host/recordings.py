@@ -44,11 +44,14 @@ class Replay:
 
     def __init__(self, start: Callable[..., Any], build: Path, flash: Path) -> None:
         """flash: where the program keeps what is stored."""
-        self._start = lambda: start(f"--gyro-hz={GYRO_HZ}", f"--settings={flash}", build=build)
+        self._begin, self._build, self._flash = start, build, flash
         self._program = self._start()
         self._motors: tuple[float, ...] = ()
         self._peer: socket.socket | None = None
         self._decoder = Decoder()
+
+    def _start(self) -> Any:
+        return self._begin(f"--gyro-hz={GYRO_HZ}", f"--settings={self._flash}", build=self._build)
 
     def do(self, line: str) -> None:
         """Do what a line of a recording says. Raises AssertionError where something else comes of it."""
