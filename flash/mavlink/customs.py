@@ -70,6 +70,13 @@ class Customs:
         """Whether whole numbers are told to it in bytes."""
         return source is not None and self._in_bytes.get(source, False)
 
+    def offboard_number(self, peer: int) -> int:
+        """What HEARTBEAT tells a peer while another one steers, in the numbers it knows."""
+        if any(source[0] == peer for source in self._ardupilot):
+            return ARDUPILOT_GUIDED[0]
+        in_bytes = any(known and source[0] == peer for source, known in self._in_bytes.items())
+        return px4_number(PX4_OFFBOARD) if in_bytes else MODE_OFFBOARD
+
     def command_mode(self, source: Source, base: int, main: int, sub: int) -> Mode:
         """The mode that the parameters of its MAV_CMD_DO_SET_MODE mean. Raises ModeError."""
         _check_base(base)

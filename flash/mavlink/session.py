@@ -171,7 +171,7 @@ class Session:
             elif task == LOOK_FURTHER:
                 self._look_further()
             elif isinstance(task, int):
-                self._ground.broadcast(self._message(task))
+                self._broadcast(task)
             return True
         if self._parameters.busy and not self._gone:
             self._parameters.tell_one()
@@ -234,13 +234,22 @@ class Session:
         version, policy = ".".join(map(str, self.firmware.vehicle.version)), self.firmware.policy
         self._ground.tell(texts.INFO, f"Neuroflight {version}, policy {policy.name} {policy.sha256[:8]}")
 
+    def _broadcast(self, number: int) -> None:
+        """Tell the message of that number, which is in DEFAULT_HZ."""
+        if number != HEARTBEAT:
+            self._ground.broadcast(self._message(number))
+            return
+        fw, steering, others = self.firmware, self._steering, self._customs.offboard_number
+        self._ground.broadcast_each(
+            lambda peer: telemetry.heartbeat(
+                fw.vehicle, fw.safety, armed=fw.armed, mode=steering.mode(peer, others)
+            )
+        )
+
     def _message(self, number: int) -> Any:  # noqa: ANN401 - pymavlink's are untyped
-        """The message of that number, which is in DEFAULT_HZ."""
+        """The message of that number, which is in DEFAULT_HZ, and the same for all peers."""
         fw = self.firmware
         match number:
-            case mavlink.MAVLINK_MSG_ID_HEARTBEAT:
-                mode = self._steering.mode
-                return telemetry.heartbeat(fw.vehicle, fw.safety, armed=fw.armed, mode=mode)
             case mavlink.MAVLINK_MSG_ID_ATTITUDE:
                 told = fw.attitude()  # before the time and the rates beside it
                 return telemetry.attitude(fw.boot_ms, told, fw.gyro)
@@ -295,7 +304,7 @@ class Session:
         """See commands.Actions; so are those below."""
         if message not in DEFAULT_HZ:
             return int(commands.UNSUPPORTED)
-        self._ground.broadcast(self._message(message))
+        self._broadcast(message)
         return int(commands.ACCEPTED)
 
     def tell_capabilities(self, source: Source) -> int:

@@ -52,11 +52,13 @@ class Steering:
         """Whether a companion steers."""
         return self._offboard.owner is not None
 
-    @property
-    def mode(self) -> int:
-        """HEARTBEAT's custom_mode: while a companion steers the number it asked for, as clients end their
-        setpoints where another one is told."""
-        return self._mode if self.steered else MODE_RECEIVER
+    def mode(self, peer: int, others: Callable[[int], int]) -> int:
+        """HEARTBEAT's custom_mode for a peer. To who steers it is the number it asked for: clients end their
+        setpoints where another one is told. others: the number of offboard for other peers."""
+        owner = self._offboard.owner
+        if owner is None:
+            return MODE_RECEIVER
+        return self._mode if owner[0] == peer else others(peer)
 
     @property
     def due(self) -> float | None:

@@ -8,13 +8,12 @@ A recording has a line for each thing that happened. Numbers are MSP's, payloads
     NUMBER [HEX] refused    a request that is refused on purpose
     poll                    what it asks every 250 ms, whatever tab is shown
     frame LINE              a command line in a frame, answered without an error
-    typed LINE              bytes for the command line that is open, up to its next prompt
+    typed TEXT              for the command line (\\n, \\r as such): its next prompt comes without an error
     + MS                    time that passes, with sticks down and the arm switch off
     turning MOTORS          which motors turn then, by number; 0: none
-    gone                    the app hangs up
     ends                    the program has ended by itself, as told, and is started anew
     power                   the power goes and comes back
-    stored SETTINGS         what differs from the defaults after that, as the command line sets it; ; between them
+    stored SETTINGS         what differs from the defaults after that, as the command line sets it, ; between
 
 What begins with # says what the pilot did.
 """
@@ -37,7 +36,7 @@ HANDSHAKE = (
     *((12294, "01"), (99, "0100"), (246, "0db8086ba002"), (36, ""), (32, ""), (80, ""), (70, ""), (79, "")),
 )
 REFUSED_AT_FIRST = {(12294, "05"), (246, "0db8086ba002")}  # the build's key, the time of day
-STX, ETX, PROMPT = b"\x02", b"\x03", b"\r\n# "
+STX, ETX, PROMPT, LAST_WORD = b"\x02", b"\x03", b"\r\n# ", b"Rebooting\r\n"
 
 
 class Replay:
@@ -45,23 +44,25 @@ class Replay:
 
     def __init__(self, start: Callable[..., Any], build: Path, flash: Path) -> None:
         """flash: where the program keeps what is stored."""
-        self._start = lambda: start(f"--gyro-hz={GYRO_HZ}", f"--settings={flash}", build=build)
+        self._begin, self._build, self._flash = start, build, flash
         self._program = self._start()
         self._motors: tuple[float, ...] = ()
         self._peer: socket.socket | None = None
         self._decoder = Decoder()
+
+    def _start(self) -> Any:
+        return self._begin(f"--gyro-hz={GYRO_HZ}", f"--settings={self._flash}", build=self._build)
 
     def do(self, line: str) -> None:
         """Do what a line of a recording says. Raises AssertionError where something else comes of it."""
         word, _, rest = line.partition(" ")
         known: dict[str, Callable[[str], None]] = {
             "connect": self._connect,
-            "poll": lambda _: [self._ask(number, b"") for number in POLL] and None,
+            "poll": self._poll,
             "frame": self._frame,
             "typed": self._typed,
             "+": lambda ms: self._run(int(ms)),
             "turning": self._turning,
-            "gone": lambda _: self._hang_up(),
             "ends": self._ends,
             "power": self._power,
             "stored": self._stored,
@@ -76,6 +77,10 @@ class Replay:
         for number, payload in HANDSHAKE:
             told = self._ask(number, bytes.fromhex(payload))
             assert (told is None) == ((number, payload) in REFUSED_AT_FIRST), (number, payload)
+
+    def _poll(self, _: str) -> None:
+        for number in POLL:
+            assert self._ask(number, b"") is not None, number
 
     def _ask(self, number: int, payload: bytes) -> bytes | None:
         """The reply, None: it was refused."""
@@ -103,14 +108,15 @@ class Replay:
     def _frame(self, command: str) -> None:
         assert self._peer is not None
         self._peer.sendall(STX + command.encode() + b"\n" + ETX)
-        said = self._read_to(ETX)
+        said = self._read_to(LAST_WORD if command == "save" else ETX)
         assert said.startswith(STX)
         assert b"###ERROR" not in said, said
 
     def _typed(self, text: str) -> None:
         assert self._peer is not None
-        self._peer.sendall((text.removesuffix("\\n") + "\n" * text.endswith("\\n")).encode())
-        said = self._read_to(b"Rebooting\r\n" if text in ("save\\n", "exit\\n") else PROMPT)
+        typed = text.encode().decode("unicode_escape")
+        self._peer.sendall(typed.encode())
+        said = self._read_to(LAST_WORD if typed.strip() in ("save", "exit") else PROMPT)
         assert b"###ERROR" not in said, said
 
     def _read_to(self, end: bytes) -> bytes:

@@ -1,4 +1,4 @@
-"""The Betaflight app's visits as recorded: each tab saved and read back, the motors turned, settings restored."""
+"""The Betaflight app's visits as recorded: tabs saved and read back, motors turned, settings restored."""
 
 from __future__ import annotations
 

@@ -50,10 +50,15 @@ def test_modes_are_saved_slot_by_slot_when_all_twenty_are_sent(app: App) -> None
 
 @pytest.mark.parametrize(
     "range_",
-    [(0, 255, 16, 32, 0, 0), (1, 0, 32, 48, 0, 0), (0, 12, 32, 48, 0, 0), (0, 0, 32, 49, 0, 0), (0, 0, 32, 48, 2, 0),
-     (0, 0, 32, 48, 0, 1)],
-    ids=["left at AUTO", "no mode", "no channel", "beyond the end", "no logic", "linked"],
-)  # fmt: skip
+    [
+        pytest.param((0, 255, 16, 32, 0, 0), id="left at AUTO"),
+        pytest.param((1, 0, 32, 48, 0, 0), id="no mode"),
+        pytest.param((0, 12, 32, 48, 0, 0), id="no channel"),
+        pytest.param((0, 0, 32, 49, 0, 0), id="beyond the end"),
+        pytest.param((0, 0, 32, 48, 2, 0), id="no logic"),
+        pytest.param((0, 0, 32, 48, 0, 1), id="linked"),
+    ],
+)
 def test_a_refused_range_leaves_none_behind_that_the_pilot_took_away(
     app: App, range_: tuple[int, ...]
 ) -> None:

@@ -54,7 +54,11 @@ OPENERS = {
 TELLS_MOTORS = {Msp.DSHOT_COMMAND, Msp.SEND_DSHOT_COMMAND, Msp.SET_MOTOR}
 SETTING = next(index for index, setting in enumerate(SETTINGS) if setting.name == "failsafe_delay_ms")
 TEXT = next(index for index, setting in enumerate(SETTINGS) if setting.kind == "text")
-SETS = {int(pair.request.message) for pair in CONFIGURATIONS if pair.request is not None}
+SETS = {
+    Msp.SET_MODE_RANGE,
+    Msp.COMMON_SET_SERIAL_CONFIG,
+}  # and those of fields: refused, a part of them counts
+SETS |= {pair.request.message for pair in CONFIGURATIONS if pair.request is not None}
 READS = [int(pair.reply.message) for pair in CONFIGURATIONS] + [int(Msp.MODE_RANGES)]
 
 

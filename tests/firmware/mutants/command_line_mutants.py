@@ -44,7 +44,7 @@ COMMAND_LINE_MUTANTS = (
     Mutant(
         name="a peer that hangs up leaves its command line open",
         file=PORT,
-        old="\tcommand_line_reset(&port->command_line);\n",
+        old="\tcommand_line_leave(&port->command_line);\n",
         new="",
         tests=(OF_SESSION, OF_MOTOR),
     ),

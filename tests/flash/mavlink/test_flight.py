@@ -85,6 +85,8 @@ def test_rates_that_a_companion_asks_for_are_flown(lockstep: MakeLockstep, store
     beat = gateway.station.got("HEARTBEAT")[-1]
     assert beat.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED
     assert (beat.custom_mode, beat.system_status) == (1, mavlink.MAV_STATE_ACTIVE)
+    landed = [message.landed_state for message in gateway.station.got("EXTENDED_SYS_STATE")]
+    assert (landed[0], landed[-1]) == (mavlink.MAV_LANDED_STATE_ON_GROUND, mavlink.MAV_LANDED_STATE_IN_AIR)
     assert "Rates flown are not those of the settings: disarm, reboot" not in gateway.station.texts()
 
 

@@ -102,6 +102,22 @@ def test_a_message_is_told_once_when_it_is_requested(lockstep: MakeLockstep) -> 
     assert gateway.station.acks(mavlink.MAV_CMD_REQUEST_MESSAGE) == [ACCEPTED]
 
 
+def test_what_it_measures_is_told_in_mavlinks_units(lockstep: MakeLockstep) -> None:
+    gateway = lockstep(WATCHING)
+    gateway.run(1000)
+    rests = 0, 0, -9.80665  # m/s^2, of what holds it up: down is positive
+    (*_, imu) = gateway.station.got("HIGHRES_IMU")
+    assert (imu.xacc, imu.yacc, imu.zacc) == pytest.approx(rests, abs=0.05)
+    assert (imu.xgyro, imu.ygyro, imu.zgyro) == pytest.approx((0, 0, 0), abs=0.1)
+    for kind in ("SCALED_IMU", "RAW_IMU"):
+        (*_, scaled) = gateway.station.got(kind)
+        assert (scaled.xacc, scaled.yacc, scaled.zacc) == pytest.approx((0, 0, -1000), abs=5)
+    (*_, turned) = gateway.station.got("ATTITUDE_QUATERNION")
+    assert (turned.q1, turned.q2, turned.q3, turned.q4) == pytest.approx((1, 0, 0, 0), abs=0.02)
+    (*_, landed) = gateway.station.got("EXTENDED_SYS_STATE")
+    assert landed.landed_state == mavlink.MAV_LANDED_STATE_ON_GROUND
+
+
 RESULTS: list[tuple[int, tuple[float, ...], int]] = [
     (mavlink.MAV_CMD_NAV_TAKEOFF, (), UNSUPPORTED),
     (65535, (), UNSUPPORTED),
@@ -467,6 +483,20 @@ def test_each_custom_has_its_number_of_offboard_and_hears_it_in_the_heartbeat(
     assert not gateway.session.steered, "silence ends it"
     gateway.run(1100, lambda: station.rates(0, 0, 0, 0))
     assert station.got("HEARTBEAT")[-1].custom_mode == 0
+
+
+def test_who_watches_is_told_a_mode_that_it_knows(lockstep: MakeLockstep) -> None:
+    gateway = lockstep(stations=4)
+    first, ardupilot, px4, script = gateway.stations
+    ardupilot.link.mav.request_data_stream_send(0, 0, 0, 4, 1)
+    px4.command(mavlink.MAV_CMD_REQUEST_MESSAGE, mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION)
+    first.rates(0, 0, 0, 0)
+    choose(first, 20)
+    gateway.run(1100, lambda: first.rates(0, 0, 0, 0))
+    modes = [station.got("HEARTBEAT")[-1].custom_mode for station in (first, ardupilot, px4, script)]
+    assert modes == [20, 4, PX4_OFFBOARD, 1]
+    gateway.run(1500)
+    assert {station.got("HEARTBEAT")[-1].custom_mode for station in gateway.stations} == {0}
 
 
 @pytest.mark.parametrize("options", [WATCHING, Options(offboard=True)], ids=["no offboard", "no arming"])
