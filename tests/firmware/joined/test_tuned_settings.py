@@ -57,7 +57,7 @@ def gains(ground: Ground) -> tuple[object, ...]:
     return flown(ground)[0], *map(list, (pid.p, pid.i, pid.d, pid.integral_max))
 
 
-@pytest.mark.parametrize("name", TUNED)
+@pytest.mark.parametrize("name", [setting.name for setting in SETTINGS if setting.at_once])
 def test_it_is_flown_as_after_a_boot_when_it_is_set(
     scripted: Core, ground: Ground, ready: State, name: str
 ) -> None:
@@ -78,7 +78,7 @@ def test_nothing_else_is_flown_before_the_next_boot(ground: Ground, ready: State
     for setting in SETTINGS:
         ground.go_back(ready)
         before = flown(ground)
-        if setting.name not in TUNED and setting.kind in ("uint32_t", "float"):
+        if not setting.at_once and setting.kind in ("uint32_t", "float"):
             value = setting.low if setting.low != setting.default else setting.high
             assert ground.ask(change(setting.name, value))
             assert flown(ground) == before, setting.name
