@@ -167,7 +167,7 @@ static enum nf_refusal background_test_motors(void *context, uint32_t magic)
 	struct background *background = context;
 	struct firmware *fw = background->config.firmware;
 
-	return motor_test_ask(&fw->motor_test, magic, fw->status.state == NF_FLIGHT_DISARMED);
+	return motor_test_ask(&fw->motor_test, magic, fw->status.state == NF_FLIGHT_DISARMED && !background->rebooting);
 }
 
 /* Is the test that the peer opened by saying that it tests motors the one that is open? */

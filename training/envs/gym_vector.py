@@ -60,6 +60,7 @@ class AttitudeVectorEnv(VectorEnv[Floats, Floats, NDArray[Any]], EzPickle):
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._ended = np.zeros(num_envs, bool)  # in the last step, and not begun anew since
+        self._observation = np.zeros(self.observation_space.shape or (), np.float32)  # the last one
 
     def reset(
         self,

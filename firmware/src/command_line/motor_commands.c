@@ -83,7 +83,7 @@ static void motor_test_on(const struct task_line *t)
 		return;
 	}
 	if (s->motor_test(s->context, NF_MOTOR_TEST_MAGIC) != NF_REFUSAL_NONE) {
-		motor_fail(t, "not disarmed and ready, or a motor command is under way: 'status' tells");
+		motor_fail(t, "not disarmed and ready: 'status' tells");
 		return;
 	}
 	(void)s->motor_test(s->context, 0);
@@ -137,7 +137,7 @@ static void motor_turn(const struct task_line *t, uint32_t number, uint32_t valu
 	}
 	if (s->motor_test(s->context, NF_MOTOR_TEST_MAGIC) != NF_REFUSAL_NONE) {
 		cl->motor.allowed = false;
-		motor_fail(t, "not disarmed and ready, or a motor command is under way: 'status' tells");
+		motor_fail(t, "not disarmed and ready: 'status' tells");
 		return;
 	}
 	cl->motor = (struct command_line_motor){

@@ -47,7 +47,8 @@ void dshot_command_init(struct dshot_command *self, unsigned gyro_rate_hz, unsig
 
 bool dshot_command_busy(const struct dshot_command *self)
 {
-	return self->asked != 0 || self->left > 0;
+	return self->left > 0 ||
+	       self->asked != 0; /* in this order: the last sample of a sequence asks for what follows it */
 }
 
 enum nf_refusal dshot_command_ask(struct dshot_command *self, unsigned command, unsigned motor, bool stopped)

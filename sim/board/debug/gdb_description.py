@@ -56,6 +56,11 @@ MEMORY = (
     (ROM_BASE, ROM_BYTES),
     RAM[1],
 )
+_NO_STORE = "flash takes no store; program it by `load`"
+READ_ONLY = (  # of memory, and what a debugger is told who writes there
+    *((base, FLASH_BYTES, _NO_STORE) for base in (FLASH_ALIAS, FLASH_BASE)),
+    (ROM_BASE, ROM_BYTES, "the chip's ROM takes no store"),
+)
 REGISTER_SPACES = ((0x40000000, 0x20000000), (0xE0000000, 0x100000))
 
 

@@ -12,6 +12,7 @@ from collections.abc import Callable
 from sim.board.core.context import BoardError
 from sim.board.core.engine import Engine
 from sim.board.debug.gdb_description import (
+    READ_ONLY,
     REGISTER_SPACES,
     REGISTERS,
     UNCHANGED,
@@ -113,8 +114,9 @@ class Target:
         data = decode(text)
         if len(data) != size or readable_bytes(address, size) != size:
             raise ValueError(f"{len(data)} bytes for {size} at 0x{address:08X}")
-        if _in_flash(address, 1):
-            raise RefusedError("flash takes no store; program it by `load`")
+        for base, length, what in READ_ONLY:
+            if base <= address < base + length:
+                raise RefusedError(what)
         if size:
             self._engine.set_memory(address, data)
         return "OK"

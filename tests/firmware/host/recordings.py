@@ -8,6 +8,7 @@ A recording has a line for each thing that happened. Numbers are MSP's, payloads
     NUMBER [HEX] refused    a request that is refused on purpose
     poll                    what it asks every 250 ms, whatever tab is shown
     frame LINE              a command line in a frame, answered without an error
+    frame! LINE             likewise, with one
     typed TEXT              for the command line (\\n, \\r as such): its next prompt comes without an error
     + MS                    time that passes, with sticks down and the arm switch off
     turning MOTORS          which motors turn then, by number; 0: none
@@ -36,6 +37,7 @@ HANDSHAKE = (
     *((12294, "01"), (99, "0100"), (246, "0db8086ba002"), (36, ""), (32, ""), (80, ""), (70, ""), (79, "")),
 )
 REFUSED_AT_FIRST = {(12294, "05"), (246, "0db8086ba002")}  # the build's key, the time of day
+ENDS = ("save", "exit")  # a session, with a restart
 STX, ETX, PROMPT, LAST_WORD = b"\x02", b"\x03", b"\r\n# ", b"Rebooting\r\n"
 
 
@@ -44,11 +46,14 @@ class Replay:
 
     def __init__(self, start: Callable[..., Any], build: Path, flash: Path) -> None:
         """flash: where the program keeps what is stored."""
-        self._start = lambda: start(f"--gyro-hz={GYRO_HZ}", f"--settings={flash}", build=build)
+        self._begin, self._build, self._flash = start, build, flash
         self._program = self._start()
         self._motors: tuple[float, ...] = ()
         self._peer: socket.socket | None = None
         self._decoder = Decoder()
+
+    def _start(self) -> Any:
+        return self._begin(f"--gyro-hz={GYRO_HZ}", f"--settings={self._flash}", build=self._build)
 
     def do(self, line: str) -> None:
         """Do what a line of a recording says. Raises AssertionError where something else comes of it."""
@@ -57,6 +62,7 @@ class Replay:
             "connect": self._connect,
             "poll": self._poll,
             "frame": self._frame,
+            "frame!": lambda command: self._frame(command, error=True),
             "typed": self._typed,
             "+": lambda ms: self._run(int(ms)),
             "turning": self._turning,
@@ -102,18 +108,18 @@ class Replay:
             assert reply is not None, "it was refused"
             assert told == (reply.hex() if sign == "=" else str(len(reply)))
 
-    def _frame(self, command: str) -> None:
+    def _frame(self, command: str, error: bool = False) -> None:
         assert self._peer is not None
         self._peer.sendall(STX + command.encode() + b"\n" + ETX)
-        said = self._read_to(LAST_WORD if command == "save" else ETX)
+        said = self._read_to(LAST_WORD if command in ENDS else ETX)
         assert said.startswith(STX)
-        assert b"###ERROR" not in said, said
+        assert (b"###ERROR" in said) == error, said
 
     def _typed(self, text: str) -> None:
         assert self._peer is not None
         typed = text.encode().decode("unicode_escape")
         self._peer.sendall(typed.encode())
-        said = self._read_to(LAST_WORD if typed.strip() in ("save", "exit") else PROMPT)
+        said = self._read_to(LAST_WORD if typed.strip() in ENDS else PROMPT)
         assert b"###ERROR" not in said, said
 
     def _read_to(self, end: bytes) -> bytes:

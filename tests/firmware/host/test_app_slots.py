@@ -111,6 +111,7 @@ def test_ports_outputs_and_names_change_one_thing_when_saved(app: App) -> None:
     expected |= {"craft_name": "Kitty"}
     assert app.settings() == expected
     assert app.refused(12290, bytes([4, 0, 0, 2, 3]))
+    assert app.refused(12290, bytes([4, 0, 1, 2, 200])), "half an order is another order"
     assert app.refused(12295, b"\3\4mine")
     assert app.refused(12295, bytes(2))
     for channel in range(16):

@@ -556,6 +556,11 @@ def test_nothing_arms_and_nothing_turns_when_a_reboot_is_under_way(
     ground.go_back(ready)
     assert ground.ask(Request(Msp.REBOOT))
     rebooting = ground.keep()
+    for opener in (OPEN, APP_OPENS, LOCKS):
+        ground.go_back(rebooting)
+        ground.ask(opener)
+        ground.ask(WIZARD)
+        assert not turns(ground), opener
     for request in acting:
         ground.go_back(rebooting)
         ground.ask(request)

@@ -37,12 +37,13 @@ WRONG = [
     *(motors(*[us] * 4) for us in (999, 1126, 1500, 2000, 2001, 65535)),
     *(motors(*[1055] * count) for count in (1, 3, 5, 8)),
     *(motors(1055, 1000, 1000, 2000), motors(1055, *[1000] * 7)),
+    *(motors(1000, 1500, 1000, 1000), motors(*[1200] * 4), motors(1000, 1400)),
 ]
 TELL = [dshot(text) for text in ("01ff02070c", "010102080c", "01ff010c", "01ff0107", "01ff010d", "01ff0100")]
 TELL += [Request(Msp.DSHOT_COMMAND, b"\xff\7"), Request(Msp.DSHOT_COMMAND, b"\0\14")]
 WRITES = [Request(Msp.EEPROM_WRITE), Request(Msp.RESET_CONF), Request(Msp.POLICY_SLOT_BEGIN, b"\0\1\0\0")]
 OTHERS = [Request(Msp.STATUS_EX), Request(Msp.SET_PID), Request(Msp.SETTINGS_DEFAULT)]
-REQUESTS = [*3 * [LOCK, *TURN], UNLOCK, LOCK_TOO, *STOP, *WRONG, *2 * TELL, *WRITES, *OTHERS]
+REQUESTS = [*6 * [LOCK, *TURN], UNLOCK, LOCK_TOO, *STOP, *WRONG, *2 * TELL, *WRITES, *OTHERS]
 SLIDERS = Request(Msp.ARMING_DISABLE, b"\0\1")
 OPENERS = [SLIDERS, Request(Msp.MOTOR_TEST, struct.pack("<I", contract.MOTOR_TEST_MAGIC))]
 

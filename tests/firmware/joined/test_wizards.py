@@ -228,6 +228,15 @@ def test_nothing_is_written_while_motors_turn(ground: Ground, turning: State) ->
         assert not ground.ask(request)
         assert ground.board.flash.operations == before and not ground.background.rebooting
         assert ground.ask(STOP) and not ground.ask(request), "the last value is still at the motors"
+    for command in (b"save", b"exit", b"motor test on", b"motor 1 1500 5", b"defaults nosave"):
+        for port, typed in ((0, False), (1, False), (1, True)):
+            ground.go_back(turning)
+            before = ground.board.flash.operations
+            ground.send(b"#\r\n" + command + b"\r\n" if typed else b"\2" + command + b"\n\3", port)
+            for _ in range(20):
+                ground.send(b"", port)
+                assert all(value <= TURNS for value in ground.run(1))
+            assert ground.board.flash.operations == before and not ground.background.rebooting, command
 
 
 @pytest.mark.parametrize(

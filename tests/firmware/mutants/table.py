@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from tests.firmware.mutants.app_mutants import APP_MUTANTS
 from tests.firmware.mutants.blackbox_mutants import BLACKBOX_MUTANTS
 from tests.firmware.mutants.card_mutants import CARD_MUTANTS
 from tests.firmware.mutants.command_line_mutants import COMMAND_LINE_MUTANTS
@@ -26,5 +27,6 @@ MUTANTS: tuple[Mutant, ...] = (
     *BLACKBOX_MUTANTS,
     *JOINED_MUTANTS,
     *COMMAND_LINE_MUTANTS,
+    *APP_MUTANTS,
     *HAL_MUTANTS,
 )

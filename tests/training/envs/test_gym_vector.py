@@ -132,7 +132,7 @@ def test_an_ended_episode_begins_anew_with_the_same_step_when_asked(make: Any) -
 
 def test_without_autoreset_the_caller_begins_episodes(make: Any) -> None:
     env = make(autoreset_mode=AutoresetMode.DISABLED)
-    env.reset(seed=1)
+    env.reset(options={"reset_mask": np.ones(3, bool)})
     for _ in range(10):
         before = env.step(STILL)[0]
     mask = np.array([True, False, False])

@@ -399,6 +399,9 @@ def test_the_new_program_runs_from_its_reset_when_it_was_loaded(
     ("packet", "why"),
     [
         ("M8000000,4:00000000", "flash takes no store; program it by `load`"),
+        ("M200000,4:00000000", "flash takes no store; program it by `load`"),
+        ("X27fffc,4:\0\0\0\0", "flash takes no store; program it by `load`"),
+        ("M1ff00000,4:00000000", "the chip's ROM takes no store"),
         ("vFlashErase:8000100,4000", "16384 bytes at 0x08000100 are no whole sectors of flash"),
         ("vFlashErase:8000000,5000", "20480 bytes at 0x08000000 are no whole sectors of flash"),
         ("vFlashErase:8060000,40000", "262144 bytes at 0x08060000 are no whole sectors of flash"),

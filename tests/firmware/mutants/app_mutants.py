@@ -1,0 +1,83 @@
+"""Mistakes in what the Betaflight app may do: its motor wizards, and saves of which a part is refused."""
+
+from __future__ import annotations
+
+from tests.firmware.mutants.mutant import Mutant
+
+COMMANDS, COMMAND, BACKGROUND = "msp/msp_commands.c", "motors/dshot_command.c", "background.c"
+LISTS = "msp/msp_lists.c"
+OF_WIZARDS, OF_SEQUENCES = "joined/test_wizards.py", "joined/test_wizard_sequences.py"
+OF_SLOTS, OF_TABS = "host/test_app_slots.py", "host/test_app_tabs.py"
+
+APP_MUTANTS = (
+    Mutant(
+        name="a wizard opens a test by any values",
+        file=COMMANDS,
+        old="\t\twizard &= us <= WIZARD_MAX_US;\n",
+        new="",
+        tests=(OF_WIZARDS,),
+    ),
+    Mutant(
+        name="a wizard's test bears the values of the sliders'",
+        file=BACKGROUND,
+        old="\t\tif (disabled)\n\t\t\tfw->motor_test.most = NF_MOTOR_WIZARD_MAX;\n",
+        new="",
+        tests=(OF_SEQUENCES,),
+    ),
+    Mutant(
+        name="commands go to motors that turn",
+        file=BACKGROUND,
+        old="!fw->status.trace.armed && !motor_test_open(&fw->motor_test));",
+        new="!fw->status.trace.armed);",
+        tests=(OF_WIZARDS,),
+    ),
+    Mutant(
+        name="any command may follow another",
+        file=COMMAND,
+        old="(next != 0 && next != NF_DSHOT_COMMAND_SAVE)",
+        new="false",
+        tests=(OF_WIZARDS,),
+    ),
+    Mutant(
+        name="flash may be written while a test has values",
+        file="firmware.c",
+        old="!motor_test_open(test) && test->left == 0 &&",
+        new="test->left != 1 &&",
+        tests=(OF_SEQUENCES,),
+    ),
+    Mutant(
+        name="flash may be written while a test's last values are at the motors",
+        file="firmware.c",
+        old="!motor_test_open(test) && test->left == 0 &&",
+        new="!motor_test_open(test) &&",
+        tests=(OF_WIZARDS,),
+    ),
+    Mutant(
+        name="a refused range leaves behind the one before it",
+        file=LISTS,
+        old="\t(void)settings_set_whole(view->settings, SETTING_AT_mode1 + slot, 0);\n",
+        new="",
+        tests=(OF_SLOTS,),
+    ),
+    Mutant(
+        name="a save tells once too often that some was refused",
+        file=COMMANDS,
+        old="\tq->peer->spoilt = false;\n",
+        new="",
+        tests=(OF_SLOTS, OF_TABS),
+    ),
+    Mutant(
+        name="the line that is spoken over may be taken away",
+        file=LISTS,
+        old="\treturn NF_REFUSAL_RANGE;\n}\n\n/* How fast",
+        new="\treturn NF_REFUSAL_NONE;\n}\n\n/* How fast",
+        tests=(OF_SLOTS,),
+    ),
+    Mutant(
+        name="some of the motors' outputs may be taken",
+        file=LISTS,
+        old="\t\t    NF_REFUSAL_NONE)\n\t\t\treturn NF_REFUSAL_PAYLOAD;\n\treturn NF_REFUSAL_NONE;",
+        new="\t\t    NF_REFUSAL_NONE)\n\t\t\treturn NF_REFUSAL_RANGE;\n\treturn NF_REFUSAL_NONE;",
+        tests=(OF_SLOTS,),
+    ),
+)
