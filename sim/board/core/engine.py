@@ -310,7 +310,7 @@ class Engine:
             raise ValueError(f"{len(wanted)} breakpoints, at most 64")
 
     def set_watchpoints(self, watchpoints: Iterable[Watchpoint]) -> None:
-        """Stop before each instruction that accesses one of these, replacing all before. Raises ValueError above 32.
+        """Stop before each instruction that accesses one of these, at most 32. Raises ValueError.
 
         Inside an IT block nothing stops: an access there stops the core behind the block.
         """
