@@ -88,11 +88,11 @@ class Firmware:
         self._stream.stop()
 
     def ask_over(self, client: Client) -> None:
-        """Another line to it: to see whether it answers there, before it is attached anew."""
+        """Ask over another line from now on, to see whether it answers before all is read anew."""
         self._client = client
 
     def ask(self, command: Msp, payload: bytes = b"") -> bytes:
-        """One question that is not repeated; `sample` is up to date as well."""
+        """Ask once, without repeating; brings `sample` up to date as well."""
         answer = self._client.request(command, payload, timeout=ASK_S, retries=0)
         self._take_samples()
         return answer

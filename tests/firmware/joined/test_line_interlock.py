@@ -180,7 +180,7 @@ def under_app_test(ground: Ground, ready: State) -> State:
 
 @pytest.fixture(scope="module")
 def locked(ground: Ground, ready: State) -> State:
-    """A peer holds the arming lock, as the app does while it is connected."""
+    """Return a state in which a peer holds the arming lock, as the app does while connected."""
     ground.go_back(ready)
     assert ground.ask(LOCKS)
     return ground.keep()

@@ -55,7 +55,7 @@ def ground(scripted: Core) -> Ground:
 
 @pytest.fixture(scope="module")
 def ready(ground: Ground) -> State:
-    """The switch would arm it."""
+    """Return a state in which the arm switch would arm it."""
     ground.get_ready()
     return ground.keep()
 
@@ -75,7 +75,7 @@ class Watch:
         self.turns = self.commands = self.flights = 0
 
     def ask(self, request: Request, port: int) -> None:
-        """A request, and what it may do at once."""
+        """Send a request and check what it may do at once."""
         ground = self.ground
         writes, turning = ground.board.flash.operations, max(ground.motors) > contract.DSHOT_MIN
         done = ground.ask(request, port)
