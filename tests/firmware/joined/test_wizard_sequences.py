@@ -94,6 +94,7 @@ class Watch:
             self.flights += 1
             assert self.flights > 1 or not any(self.locks.values()), "armed under a lock"
             assert self.flights > 1 or now - self.turned > MOTOR_TEST_TIMEOUT_MS, "before motors stood"
+            assert all(value == 0 or value >= contract.DSHOT_MIN for value in told), "a command in flight"
             self.stops = 0
             return
         self.flights = 0
