@@ -18,7 +18,7 @@ import pytest
 from flash import requests
 from flash.layouts import decode, encode
 from flash.msp import Decoder, Message, Version
-from tests.firmware.conftest import Core, scripted_blob
+from tests.firmware.conftest import scripted_blob
 from tests.firmware.images import header_of, make_image
 from tests.firmware.joined.ground import API_VERSION, STANDING, Ground, Request, State
 from toolchain import contract
@@ -104,12 +104,6 @@ def payloads(lengths: tuple[int, ...]) -> Iterator[bytes]:
         yield bytes(length)
         if length:
             yield (bytes(range(1, 256)) * 3)[:length]
-
-
-@pytest.fixture(scope="module")
-def ground(scripted: Core) -> Ground:
-    """One bench for all tests; each takes up a state."""
-    return Ground(scripted)
 
 
 @pytest.fixture(scope="module")

@@ -25,19 +25,6 @@ TUNED = {
 STEPS = 700
 
 
-@pytest.fixture(scope="module")
-def ground(scripted: Core) -> Ground:
-    """Return one bench for all tests."""
-    return Ground(scripted)
-
-
-@pytest.fixture(scope="module")
-def ready(ground: Ground) -> State:
-    """Return a state in which the arm switch would arm it."""
-    ground.get_ready()
-    return ground.keep()
-
-
 def change(name: str, value: float) -> Request:
     return Request(Msp.SETTING_SET, requests.setting_set(INDEX[name], value, SETTINGS[INDEX[name]].kind))
 

@@ -11,7 +11,6 @@ import struct
 
 import pytest
 
-from tests.firmware.conftest import Core
 from tests.firmware.joined.ground import FRAME_MS, STANDING, Ground, Request, State
 from toolchain import contract
 from toolchain.contract import CHANNEL_ARM, CHANNEL_MAX_US, CHANNEL_MIN_US, MOTOR_TEST_TIMEOUT_MS, Msp
@@ -46,18 +45,6 @@ OTHERS = [Request(Msp.STATUS_EX), Request(Msp.SET_PID), Request(Msp.SETTINGS_DEF
 REQUESTS = [*6 * [LOCK, *TURN], UNLOCK, LOCK_TOO, *STOP, *WRONG, *2 * TELL, *WRITES, *OTHERS]
 SLIDERS = Request(Msp.ARMING_DISABLE, b"\0\1")
 OPENERS = [SLIDERS, Request(Msp.MOTOR_TEST, struct.pack("<I", contract.MOTOR_TEST_MAGIC))]
-
-
-@pytest.fixture(scope="module")
-def ground(scripted: Core) -> Ground:
-    return Ground(scripted)
-
-
-@pytest.fixture(scope="module")
-def ready(ground: Ground) -> State:
-    """Return a state in which the arm switch would arm it."""
-    ground.get_ready()
-    return ground.keep()
 
 
 class Watch:

@@ -11,7 +11,6 @@ import struct
 
 import pytest
 
-from tests.firmware.conftest import Core
 from tests.firmware.joined.ground import STANDING, Ground, Request, State
 from toolchain import contract
 from toolchain.contract import CHANNEL_ARM, MOTOR_TEST_TIMEOUT_MS, ArmingReason, Msp
@@ -30,12 +29,6 @@ REVERSE_SECOND = Request(Msp.SEND_DSHOT_COMMAND, bytes.fromhex("010102080c"))
 NORMAL_ALL = Request(Msp.SEND_DSHOT_COMMAND, bytes.fromhex("01ff02070c"))
 TURNS = contract.DSHOT_MIN + round(1999 * 0.055)
 QUEUE_MS, PAUSE_MS = 100, 400  # between its requests; until a motor that it stopped stands
-
-
-@pytest.fixture(scope="module")
-def ground(scripted: Core) -> Ground:
-    """Return one bench for all tests."""
-    return Ground(scripted)
 
 
 @pytest.fixture(scope="module")
