@@ -16,6 +16,9 @@ from flash.payload import Reader
 from toolchain.contract import MSP_MODE_ARMED, MSP_POLICY_NONE, ArmingReason, Mix, Msp
 
 FIRST_YEAR = 10  # of FC_VERSION: from here on its first number counts years, as Betaflight's app takes it
+# Minor of the API from which this project's RAW_IMU has MSP_GYRO_COUNTS and MSP_ACCELERATION_COUNTS; before
+# that it had whole deg/s and 512 counts for 1 g.
+RAW_IMU_COUNTS_SINCE = 47
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,7 @@ COMMANDS = {  # in the order of --help: the summary
     "dump": "all settings, as lines that `restore` reads",
     "restore": "set a file's settings, and their defaults beside them, check and save them; all or nothing",
     "import": "bring settings over from Betaflight's `diff all` or `dump`, and tell what is left and why",
-    "save": "store all settings; they are flown from the next boot on",
+    "save": "store all settings",
     "defaults": "set every setting to its default",
     "stream": "what the firmware does, up to 500 times a second: a table, or a file",
     "calibrate": "measure the gyro's bias anew; the aircraft has to lie still",

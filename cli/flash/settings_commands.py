@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING
 
 from cli.flash.state import connect, reboot
 from cli.flash.tables import print_json, print_table
+from toolchain.contract import AT_ONCE
 from toolchain.errors import LinkError
 
 if TYPE_CHECKING:
@@ -16,11 +17,20 @@ if TYPE_CHECKING:
     from flash.setting_text import Value
     from flash.settings import Stored
 
-STORED = "they are flown from the next boot on"
-UNSAVED = (
-    "nothing flies them before `save` and a restart, but rates, dead bands and PID factors, which are flown "
-    "at once; a restart alone forgets them"
-)
+
+def when_flown(names: Iterable[str], *, saved: bool) -> str:
+    """Tell when the firmware flies changes of the named settings, and what becomes of unsaved ones."""
+    from flash.setting_text import BY_NAME
+
+    later = "from the next boot on" if saved else "after `save` and a restart"
+    at_once = {name in BY_NAME and BY_NAME[name][1].at_once for name in names}
+    if at_once == {True}:
+        told = "flown at once"
+    elif at_once == {True, False}:
+        told = f"{AT_ONCE} are flown at once, others {later}"
+    else:
+        told = f"flown {later}"
+    return told if saved else f"{told}; a restart without `save` forgets them"
 
 
 def get(args: argparse.Namespace) -> int:
@@ -92,7 +102,7 @@ def set_(args: argparse.Namespace) -> int:
     told = f"{_count(changes)} set"
     if STYLE in changes:
         told += "; a new style of rates sets the other rates to its defaults"
-    print(f"{told} and stored; {STORED}" if args.save else f"{told}; {UNSAVED}")
+    print(f"{told}{' and stored' if args.save else ''}; {when_flown(changes, saved=args.save)}")
     return reboot(args) if args.reboot else 0
 
 
@@ -141,30 +151,33 @@ def restore(args: argparse.Namespace) -> int:
         settings = Settings(client)
         changes = restored(settings, args.file, lines, keep=args.keep)
         settings.change(changes, save=True)
-    print(f"{args.file}: {_count(lines)} read, {_count(changes)} changed, all stored; {STORED}")
+    told = f"{_count(lines)} read, {_count(changes)} changed, all stored"
+    print(f"{args.file}: {told}; {when_flown(changes, saved=True)}")
     return 0
 
 
 def save(args: argparse.Namespace) -> int:
     """Store all settings."""
+    from flash.setting_text import BY_NAME
     from flash.settings import Settings
 
     with connect(args) as client:
         Settings(client).save()
-    print(f"settings stored; {STORED}")
+    print(f"settings stored; {when_flown(BY_NAME, saved=True)}")
     return 0
 
 
 def defaults(args: argparse.Namespace) -> int:
     """Set every setting to its default, if the user is sure."""
+    from flash.setting_text import BY_NAME
     from flash.settings import Settings
 
     with connect(args) as client:
         if not args.yes:
             confirm(client, "set every setting to its default")
         Settings(client).set_defaults(save=args.save)
-    told = "every setting has its default now"
-    print(f"{told}; stored: {STORED}" if args.save else f"{told}; {UNSAVED}")
+    told = f"every setting has its default now{', stored' if args.save else ''}"
+    print(f"{told}; {when_flown(BY_NAME, saved=args.save)}")
     return 0
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING
 
-from cli.flash.settings_commands import STORED, confirm
+from cli.flash.settings_commands import confirm, when_flown
 from cli.flash.state import connect
 from cli.flash.tables import print_table
 
@@ -43,7 +43,8 @@ def import_(args: argparse.Namespace) -> int:
         if not args.yes:
             confirm(client, f"set and store {_count(len(changes), 'setting')}")
         settings.change(changes, save=True)
-    print(f"{args.file}: {_count(len(changes), 'setting')} changed, all stored; {STORED}")
+    told = f"{_count(len(changes), 'setting')} changed, all stored"
+    print(f"{args.file}: {told}; {when_flown(changes, saved=True)}")
     return 0
 
 

@@ -131,15 +131,17 @@ static enum nf_refusal background_storing(void *context, bool busy)
 	return NF_REFUSAL_ARMED;
 }
 
-/* Settings that are flown as soon as they are changed and the motors stand: rates and dead bands, and the PID's factors. */
+/* The settings that the contract marks at_once: rates and dead bands, and the PID's factors. Each group is
+ * contiguous. */
 #define TUNED_RATES_BYTES (12u * sizeof(uint32_t))
 #define TUNED_PID_BYTES (9u * sizeof(uint32_t))
 _Static_assert(SETTING_AT_interpolation - SETTING_AT_rates_style == 12, "style, three numbers an axis, two dead bands");
 _Static_assert(SETTING_AT_battery_cells - SETTING_AT_pid_roll_p == 9, "three factors an axis");
 
-/* Flies them as they are edited, once some were since the last time; before, a start may have others than are stored. Not while a
- * log is written, which tells how it began: then, and while the motors turn, it is tried again later. What does not go with the
- * other settings that are flown, as gains with slow filters, waits for the next boot. */
+/* Flies these settings as edited, if they were edited since the last call. (Until the first edit those of the start are
+ * flown, which `--set` may have changed.) While the motors turn, or a log is written, whose header tells the settings
+ * of its start, nothing happens and the next call tries again. What conflicts with the other settings that are flown,
+ * such as gains with slow filters, waits for the next boot. */
 static void background_tune(struct background *background)
 {
 	const struct nf_settings *edited = &background->edited;

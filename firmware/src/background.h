@@ -52,7 +52,7 @@ struct background {
 	struct nf_settings settings; /* as flown: of this boot */
 	bool mended; /* some of what is stored is not flown */
 	struct nf_settings edited; /* as stored, with changes that may not be saved yet */
-	struct nf_settings tuned; /* of what is flown as soon as it is edited: as edited when that was looked at last */
+	struct nf_settings tuned; /* of those flown at once: as edited when background_tune last took them */
 	struct policy_slots slots;
 	size_t weights_checked; /* those before this one, since the check last began at the first */
 	bool weights_bad; /* not what flash has */

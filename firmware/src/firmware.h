@@ -159,7 +159,7 @@ void firmware_forbid(struct firmware *fw, enum nf_arming_reason reason, bool hol
  * step finds the motors armed: then nothing happens. */
 void firmware_acknowledge(struct firmware *fw);
 
-/* From the background, while nothing arms: rates and PID are those of `settings` from the next control step on. */
+/* From the background, while nothing can arm: rates and PID are those of `settings` from the next control step on. */
 void firmware_tune_init(struct firmware *fw, const struct nf_settings *settings);
 
 /* From the background: the gyro is calibrated anew from the next control step on, unless that finds the motors armed. Until

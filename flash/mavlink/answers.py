@@ -23,7 +23,7 @@ EVERYBODY = (0, 0)  # system and component
 # The head of FILE_TRANSFER_PROTOCOL's payload, and what of it is used.
 FTP_BYTES, FTP_HEAD = 251, 12
 FTP_OPCODE, FTP_SIZE, FTP_REQUEST = 3, 4, 5
-# There never is a session, so these have done what they ask for.
+# Requests that end a session succeed, as there never is one.
 FTP_ENDS = frozenset(
     {
         mavlink.MAV_FTP_OPCODE_NONE,
@@ -34,19 +34,19 @@ FTP_ENDS = frozenset(
 
 
 def ping(source: Source, message: Msg, now_ns: int) -> Msg | None:
-    """PING back; None for an answer to somebody's."""
+    """Return the answer to a PING; None for a message that is itself an answer."""
     if (message.target_system, message.target_component) != EVERYBODY:
         return None
     return mavlink.MAVLink_ping_message(message.time_usec, message.seq, *source[1:])
 
 
 def timesync(source: Source, message: Msg, now_ns: int) -> Msg | None:
-    """TIMESYNC with the time that telemetry has; None for an answer to somebody's."""
+    """Return TIMESYNC with telemetry's time; None for a message that is itself an answer."""
     return mavlink.MAVLink_timesync_message(max(now_ns, 1), message.ts1) if message.tc1 == 0 else None
 
 
 def file_transfer(source: Source, message: Msg, now_ns: int) -> Msg | None:
-    """FILE_TRANSFER_PROTOCOL: there are no files."""
+    """Return the refusal of a FILE_TRANSFER_PROTOCOL request, as there are no files; None for an answer."""
     asked = bytes(message.payload)
     opcode = asked[FTP_OPCODE]
     if opcode in (mavlink.MAV_FTP_OPCODE_ACK, mavlink.MAV_FTP_OPCODE_NAK):
@@ -62,7 +62,7 @@ def file_transfer(source: Source, message: Msg, now_ns: int) -> Msg | None:
 
 
 def _mission(result: int) -> Answer:
-    """MISSION_ACK with that result."""
+    """Return a function that answers by MISSION_ACK with `result`."""
 
     def answer(source: Source, message: Msg, now_ns: int) -> Msg:
         kind = getattr(message, "mission_type", mavlink.MAV_MISSION_TYPE_MISSION)
@@ -72,12 +72,12 @@ def _mission(result: int) -> Answer:
 
 
 def mission_count(source: Source, message: Msg, now_ns: int) -> Msg:
-    """MISSION_ACK: the mission that there is, of nothing, may be uploaded."""
+    """Return MISSION_ACK: only an empty mission may be uploaded."""
     return _mission(UNSUPPORTED if message.count else ACCEPTED)(source, message, now_ns)
 
 
 def mission_list(source: Source, message: Msg, now_ns: int) -> Msg:
-    """MISSION_COUNT: none."""
+    """Return MISSION_COUNT: there are no items."""
     return mavlink.MAVLink_mission_count_message(*source[1:], 0, message.mission_type)
 
 

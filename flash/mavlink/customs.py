@@ -1,4 +1,4 @@
-"""Which custom a client follows, as far as it shows: MAVLink leaves open how parameters hold whole numbers
+"""Tells by a client's messages which custom it follows: MAVLink leaves open how parameters hold whole numbers
 and what the numbers of modes mean, and PX4's clients and ArduPilot's take them differently.
 
 A client that asks for AUTOPILOT_VERSION by MAV_CMD_REQUEST_MESSAGE before it asks for parameters (MAVSDK,
@@ -34,11 +34,11 @@ class Mode:
 
     offboard: bool
     number: int  # that HEARTBEAT tells while it lasts
-    owner_only: bool = False  # to end offboard so is up to who steers
+    owner_only: bool = False  # only the source that steers may end offboard by it
 
 
 RECEIVER = Mode(False, MODE_RECEIVER)
-# MAVSDK ends offboard so; it asks for the same where somebody wants an aircraft to hover, and none does here.
+# MAVSDK's offboard.stop() asks for it, but so does whoever wants the aircraft to hover, which it cannot.
 HOLD = Mode(False, MODE_RECEIVER, owner_only=True)
 
 
@@ -47,38 +47,38 @@ class ModeError(ValueError):
 
 
 class Customs:
-    """What sources have shown so far."""
+    """The custom of each source, as its messages have shown it so far."""
 
     def __init__(self) -> None:
-        self._in_bytes: dict[Source, bool] = {}  # how whole numbers are told, from its first question on
+        self._in_bytes: dict[Source, bool] = {}  # from its first question on: told bytewise
         self._ardupilot: dict[Source, bool] = {}
 
     def hear_request(self, source: Source) -> None:
-        """It asked how whole numbers are encoded."""
+        """Note that `source` asked how whole numbers are encoded."""
         _note(self._in_bytes, source, self._in_bytes.get(source, True))
 
     def hear_parameters(self, source: Source) -> None:
-        """It asked for parameters, or set one."""
+        """Note that `source` asked for parameters, or set one."""
         _note(self._in_bytes, source, self._in_bytes.get(source, False))
 
     def hear_stream_request(self, source: Source) -> None:
-        """It sent REQUEST_DATA_STREAM."""
+        """Note that `source` sent REQUEST_DATA_STREAM."""
         _note(self._in_bytes, source, False)
         _note(self._ardupilot, source, True)
 
     def reads_bytes(self, source: Source | None) -> bool:
-        """Whether whole numbers are told to it in bytes."""
+        """Return whether `source` is told whole numbers bytewise."""
         return source is not None and self._in_bytes.get(source, False)
 
     def offboard_number(self, peer: int) -> int:
-        """What HEARTBEAT tells a peer while another one steers, in the numbers it knows."""
+        """Return HEARTBEAT's custom_mode for a peer while another one steers, in the numbers it knows."""
         if any(source[0] == peer for source in self._ardupilot):
             return ARDUPILOT_GUIDED[0]
         in_bytes = any(known and source[0] == peer for source, known in self._in_bytes.items())
         return px4_number(PX4_OFFBOARD) if in_bytes else MODE_OFFBOARD
 
     def command_mode(self, source: Source, base: int, main: int, sub: int) -> Mode:
-        """The mode that the parameters of its MAV_CMD_DO_SET_MODE mean. Raises ModeError."""
+        """Return the mode that the parameters of a MAV_CMD_DO_SET_MODE ask for. Raises ModeError."""
         _check_base(base)
         if main == MODE_RECEIVER:
             return RECEIVER
@@ -86,13 +86,13 @@ class Customs:
             return HOLD
         if main == MODE_OFFBOARD or (main in ARDUPILOT_GUIDED and sub == 0):
             return Mode(True, main)
-        if main == PX4_OFFBOARD and source not in self._ardupilot:  # to whom it is RTL
+        if main == PX4_OFFBOARD and source not in self._ardupilot:  # ArduPilot's mode 6 is RTL
             return Mode(True, px4_number(PX4_OFFBOARD))
         raise _no_mode(f"{main}, {sub}" if sub else str(main))
 
 
 def message_mode(base: int, custom: int) -> Mode:
-    """The mode that SET_MODE means. Raises ModeError."""
+    """Return the mode that a SET_MODE asks for. Raises ModeError."""
     _check_base(base)
     if custom == MODE_RECEIVER:
         return RECEIVER
@@ -104,7 +104,7 @@ def message_mode(base: int, custom: int) -> Mode:
 
 
 def px4_number(main: int, sub: int = 0) -> int:
-    """PX4's custom_mode."""
+    """Return PX4's custom_mode of a main and a sub mode."""
     return main << 16 | sub << 24
 
 

@@ -21,13 +21,13 @@ from flash.setting_text import Value, value_text
 from flash.settings import Settings
 from flash.stream import Sample, Stream, decode_sample
 from flash.transport import LineGoneError
-from toolchain.contract import Msp, Refusal
+from toolchain.contract import MSP_ACCELERATION_COUNTS, Msp, Refusal
 from toolchain.errors import LinkError
 
 ASK_S = 0.5  # for one answer: a board takes milliseconds, the emulated one tenths of a second
 CHANNELS_S = 0.1  # for the answer to channels, while a companion waits
 SAMPLES_HZ_MIN, SAMPLES_HZ_MAX = 10, 100
-COUNTS_PER_G, COUNTS_PER_G_BEFORE, COUNTS_SINCE = 2048, 512, 47  # of RAW_IMU; since that minor of the API
+COUNTS_PER_G_BEFORE = 512  # of RAW_IMU, before messages.RAW_IMU_COUNTS_SINCE
 DRIFT = 1e-3  # by which clocks may differ, with room: crystals do by 1e-4 at most
 
 
@@ -40,7 +40,8 @@ class Firmware:
         of firmware."""
         self._client, self._clock = client, clock
         self._started = self._seen = clock()  # when it did, as far as is known; when that was looked at last
-        self._counts_per_g = COUNTS_PER_G if check_api(client).minor >= COUNTS_SINCE else COUNTS_PER_G_BEFORE
+        old = check_api(client).minor < messages.RAW_IMU_COUNTS_SINCE
+        self._counts_per_g = COUNTS_PER_G_BEFORE if old else MSP_ACCELERATION_COUNTS
         if not is_ours(client):
             raise LinkError(
                 f"{client.name}: the firmware is of another make, expected one of this project; "
@@ -88,11 +89,11 @@ class Firmware:
         self._stream.stop()
 
     def ask_over(self, client: Client) -> None:
-        """Another line to it: to see whether it answers there, before it is attached anew."""
+        """Ask over another line from now on, to see whether it answers before all is read anew."""
         self._client = client
 
     def ask(self, command: Msp, payload: bytes = b"") -> bytes:
-        """One question that is not repeated; `sample` is up to date as well."""
+        """Ask once, without repeating; brings `sample` up to date as well."""
         answer = self._client.request(command, payload, timeout=ASK_S, retries=0)
         self._take_samples()
         return answer

@@ -23,8 +23,10 @@ def euler_frd(attitude: Attitude) -> Vector:
 
 
 def quaternion_frd(attitude: Attitude) -> Quaternion:
-    """The same attitude as a rotation of forward, right, down into north, east, down; yaw, then pitch, then
-    roll."""
+    """Return the attitude as a rotation of forward, right, down into north, east, down (w, x, y, z).
+
+    Yaw is turned first, then pitch, then roll.
+    """
     (cr, sr), (cp, sp), (cy, sy) = (
         (math.cos(angle / 2), math.sin(angle / 2)) for angle in euler_frd(attitude)
     )

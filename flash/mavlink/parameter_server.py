@@ -135,7 +135,7 @@ class ParameterServer:
         return parameter.whole and came_in_bytes(field, told)
 
     def _refuse(self, source: Source, name: str, error: int) -> None:
-        """Say so in the message that newer clients wait for; others hear the text."""
+        """Send PARAM_ERROR, which newer clients wait for; older ones get the text."""
         _, system, component = source
         told = mavlink.MAVLink_param_error_message(system, component, name.encode(), BY_NAME, error)
         self._ground.answer(source, told)

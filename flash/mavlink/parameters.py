@@ -58,8 +58,7 @@ def parameter_list(settings: Iterable[SettingInfo]) -> tuple[Parameter, ...]:
 
 
 def encode_value(parameter: Parameter, value: Value, *, in_bytes: bool) -> tuple[float, int]:
-    """The float field that tells `value`, and the param_type beside it. in_bytes: for a reader that takes
-    whole numbers so."""
+    """Return the float field that tells `value`, and its param_type. in_bytes: whole numbers bytewise."""
     if not parameter.whole or (not in_bytes and float(value) <= FLOAT32_WHOLE_MAX):
         return float(value), REAL32
     (field,) = struct.unpack("<f", struct.pack("<i", int(value)))
@@ -67,7 +66,7 @@ def encode_value(parameter: Parameter, value: Value, *, in_bytes: bool) -> tuple
 
 
 def came_in_bytes(field: float, told: int) -> bool:
-    """Whether the field of a PARAM_SET is the bytes of a whole number. told: the param_type.
+    """Return whether the field of a PARAM_SET holds a whole number bytewise. told: the param_type.
 
     Clients that put the value there as a float may tell INT32 as well; but no float that is a whole number
     has the bytes of one that a setting can have.

@@ -27,35 +27,15 @@ from flash.mavlink.parameter_server import MESSAGES as PARAMETER_MESSAGES
 from flash.mavlink.parameter_server import ParameterServer
 from flash.mavlink.setpoints import STEERING
 from flash.mavlink.steering import Steering
+from flash.mavlink.streams import DEFAULT_HZ, HEARTBEAT, SAMPLED, default_period, streamed
 from flash.mavlink.texts import Condition
 from flash.transport import LineGoneError, Transport
 from toolchain.errors import LinkError
 
 LOOK, LOOK_FURTHER = "look", "look further"  # at the firmware: tasks beside the messages of DEFAULT_HZ
 LOOK_S, LOOK_FURTHER_S, RETRY_S = 0.1, 1.0, 0.5  # their periods; of looking whether it is back
-SILENCES_MAX = 3  # questions in a row without an answer: the firmware is gone
-LINE_S = 60.0  # in which a line that is gone must come back; a board needs one, who starts a program some
-HEARTBEAT = mavlink.MAVLINK_MSG_ID_HEARTBEAT
-ATTITUDE = mavlink.MAVLINK_MSG_ID_ATTITUDE
-DEFAULT_HZ = {
-    HEARTBEAT: 1.0,
-    ATTITUDE: 10.0,
-    mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: 10.0,
-    mavlink.MAVLINK_MSG_ID_HIGHRES_IMU: 10.0,
-    mavlink.MAVLINK_MSG_ID_SCALED_IMU: 2.0,
-    mavlink.MAVLINK_MSG_ID_RAW_IMU: 2.0,
-    mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 2.0,
-    mavlink.MAVLINK_MSG_ID_SYS_STATUS: 1.0,
-    mavlink.MAVLINK_MSG_ID_BATTERY_STATUS: 0.5,
-    mavlink.MAVLINK_MSG_ID_RC_CHANNELS: 2.0,
-    mavlink.MAVLINK_MSG_ID_SERVO_OUTPUT_RAW: 2.0,
-    mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION: 0.0,  # when asked for
-}
-SAMPLED = (
-    ATTITUDE,
-    mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION,
-    *telemetry.IMU,
-)  # what tells a sample's rates
+SILENCES_MAX = 3  # unanswered questions in a row until the firmware counts as gone
+LINE_S = 60.0  # own choice, for a lost line to come back: a board needs 1 s, a person who acts more
 
 
 @dataclass(frozen=True)
@@ -96,7 +76,7 @@ class Session:
         self._periods: dict[int | str, float] = {
             LOOK: LOOK_S,
             LOOK_FURTHER: LOOK_FURTHER_S,
-            **{message: _period(message) for message in DEFAULT_HZ},
+            **{message: default_period(message) for message in DEFAULT_HZ},
         }
         self._due = dict.fromkeys(self._periods, clock())
         self._attach()
@@ -104,7 +84,7 @@ class Session:
             raise self.firmware.not_listening()
 
     def close(self) -> None:
-        """Nothing goes to the firmware any more."""
+        """Stop steering and close the line to the firmware."""
         self._steering.release()
         self.firmware.close()
         self._client.close()
@@ -196,7 +176,7 @@ class Session:
 
     @property
     def _late(self) -> bool:
-        """Whether a line that is gone has taken too long."""
+        """Whether a lost line has not come back within LINE_S."""
         return self._line_lost is not None and self._clock() >= self._line_lost + LINE_S
 
     def _open_line(self) -> bool:
@@ -218,7 +198,7 @@ class Session:
             self._attach()
 
     def _attach(self) -> None:
-        """It answers, perhaps as another start: all that is known of it is read anew, nobody steers."""
+        """Read all of the firmware anew once it answers, perhaps after a restart; nobody steers then."""
         self.firmware = Firmware(self._client, self._clock)
         allowed = self._options.offboard and self.firmware.hears_msp
         if allowed:
@@ -237,7 +217,7 @@ class Session:
     def _broadcast(self, number: int) -> None:
         """Tell the message of that number, which is in DEFAULT_HZ."""
         if number != HEARTBEAT:
-            self._ground.broadcast(self._message(number))
+            self._ground.broadcast(streamed(number, self.firmware))
             return
         fw, steering, others = self.firmware, self._steering, self._customs.offboard_number
         self._ground.broadcast_each(
@@ -245,32 +225,6 @@ class Session:
                 fw.vehicle, fw.safety, armed=fw.armed, mode=steering.mode(peer, others)
             )
         )
-
-    def _message(self, number: int) -> Any:  # noqa: ANN401 - pymavlink's are untyped
-        """The message of that number, which is in DEFAULT_HZ, and the same for all peers."""
-        fw = self.firmware
-        match number:
-            case mavlink.MAVLINK_MSG_ID_ATTITUDE:
-                told = fw.attitude()  # before the time and the rates beside it
-                return telemetry.attitude(fw.boot_ms, told, fw.gyro)
-            case mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION:
-                told = fw.attitude()
-                return telemetry.attitude_quaternion(fw.boot_ms, told, fw.gyro)
-            case _ if number in telemetry.IMU:
-                measured = fw.inertial()
-                return telemetry.IMU[number](fw.boot_ms, measured)
-            case mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE:
-                return telemetry.extended_sys_state(fw.safety, armed=fw.armed)
-            case mavlink.MAVLINK_MSG_ID_SYS_STATUS:
-                return telemetry.sys_status(fw.vehicle, fw.safety, fw.status, fw.battery)
-            case mavlink.MAVLINK_MSG_ID_BATTERY_STATUS:
-                return telemetry.battery_status(fw.vehicle, fw.battery)
-            case mavlink.MAVLINK_MSG_ID_RC_CHANNELS:
-                return telemetry.rc_channels(fw.boot_ms, fw.channels(), fw.safety.receiver_percent)
-            case mavlink.MAVLINK_MSG_ID_SERVO_OUTPUT_RAW:
-                return telemetry.servo_output_raw(fw.boot_ms, fw.motors())
-            case _:
-                return telemetry.autopilot_version(fw.vehicle)
 
     # --- What peers want ---------------------------------------------------------------------------
     def _handle(self, source: Source, message: Any) -> None:  # noqa: ANN401
@@ -301,37 +255,37 @@ class Session:
             self._logs.handle(source, message)
 
     def send_once(self, message: int) -> int:
-        """See commands.Actions; so are those below."""
+        """Send a message once. This and the methods below are those of commands.Actions."""
         if message not in DEFAULT_HZ:
             return int(commands.UNSUPPORTED)
         self._broadcast(message)
         return int(commands.ACCEPTED)
 
     def tell_capabilities(self, source: Source) -> int:
-        """AUTOPILOT_VERSION, which says how whole numbers are encoded."""
+        """Send AUTOPILOT_VERSION, which tells how whole numbers are encoded, and note that `source` asked."""
         self._customs.hear_request(source)
         return self.send_once(mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION)
 
     def set_interval(self, message: int, interval_us: int) -> int:
-        """The heartbeat's stays: it tells that the aircraft lives."""
+        """Change how often a message is sent; not the heartbeat, which tells that the aircraft lives."""
         if message not in DEFAULT_HZ:
             return int(commands.UNSUPPORTED)
         if message == HEARTBEAT:
             return int(commands.DENIED)
-        told = {commands.INTERVAL_DEFAULT: _period(message), commands.INTERVAL_OFF: 0.0}
+        told = {commands.INTERVAL_DEFAULT: default_period(message), commands.INTERVAL_OFF: 0.0}
         self._periods[message] = told.get(interval_us, interval_us / 1e6)
         self._due[message] = self._clock()
         self._stream_fast_enough()
         return int(commands.ACCEPTED)
 
     def tell_interval(self, message: int) -> int:
-        """0 for a message that there is not, -1 for one that is told only when asked for."""
+        """Send MESSAGE_INTERVAL: 0 for an unknown message, -1 for one that is sent only on request."""
         told = round(self._periods[message] * 1e6) or commands.INTERVAL_OFF if message in DEFAULT_HZ else 0
         self._ground.broadcast(mavlink.MAVLink_message_interval_message(message, told))
         return int(commands.ACCEPTED)
 
     def store(self, *, defaults: bool) -> int:
-        """Settings into flash; the defaults are set first if so wanted."""
+        """Store all settings; `defaults`: set them to their defaults before."""
         if self.firmware.armed:
             return int(commands.REJECTED)
         if not defaults:
@@ -341,7 +295,7 @@ class Session:
         return result
 
     def reboot(self) -> int:
-        """Nobody steers any more; it is attached anew when it answers as another start."""
+        """Restart the firmware; nobody steers any more. It is attached anew once it answers."""
         if self.firmware.armed:
             return int(commands.REJECTED)
         self._steering.release()
@@ -367,7 +321,7 @@ class Session:
         return self._steering.disarm(request)
 
     def _attempt(self, action: Callable[[], None]) -> int:
-        """Whether the firmware did it; why not is told."""
+        """Do it and return the MAV_RESULT; a refusal is told to the peers."""
         try:
             action()
         except NoAnswerError:
@@ -380,9 +334,3 @@ class Session:
     def _stream_fast_enough(self) -> None:
         periods = [self._periods[message] for message in SAMPLED if self._periods[message]]
         self.firmware.stream_at(1 / min(periods) if periods else 0.0)
-
-
-def _period(message: int) -> float:
-    """Between two of them [s] unless asked otherwise; 0: only when asked for."""
-    hz = DEFAULT_HZ[message]
-    return 1 / hz if hz else 0.0

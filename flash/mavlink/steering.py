@@ -53,8 +53,11 @@ class Steering:
         return self._offboard.owner is not None
 
     def mode(self, peer: int, others: Callable[[int], int]) -> int:
-        """HEARTBEAT's custom_mode for a peer. To who steers it is the number it asked for: clients end their
-        setpoints where another one is told. others: the number of offboard for other peers."""
+        """Return HEARTBEAT's custom_mode for a peer.
+
+        The peer that steers gets the number it asked for, as clients stop their setpoints when they see
+        another. others: returns the number for any other peer.
+        """
         owner = self._offboard.owner
         if owner is None:
             return MODE_RECEIVER
@@ -139,7 +142,7 @@ class Steering:
 
     # --- Commands: a MAV_RESULT each -------------------------------------------------------------------
     def choose(self, source: Source, mode: Mode) -> int:
-        """Let `source` steer, or nobody."""
+        """Let `source` steer, or nobody, as `mode` says; returns the MAV_RESULT."""
         if not mode.offboard:
             return self._disable(source, mode)
         result = self._enable(source)

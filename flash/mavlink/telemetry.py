@@ -72,7 +72,7 @@ class Vehicle:
 
 
 def heartbeat(vehicle: Vehicle, safety: Safety, *, armed: bool, mode: int) -> Msg:
-    """HEARTBEAT of a firmware that has just answered. mode: MODE_RECEIVER, or a number of offboard."""
+    """Return HEARTBEAT of a firmware that has just answered. mode: MODE_RECEIVER, or a number of offboard."""
     base = mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED | mavlink.MAV_MODE_FLAG_MANUAL_INPUT_ENABLED
     base |= mavlink.MAV_MODE_FLAG_SAFETY_ARMED if armed else 0
     base |= mavlink.MAV_MODE_FLAG_GUIDED_ENABLED if mode != MODE_RECEIVER else 0
@@ -102,33 +102,33 @@ def attitude(boot_ms: int, told: Attitude, gyro: tuple[float, ...]) -> Msg:
 
 
 def attitude_quaternion(boot_ms: int, told: Attitude, gyro: tuple[float, ...]) -> Msg:
-    """ATTITUDE_QUATERNION: the same as a rotation from the body to the ground."""
+    """Return ATTITUDE_QUATERNION: the same attitude as a rotation from the body to the ground."""
     rates = swap_frame((gyro[0], gyro[1], gyro[2]))
     return mavlink.MAVLink_attitude_quaternion_message(boot_ms, *quaternion_frd(told), *rates)
 
 
 def extended_sys_state(safety: Safety, *, armed: bool) -> Msg:
-    """EXTENDED_SYS_STATE. One that has taken off since it was armed is in the air until it is stopped."""
+    """Return EXTENDED_SYS_STATE. An aircraft that has taken off is in the air until its motors stop."""
     landed = LANDED[safety.airborne] if armed else mavlink.MAV_LANDED_STATE_ON_GROUND
     return mavlink.MAVLink_extended_sys_state_message(mavlink.MAV_VTOL_STATE_UNDEFINED, landed)
 
 
 @dataclass(frozen=True)
 class Inertial:
-    """What gyro and accelerometer measure, in the house's axes."""
+    """What gyro and accelerometer measure, axes forward, left, up."""
 
     rates: tuple[float, ...]  # [rad/s]
     force_g: tuple[float, ...]  # specific force [g]
     temperature_deg_c: float
 
     def scaled(self, rate: float, force: float) -> tuple[Vector, Vector]:
-        """Force and rates about forward, right, down, so many a g and a rad/s."""
+        """Return force and rates about forward, right, down; `force` counts for 1 g, `rate` for 1 rad/s."""
         (fx, fy, fz), (rx, ry, rz) = self.force_g, self.rates
         return swap_frame((fx * force, fy * force, fz * force)), swap_frame((rx * rate, ry * rate, rz * rate))
 
 
 def highres_imu(boot_ms: int, told: Inertial) -> Msg:
-    """HIGHRES_IMU [m/s^2, rad/s, deg C]; there is no magnetometer and no pressure."""
+    """Return HIGHRES_IMU [m/s^2, rad/s, deg C]; there is no magnetometer and no pressure."""
     force, rates = told.scaled(1.0, GRAVITY)
     return mavlink.MAVLink_highres_imu_message(
         boot_ms * 1000, *force, *rates, *[0.0] * 6, told.temperature_deg_c, IMU_FIELDS
@@ -136,12 +136,12 @@ def highres_imu(boot_ms: int, told: Inertial) -> Msg:
 
 
 def scaled_imu(boot_ms: int, told: Inertial) -> Msg:
-    """SCALED_IMU [1/1000 g, 1/1000 rad/s, 1/100 deg C]."""
+    """Return SCALED_IMU [1/1000 g, 1/1000 rad/s, 1/100 deg C]."""
     return mavlink.MAVLink_scaled_imu_message(boot_ms, *_thousandths(told), 0, 0, 0, _centidegrees(told))
 
 
 def raw_imu(boot_ms: int, told: Inertial) -> Msg:
-    """RAW_IMU: counts of any scale; ArduPilot's, which its tools take it for, are thousandths, too."""
+    """Return RAW_IMU in SCALED_IMU's units. MAVLink leaves its scale open; ArduPilot's tools expect these."""
     return mavlink.MAVLink_raw_imu_message(
         boot_ms * 1000, *_thousandths(told), 0, 0, 0, 0, _centidegrees(told)
     )

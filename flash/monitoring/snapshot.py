@@ -14,8 +14,9 @@ from toolchain.contract import CHANNEL_COUNT, GYRO_COUNTS, GYRO_FULL_SCALE_DEG_S
 # MSP tells the channels in this order, whatever the receiver's is.
 CHANNELS = ("roll", "pitch", "yaw", "throttle", *(f"aux{n}" for n in range(1, CHANNEL_COUNT - 3)))
 
-GYRO_COUNTS_SINCE = 47  # minor of the API at which this project's RAW_IMU has counts; before, deg/s
-BETAFLIGHT_GYRO_COUNTS = GYRO_COUNTS / GYRO_FULL_SCALE_DEG_S  # a deg/s: the chip's, read in 4.6 and 2025.12
+BETAFLIGHT_GYRO_COUNTS = (
+    GYRO_COUNTS / GYRO_FULL_SCALE_DEG_S
+)  # for 1 deg/s: the chip's, read in 4.6 and 2025.12
 
 
 @dataclass(frozen=True)
@@ -49,7 +50,7 @@ def _rates(counts: tuple[int, int, int], info: Info) -> tuple[int, int, int]:
     if info.policy is None:
         scale = BETAFLIGHT_GYRO_COUNTS
     else:
-        scale = MSP_GYRO_COUNTS if info.api.minor >= GYRO_COUNTS_SINCE else 1.0
+        scale = MSP_GYRO_COUNTS if info.api.minor >= messages.RAW_IMU_COUNTS_SINCE else 1.0
     roll, pitch, yaw = (round(count / scale) for count in counts)
     return roll, pitch, yaw
 

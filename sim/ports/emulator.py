@@ -406,12 +406,12 @@ def _stored(settings: Mapping[str, float] | None, gyro_rate_hz: int) -> dict[str
 
 
 def _choice(setting: Setting, settings: Mapping[str, float]) -> str:
-    """What is chosen of `setting`."""
+    """Return the name of the choice that `settings` hold for `setting`."""
     return setting.choices[int(settings.get(setting.name, setting.default))]
 
 
 def _receiver(settings: Mapping[str, float]) -> Receiver:
-    """What speaks on the receiver's line of a board that is set so."""
+    """Return the receiver of a board with these settings. Raises LinkError for msp, which has no line."""
     protocol = _choice(RECEIVER_SETTING, settings)
     if protocol not in RECEIVERS:
         raise LinkError(

@@ -61,7 +61,7 @@ def measure_twin(args: argparse.Namespace) -> dict[str, Any]:
 
 
 def measure_envs(args: argparse.Namespace) -> dict[str, Any]:
-    """Aircraft steps a second of the environments for other learners, beside the batch that they show."""
+    """Measure aircraft steps a second of the environments for other learners, beside their batch."""
     from tests.bench.envs import env_speeds
 
     speeds = env_speeds(args.seconds)

@@ -6,8 +6,6 @@ on the machine slows a turn, not the figure.
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass
 
@@ -15,6 +13,7 @@ import gymnasium
 import numpy as np
 from stable_baselines3.common.vec_env import DummyVecEnv
 
+from tests.bench.subject import Subject
 from training.envs.batch import AttitudeBatch
 from training.envs.gym_vector import AttitudeVectorEnv
 from training.envs.sb3_vector import AttitudeVecEnv
@@ -23,25 +22,6 @@ from training.envs.setup import make_setup
 ID = "neuroflight/Attitude-v0"
 COUNTS = (1, 8, 64, 256)
 ROUNDS = 5
-
-
-@dataclass
-class Subject:
-    """Something that is stepped for time."""
-
-    name: str
-    aircraft: int
-    advance: Callable[[], object]
-    best: float = 0.0  # aircraft steps a second
-
-    def time(self, seconds: float) -> None:
-        """Take one turn of about `seconds`."""
-        self.advance()
-        calls, began = 0, time.perf_counter()
-        while time.perf_counter() - began < seconds:
-            self.advance()
-            calls += 1
-        self.best = max(self.best, calls * self.aircraft / (time.perf_counter() - began))
 
 
 @dataclass(frozen=True)

@@ -9,10 +9,8 @@ each counts, so that other load on the machine slows a turn, not the figure.
 from __future__ import annotations
 
 import tempfile
-import time
-from collections.abc import Callable
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +22,7 @@ from sim.control.controller import PolicyController
 from sim.physics.bodies import load_rig
 from sim.physics.twin import Twin
 from sim.physics.world import Mount, World
+from tests.bench.subject import Subject
 from toolchain.policy.model import read_policy
 from training.config.algorithms import PpoConfig
 from training.config.config_file import load_config
@@ -39,23 +38,10 @@ UNSEEN, UNSEEN_SEED = 200, 20002  # pulses that the policy trained for a minute 
 
 
 @dataclass
-class Subject:
-    """Something that is stepped for time."""
+class Mounted(Subject):
+    """A subject whose aircraft hang in a mount."""
 
-    name: str
-    mount: Mount
-    aircraft: int  # that one call steps
-    advance: Callable[[], object]
-    best: float = 0.0  # aircraft steps a second
-
-    def time(self, seconds: float) -> None:
-        """One turn of about `seconds`."""
-        self.advance()
-        calls, began = 0, time.perf_counter()
-        while time.perf_counter() - began < seconds:
-            self.advance()
-            calls += 1
-        self.best = max(self.best, calls * self.aircraft / (time.perf_counter() - began))
+    mount: Mount = field(kw_only=True)
 
 
 @dataclass(frozen=True)
@@ -102,7 +88,7 @@ def link_of(mount: Mount) -> int:
     return 0 if mount is Mount.RIG else -1
 
 
-def bare(count: int, mount: Mount, stack: ExitStack, *, rates: bool = False) -> Subject:
+def bare(count: int, mount: Mount, stack: ExitStack, *, rates: bool = False) -> Mounted:
     """pybullet alone, called as a Python program calls it: what the world has its C do.
 
     rates: with one more call an aircraft, for the rate that the world keeps by itself.
@@ -125,10 +111,10 @@ def bare(count: int, mount: Mount, stack: ExitStack, *, rates: bool = False) -> 
         return poses
 
     name = f"bare pybullet, {mount.value}" + (" and its rates" if rates else "")
-    return Subject(name, mount, count, advance)
+    return Mounted(name, count, advance, mount=mount)
 
 
-def uncorrected(count: int, stack: ExitStack) -> Subject:
+def uncorrected(count: int, stack: ExitStack) -> Mounted:
     """pybullet's own integration: rates read back from it instead of kept as momentum."""
     client, numbers = bodies(count, Mount.CENTRE, stack)
     matrix = pybullet.getMatrixFromQuaternion
@@ -145,23 +131,23 @@ def uncorrected(count: int, stack: ExitStack) -> Subject:
         spin = np.array([pybullet.getBaseVelocity(body, client)[1] for body in numbers])
         return np.matmul(spin[:, None, :], rotation)[:, 0, :]
 
-    return Subject("pybullet's own rates, in Python", Mount.CENTRE, count, advance)
+    return Mounted("pybullet's own rates, in Python", count, advance, mount=Mount.CENTRE)
 
 
-def world(count: int, stack: ExitStack) -> Subject:
+def world(count: int, stack: ExitStack) -> Mounted:
     """The rigid bodies alone."""
     made = World(NF1, count, 0.001, Mount.CENTRE, False)
     stack.callback(made.close)
     wrench = np.zeros((count, 6))
-    return Subject("world that keeps momentum", Mount.CENTRE, count, lambda: made.step(wrench))
+    return Mounted("world that keeps momentum", count, lambda: made.step(wrench), mount=Mount.CENTRE)
 
 
-def twin(count: int, mount: Mount, stack: ExitStack) -> Subject:
+def twin(count: int, mount: Mount, stack: ExitStack) -> Mounted:
     """Rotors, sensors and world."""
     aircraft = Twin(NF1, count, mount=mount, rng=np.random.default_rng(0))
     stack.callback(aircraft.close)
     motors = np.full((count, NF1.motor_count), 0.3)
-    return Subject(f"twin, {mount.value}", mount, count, lambda: aircraft.step(motors))
+    return Mounted(f"twin, {mount.value}", count, lambda: aircraft.step(motors), mount=mount)
 
 
 def twin_speeds(seconds: float) -> list[Speed]:

@@ -60,7 +60,10 @@ def test_every_setting_is_at_its_default_when_the_firmware_is_new(msp: Run) -> N
 def test_settings_are_changed_by_every_kind_of_value_when_set(msp: Run) -> None:
     code, out, _ = msp("set", *CHANGES)
     assert code == 0
-    assert out.startswith("4 settings set; nothing flies them before `save` and a restart")
+    assert out == (
+        "4 settings set; rates, dead bands and PID factors are flown at once, "
+        "others after `save` and a restart; a restart without `save` forgets them\n"
+    )
     assert lines(msp("diff")[1]) == LINES
     dumped = lines(msp("dump")[1])
     assert len(dumped) == len(SETTINGS)
@@ -141,8 +144,28 @@ def test_settings_are_there_after_a_restart_when_saved(msp: Run, tmp_path: Path)
     assert b"NFPS" not in (tmp_path / "flash.bin").read_bytes()
     code, out, _ = msp("set", *CHANGES, "--save")
     assert code == 0
-    assert out == "4 settings set and stored; they are flown from the next boot on\n"
+    assert out == (
+        "4 settings set and stored; rates, dead bands and PID factors are flown at once, "
+        "others from the next boot on\n"
+    )
     assert b"NFPS" in (tmp_path / "flash.bin").read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("change", "flags", "told"),
+    [
+        ("roll_expo=0.1", ("--save",), "1 setting set and stored; flown at once"),
+        ("pid_yaw_p=1.1", (), "1 setting set; flown at once; a restart without `save` forgets them"),
+        ("motor_stop=on", ("--save",), "1 setting set and stored; flown from the next boot on"),
+        (
+            "mode5=none",
+            (),
+            "1 setting set; flown after `save` and a restart; a restart without `save` forgets them",
+        ),
+    ],
+)
+def test_it_is_told_when_a_change_is_flown(msp: Run, change: str, flags: tuple[str, ...], told: str) -> None:
+    assert msp("set", change, *flags) == (0, told + "\n", "")
 
 
 def test_a_restart_is_refused_when_it_would_forget_what_is_set(msp: Run) -> None:
@@ -294,7 +317,7 @@ def test_defaults_are_set_only_when_somebody_means_it(msp: Run) -> None:
     assert len(lines(msp("diff")[1])) == 6
     code, out, _ = msp("defaults", "--yes", "--save")
     assert code == 0
-    assert "every setting has its default now; stored" in out
+    assert "every setting has its default now, stored; " in out
     assert lines(msp("diff")[1]) == []
 
 
@@ -337,7 +360,10 @@ def test_defaults_ask_on_a_terminal_when_not_told_yes(
 def test_save_stores_what_was_set_before(msp: Run, tmp_path: Path) -> None:
     msp("set", *CHANGES)
     before = (tmp_path / "flash.bin").read_bytes()
-    assert msp("save") == (0, "settings stored; they are flown from the next boot on\n", "")
+    told = (
+        "settings stored; rates, dead bands and PID factors are flown at once, others from the next boot on\n"
+    )
+    assert msp("save") == (0, told, "")
     assert (tmp_path / "flash.bin").read_bytes() != before
 
 

@@ -24,7 +24,7 @@ PERIOD_S = 0.02
 
 
 def until(done: Any) -> bool:
-    """Whether it becomes true in time."""
+    """Return whether it becomes true in time."""
     deadline = time.monotonic() + ANSWER_S
     while not done() and time.monotonic() < deadline:
         time.sleep(PERIOD_S)

@@ -90,7 +90,7 @@ Report = dict[str, Any]
 
 
 async def value(client: Client, name: str, count: int = 1) -> Any:
-    """The last of so many values of telemetry that come."""
+    """Return the last of so many telemetry values."""
     stream = client.values(name)
     for _ in range(count):
         last = await anext(stream)
@@ -98,7 +98,7 @@ async def value(client: Client, name: str, count: int = 1) -> Any:
 
 
 async def failure(awaited: Any) -> str:
-    """What it raises, "" where it does not."""
+    """Return what it raises, "" if nothing."""
     try:
         await asyncio.wait_for(awaited, ANSWER_S)
     except Exception as error:
@@ -108,7 +108,7 @@ async def failure(awaited: Any) -> str:
 
 
 async def watch(client: Client, report: Report) -> None:
-    """Telemetry that a board on the ground has."""
+    """Return telemetry of a board on the ground."""
     attitude = await value(client, "attitude_euler")
     quaternion = await value(client, "attitude_quaternion")
     imu = await value(client, "imu")
@@ -125,7 +125,7 @@ async def watch(client: Client, report: Report) -> None:
 
 
 async def parameters(client: Client, plan: Report, report: Report) -> None:
-    """All are read, each is set to what is wanted and back."""
+    """Read all parameters; set each to the wanted value and back."""
     read = await client.param.get_all_params()
     report["ints"] = {one.name: one.value for one in read.int_params}
     report["floats"] = {one.name: one.value for one in read.float_params}
@@ -144,13 +144,13 @@ async def parameters(client: Client, plan: Report, report: Report) -> None:
 
 
 async def logs(client: Client, plan: Report) -> None:
-    """The newest log, into a file."""
+    """Download the newest log into a file."""
     entries = await client.log_files.get_entries()
     await client.download(entries[-1], plan["log"])
 
 
 async def refusals(client: Client, report: Report) -> None:
-    """What the aircraft has not."""
+    """Ask for what the aircraft does not have; return the refusals."""
     item = client.mission_item(0, 6, 16, 1, 1, 0.0, 0.0, 0.0, 0.0, 470000000, 80000000, 10.0, 0)
     report["missions"] = [
         await client.mission_raw.download_mission(),
@@ -162,7 +162,7 @@ async def refusals(client: Client, report: Report) -> None:
 
 
 async def take_off(client: Client) -> None:
-    """Offboard, armed, rolling."""
+    """Enable offboard, arm, and roll."""
     rates = client.offboard.set_attitude_rate
     await rates(client.attitude_rate(0.0, 0.0, 0.0, 0.0))
     await client.offboard.start()
@@ -172,7 +172,7 @@ async def take_off(client: Client) -> None:
 
 
 async def fly(client: Client, report: Report) -> None:
-    """Rates for longer than MAVSDK goes on sending them without seeing offboard; then offboard ends."""
+    """Fly rates for longer than MAVSDK sends them without seeing offboard in HEARTBEAT; then end offboard."""
     await take_off(client)
     modes = client.values("flight_mode")
     told = [str(await anext(modes)) for _ in range(7)]  # with the heartbeat, once a second

@@ -19,7 +19,7 @@ LIVE = (Msp.API_VERSION, Msp.STATUS, Msp.STATUS_EX, Msp.RAW_IMU, Msp.MOTOR, Msp.
 
 @pytest.fixture
 def lengths(betaflight_port: int, host: Program) -> dict[Msp, tuple[int | None, int | None]]:
-    """Bytes of the reply to each message, theirs and ours; None: refused."""
+    """Return the length [bytes] of the reply to each message, theirs and ours; None: refused."""
     asked = [*LIVE, Msp.BATTERY_STATE, *(one.reply.message for one in CONFIGURATIONS)]
     found: dict[Msp, list[int | None]] = {message: [] for message in asked}
     for port in (betaflight_port, host.ports["msp"]):

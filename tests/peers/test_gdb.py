@@ -52,7 +52,7 @@ VECTORS([15] = tick);
 
 
 def gdb(elf: Path, port: int, *commands: str) -> str:
-    """What it says to these commands. It must end well."""
+    """Return gdb's output to these commands; gdb must exit with 0."""
     assert shutil.which("gdb-multiarch"), "gdb-multiarch is missing; run: make peers"
     orders = ("set pagination off", "set confirm off", f"target remote :{port}", *commands)
     done = subprocess.run(
@@ -68,7 +68,7 @@ def gdb(elf: Path, port: int, *commands: str) -> str:
 
 @pytest.fixture
 def ask(compile_program: Callable[[str], Program]) -> Iterator[Callable[..., str]]:  # noqa: F811
-    """Runs gdb on a program that waits at its first instruction, and runs free when gdb has gone."""
+    """Run gdb on a program that waits at its first instruction, and runs free once gdb has gone."""
     program = compile_program(FLYING)
     engine = Engine(program.flash, elf=program.elf)
     server = GdbServer(engine, 0)

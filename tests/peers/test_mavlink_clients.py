@@ -43,7 +43,7 @@ pytestmark = pytest.mark.slow
 
 @pytest.fixture(scope="module")
 def installed(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., dict[str, str]]:
-    """Installs packages once; gives the environment that finds them."""
+    """Install packages once; return the environment that finds them."""
     made: dict[tuple[str, ...], Path] = {}
 
     def install(*wanted: str) -> dict[str, str]:
@@ -62,14 +62,14 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., dict[st
 
 
 def free_port(kind: socket.SocketKind) -> int:
-    """A port on which nobody listens."""
+    """Return a port on which nobody listens."""
     with socket.socket(socket.AF_INET, kind) as free:
         free.bind((LOOPBACK, 0))
         return int(free.getsockname()[1])
 
 
 def plan(folder: Path, **more: Any) -> Path:
-    """What a client is to do: each parameter's kind, another value of it, and its own."""
+    """Return each parameter's kind, another value that the client sets, and its own."""
     rows = []
     for setting in PARAMETERS:
         value = 2.0 if setting.name == "receiver_protocol" else float(setting.default)
@@ -123,24 +123,24 @@ class Flight:
                 select.select(self.gateway.peers, [], [], due - now)
 
     def told(self) -> str:
-        """What the client has printed."""
+        """Return what the client has printed."""
         return self.output.read_text(errors="replace")
 
     def report(self) -> dict[str, Any]:
-        """The last line of what it has printed."""
+        """Return the last line that it has printed."""
         return dict(json.loads(self.told().splitlines()[-1]))
 
 
 @pytest.fixture
 def flight(lockstep: MakeLockstep, tmp_path: Path) -> Flight:  # noqa: F811
-    """One with the MSP receiver, arming allowed."""
+    """Start a gateway to a firmware with the MSP receiver, arming allowed."""
     folder = tmp_path / "flight"
     folder.mkdir()
     return Flight(lockstep, folder)
 
 
 def mavsdk_command(flight: Flight, major: int, folder: Path, *, vanish: bool) -> list[str]:
-    """The program of a user of that MAVSDK."""
+    """Return the command that runs the client's program with that MAVSDK."""
     todo = plan(folder, major=major, vanish=vanish)
     grpc = free_port(socket.SOCK_STREAM)
     address = f"udpin://{LOOPBACK}:{flight.port}"

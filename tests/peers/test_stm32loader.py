@@ -38,7 +38,7 @@ FULL = bytes(i % 251 + 1 for i in range(FLASH_BYTES))
 
 @pytest.fixture(scope="module")
 def packages(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Where stm32loader is for these tests."""
+    """Return where stm32loader is installed for these tests."""
     folder = tmp_path_factory.mktemp("stm32loader")
     command = [sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--target", str(folder)]
     done = subprocess.run([*command, *PACKAGES], capture_output=True, text=True, check=False)
@@ -51,7 +51,7 @@ def packages(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def chip() -> Iterator[Served]:
-    """A chip in its ROM that held other things."""
+    """Return a chip that runs its ROM, with other contents in its flash."""
     served = Served(TcpEnd(), FULL)
     yield served
     served.close()
@@ -59,7 +59,7 @@ def chip() -> Iterator[Served]:
 
 @pytest.fixture
 def start(packages: Path, chip: Served) -> Callable[..., subprocess.Popen[str]]:
-    """Runs the command."""
+    """Start the command."""
 
     def begin(*arguments: object) -> subprocess.Popen[str]:
         port = f"socket://{chip.end.name.removeprefix('tcp:')}"
@@ -76,7 +76,7 @@ def start(packages: Path, chip: Served) -> Callable[..., subprocess.Popen[str]]:
 
 @pytest.fixture
 def run(start: Callable[..., subprocess.Popen[str]]) -> Callable[..., str]:
-    """Runs it to its end, which must be a good one. Returns what it says."""
+    """Run the command to its end, which must be exit code 0; return its output."""
 
     def end(*arguments: object) -> str:
         process = start(*arguments)

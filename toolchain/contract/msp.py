@@ -119,7 +119,7 @@ class Msp(IntEnum):
     CALIBRATE = 0x4E07  # v2, ours: the gyro anew; disarmed only
     SETTING_INFO = 0x4E10  # v2, ours: name, unit, range, default of one setting, by index
     SETTING_GET = 0x4E11  # v2, ours: value of one setting, by index
-    SETTING_SET = 0x4E12  # v2, ours: one setting, by index; flown from the next boot on
+    SETTING_SET = 0x4E12  # v2, ours: one setting, by index
     SETTINGS_DEFAULT = 0x4E13  # v2, ours: all settings to their defaults, not stored
     MOTOR_TEST = 0x4E20  # v2, ours: opens or closes the motor test
     DSHOT_COMMAND = 0x4E21  # v2, ours: beep, direction; disarmed only

@@ -7,6 +7,7 @@ from enum import Enum
 
 from toolchain.contract.msp import Msp, Refusal
 from toolchain.contract.msp_configuration import CONFIGURATIONS
+from toolchain.contract.settings import AT_ONCE
 
 __all__ = ["Access", "MspWhen", "access_of", "acknowledge_access"]
 
@@ -74,7 +75,7 @@ _ACTS = {
     Msp.SETTING_SET: Access(
         _STOPPED,
         (_R.PAYLOAD, _R.INDEX, _R.RANGE),
-        "flown from the next boot on, rates, dead bands and PID factors at once; "
+        f"flown from the next boot on, {AT_ONCE} at once; "
         "what does not go together is refused when it is stored",
     ),
     Msp.SETTINGS_DEFAULT: Access(_STOPPED, (_R.PAYLOAD,), "not stored yet"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from enum import IntEnum
 
@@ -55,7 +56,7 @@ class Span:
 
 @dataclass(frozen=True)
 class Setting:
-    """What a pilot may change: kept in flash, flown from the next boot on; rates and PID factors at once."""
+    """A number, choice, mode range or text that a pilot may change; it is kept in flash."""
 
     name: str
     kind: str  # "uint32_t", "float", "mode" (a ModeRange, packed) or "text" (SETTING_TEXT_BYTES)
@@ -66,6 +67,14 @@ class Setting:
     meaning: str
     choices: tuple[str, ...] = ()  # names of 0, 1, ...
     betaflight: Span | None = None  # instead, where rates_style is betaflight; the same kind
+    at_once: bool = (
+        False  # flown as soon as the motors stand and no log is written; else from the next boot on
+    )
+
+
+AT_ONCE = (
+    "rates, dead bands and PID factors"  # the settings with `at_once`; firmware/src/background.c flies them
+)
 
 
 def _choice(name: str, default: str, choices: tuple[str, ...], meaning: str) -> Setting:
@@ -87,6 +96,10 @@ def _whole(name: str, low: int, high: int, default: int, unit: str, meaning: str
 
 def _number(name: str, low: float, high: float, default: float, unit: str, meaning: str) -> Setting:
     return Setting(name, "float", low, high, default, unit, meaning)
+
+
+def _at_once(*settings: Setting) -> Iterator[Setting]:
+    return (replace(setting, at_once=True) for setting in settings)
 
 
 class FilterKind(IntEnum):
@@ -192,26 +205,29 @@ SETTINGS = (
         )
     ),
     *(_mode(slot, _MODE_DEFAULTS.get(slot)) for slot in range(1, MODE_SLOT_COUNT + 1)),
-    _choice("rates_style", "actual", ("actual", "betaflight"), _STYLE_MEANING),
-    *(
-        setting
-        for axis in AXES
-        for setting in (
-            replace(
-                _number(f"{axis}_rate", 0.01, 1000.0, _RATE_DEFAULT_DEG_S, "deg/s", _RATE_MEANING),
-                betaflight=Span(0.01, _RC_RATE_MAX, 1.0, "1"),
-            ),
-            replace(
-                _number(f"{axis}_max", 0.0, RATE_MAX_DEG_S, _MAX_DEFAULT_DEG_S, "deg/s", _MAX_MEANING),
-                betaflight=Span(0.0, 1.0, 0.7, "1"),
-            ),
-            replace(
-                _number(f"{axis}_expo", 0.0, 1.0, 0.0, "1", "0: none"), betaflight=Span(0.0, 1.0, 0.0, "1")
-            ),
-        )
+    *_at_once(
+        _choice("rates_style", "actual", ("actual", "betaflight"), _STYLE_MEANING),
+        *(
+            setting
+            for axis in AXES
+            for setting in (
+                replace(
+                    _number(f"{axis}_rate", 0.01, 1000.0, _RATE_DEFAULT_DEG_S, "deg/s", _RATE_MEANING),
+                    betaflight=Span(0.01, _RC_RATE_MAX, 1.0, "1"),
+                ),
+                replace(
+                    _number(f"{axis}_max", 0.0, RATE_MAX_DEG_S, _MAX_DEFAULT_DEG_S, "deg/s", _MAX_MEANING),
+                    betaflight=Span(0.0, 1.0, 0.7, "1"),
+                ),
+                replace(
+                    _number(f"{axis}_expo", 0.0, 1.0, 0.0, "1", "0: none"),
+                    betaflight=Span(0.0, 1.0, 0.0, "1"),
+                ),
+            )
+        ),
+        _whole("deadband_us", 0, 100, 0, "us", "of roll and pitch"),
+        _whole("yaw_deadband_us", 0, 100, 0, "us", "of yaw"),
     ),
-    _whole("deadband_us", 0, 100, 0, "us", "of roll and pitch"),
-    _whole("yaw_deadband_us", 0, 100, 0, "us", "of yaw"),
     _choice("interpolation", "off", _SWITCH, "a ramp between two receiver frames"),
     _choice("failsafe_stage", "drop", ("drop", "descend"), "after the hold"),
     _number("failsafe_throttle", 0.0, 1.0, 0.2, "1", "while descending"),
@@ -236,10 +252,12 @@ SETTINGS = (
         "props out: all motors turn the other way than in the aircraft file",
     ),
     _choice("motor_protocol", "dshot600", ("dshot300", "dshot600"), "to the ESCs"),
-    *(
-        _number(f"pid_{axis}_{term}", low, high, 1.0, "1", _GAIN_MEANING)
-        for axis in AXES
-        for term, low, high in _GAIN_FACTORS
+    *_at_once(
+        *(
+            _number(f"pid_{axis}_{term}", low, high, 1.0, "1", _GAIN_MEANING)
+            for axis in AXES
+            for term, low, high in _GAIN_FACTORS
+        )
     ),
     _whole("battery_cells", 0, 6, 0, "cells", "0: found from the voltage at boot"),
     _number("battery_scale", 1.0, 100.0, 11.0, "1", "volts at the pack for one at the pin"),

@@ -1,4 +1,4 @@
-"""N aircraft as a learner sees them: what all environments are a view of.
+"""N aircraft as a learner sees them; all environments are views of this batch.
 
 Observations are scaled to about unit size (`OBSERVATION_SCALES`), actions are a network's outputs, which
 `OutputMap` makes motor fractions of, and rewards are scaled.
@@ -51,7 +51,7 @@ class AttitudeBatch:
         return self._simulation is None
 
     def close(self) -> None:
-        """Leave the physics client."""
+        """Close the physics simulation."""
         if self._simulation is not None:
             self._simulation.close()
             self._simulation = None
@@ -87,11 +87,11 @@ class AttitudeBatch:
         return StepResult(result.observation * self.scale, result.reward * self._reward_scale, result.ended)
 
     def info(self) -> dict[str, NDArray[np.float64]]:
-        """Commanded and true rate of the present sample [rad/s], (N, 3) each."""
+        """Return commanded and true rates of the present sample [rad/s], (N, 3) each."""
         return {"setpoint": self.simulation.setpoint, "rate": self.simulation.rate}
 
     def frames(self, index: Sequence[int]) -> list[NDArray[np.uint8]]:
-        """Pictures (H, W, 3) of the aircraft of `index`."""
+        """Draw pictures (H, W, 3), red, green, blue, of the aircraft of `index`."""
         from sim.viewing.pictures import pose_picture
 
         simulation = self.simulation
@@ -108,7 +108,7 @@ class AttitudeBatch:
 
 
 def check_render_mode(mode: str | None) -> str | None:
-    """Return the mode. Raises ValueError on one that there is not."""
+    """Return the mode. Raises ValueError on an unknown one."""
     if mode is not None and mode not in METADATA["render_modes"]:
         raise ValueError(f"render_mode {mode!r}, expected one of: {', '.join(METADATA['render_modes'])}")
     return mode

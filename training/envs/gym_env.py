@@ -57,7 +57,7 @@ class AttitudeEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]], EzPic
         return None if self.render_mode is None else self.batch.frames([0])[0]
 
     def close(self) -> None:
-        """Leave the physics client."""
+        """Close the physics simulation."""
         self.batch.close()
 
     def _info(self) -> dict[str, Any]:

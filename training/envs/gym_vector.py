@@ -101,7 +101,7 @@ class AttitudeVectorEnv(VectorEnv[Floats, Floats, NDArray[Any]], EzPickle):
         return None if self.render_mode is None else tuple(self.batch.frames(range(self.num_envs)))
 
     def close_extras(self, **_: Any) -> None:  # noqa: ANN401
-        """Leave the physics client."""
+        """Close the physics simulation."""
         self.batch.close()
 
     def _reset_some(self, mask: NDArray[Any], seed: object) -> tuple[Floats, dict[str, Any]]:
@@ -129,7 +129,7 @@ class AttitudeVectorEnv(VectorEnv[Floats, Floats, NDArray[Any]], EzPickle):
         self.batch.reseed(self.np_random)
 
     def _final(self, observation: Floats, ended: Flags) -> dict[str, Any]:
-        """Return what infos say of the last step of episodes after which the next one begins at once."""
+        """Return the infos of ended episodes' last steps, where the next episode begins in the same step."""
         last = np.full(self.num_envs, None, dtype=object)
         for i in np.flatnonzero(ended):
             last[i] = observation[i].copy()
@@ -141,7 +141,7 @@ class AttitudeVectorEnv(VectorEnv[Floats, Floats, NDArray[Any]], EzPickle):
         }
 
     def _infos(self, mask: Flags | None = None) -> dict[str, Any]:
-        """Return the rates, and of which aircraft they are: Gymnasium's form of infos."""
+        """Return the rates and a mask of the aircraft that they belong to, in Gymnasium's form of infos."""
         told = np.ones(self.num_envs, bool) if mask is None else mask
         infos: dict[str, Any] = {}
         for name, value in self.batch.info().items():

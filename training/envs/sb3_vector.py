@@ -61,7 +61,7 @@ class BatchVecEnv(VecEnv):
         raise NotImplementedError
 
     def close(self) -> None:
-        """Leave the physics client."""
+        """Close the physics simulation."""
         self.batch.close()
 
     def get_images(self) -> Sequence[NDArray[np.uint8] | None]:

@@ -90,7 +90,7 @@ struct power_sample convert_power(double volts, double amps)
 	};
 }
 
-/* The value of 11 bits that reads back as `us`: the inverse of 880 + (5 value + 4) / 8. */
+/* Returns the 11-bit value that a receiver frame carries for `us`: the inverse of 880 + (5 value + 4) / 8. */
 static uint32_t convert_channel(uint16_t us)
 {
 	if (us <= CHANNEL_ZERO_US)
@@ -99,6 +99,7 @@ static uint32_t convert_channel(uint16_t us)
 	return value < CHANNEL_VALUE_MAX ? value : CHANNEL_VALUE_MAX;
 }
 
+/* Packs 16 values of 11 bits, the first in the lowest bits, as SBUS and CRSF both do. */
 static void convert_channels(const uint16_t channels_us[NF_CHANNEL_COUNT], uint8_t packed[CHANNELS_PACKED_BYTES])
 {
 	uint32_t bits = 0;

@@ -23,12 +23,12 @@ void convert_force(const double force_frd[3], enum board_alignment alignment, in
  * settings. Not valid if one is NaN or negative. */
 struct power_sample convert_power(double volts, double amps);
 
-#define CONVERT_FRAME_BYTES_MAX (CHANNELS_PACKED_BYTES + 4u) /* CRSF: sync, length and type before them, a CRC behind */
+#define CONVERT_FRAME_BYTES_MAX (CHANNELS_PACKED_BYTES + 4u) /* CRSF: sync, length, type; CRC */
 _Static_assert(NF_SBUS_FRAME_BYTES <= CONVERT_FRAME_BYTES_MAX, "SBUS is shorter");
 
-/* One frame of a receiver that speaks `protocol`, NF_RECEIVER_PROTOCOL_...; returns its bytes, 0 for a protocol that does
- * not use the receiver's line. Channels [us] outside 880..2159 are sent as the nearer end; each whole microsecond in
- * between comes out of the frame as it went in. */
+/* Writes one frame of the receiver protocol NF_RECEIVER_PROTOCOL_...; returns its length in bytes, 0 for a protocol
+ * that does not use the receiver's line. Channels [us] outside 880..2159 are sent as the nearer limit; each whole
+ * microsecond in between is decoded to the same value. */
 size_t convert_frame(uint32_t protocol, const uint16_t channels_us[NF_CHANNEL_COUNT],
 		     uint8_t frame[CONVERT_FRAME_BYTES_MAX]);
 

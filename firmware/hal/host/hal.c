@@ -32,26 +32,26 @@ static struct host {
 	struct log_file log;
 	struct hal hal;              /* of the board */
 	double time_s;               /* of the last state packet; NaN: there was none */
-	bool deaf;                   /* receiver packets came, but no protocol for them is set */
+	bool deaf;                   /* the user was told that receiver packets are ignored */
 	unsigned long bad;           /* samples whose rate was NaN */
 	sigset_t while_waiting;      /* signals let through only there */
 	uint64_t answered_ns;        /* when motors were sent last; 0: never */
 	bool spins;                  /* the packet before it came within SPIN_NS of an answer */
-	bool restarts; /* over MSP or the command line, rather than a signal */
+	bool restarts;               /* MSP or the command line ended it, not a signal */
 } host;
 
 /* A simulator that sends its next packet so soon after the answer is awaited without sleeping: a wake-up takes as long as
  * a sample does. A simulator that keeps to real time never does. */
 #define SPIN_NS 50000
-#define LINK_SOCKETS 3 /* of the simulator: state, receiver, power */
+#define LINK_SOCKETS 3 /* to the simulator: state, receiver, power */
 #define LOOK_NS 500000 /* between two looks at signals and MSP while packets are awaited so */
 
 /* The longest silence that is counted: a longer one has the same effect. */
 #define SILENCE_MAX_S 10.0
 
-/* Between a restart's last reply and the end of the connections. Behind a WebSocket the Betaflight app drops what it has
- * not decoded yet when the connection ends, and so the word that tells it to connect again; 20 ms were enough. */
-#define LAST_WORDS_NS 50000000
+/* Wait between a restart's last reply and closing the connections. When a WebSocket closes, the Betaflight app discards
+ * replies that it has not decoded yet, among them the one that makes it reconnect. 20 ms were enough (measured). */
+#define LAST_REPLY_NS 50000000
 
 static volatile sig_atomic_t ended;
 
@@ -91,10 +91,14 @@ static uint64_t host_now_ns(void)
 	return (uint64_t)now.tv_sec * 1000000000u + (uint64_t)now.tv_nsec;
 }
 
+/* The program's own time: what other programs of the computer take is no load of the aircraft. */
 static uint32_t host_cycles(void *context)
 {
+	struct timespec used;
+
 	(void)context;
-	return (uint32_t)host_now_ns();
+	clock_gettime(CLOCK_THREAD_CPUTIME_ID, &used);
+	return (uint32_t)((uint64_t)used.tv_sec * 1000000000u + (uint64_t)used.tv_nsec);
 }
 
 static bool host_reset(void *context, enum nf_reboot kind)
@@ -170,7 +174,7 @@ static void host_pass_silence(const struct hal_handlers *handlers, double time_s
 		handlers->gyro_silent(handlers->context);
 }
 
-/* A pilot who flies by packets that nothing reads is told, once. */
+/* Warns, once, that receiver packets are ignored because receiver_protocol is msp. */
 static void host_say_deaf(void)
 {
 	if (!host.deaf)
@@ -213,8 +217,9 @@ static bool host_step(const struct hal_handlers *handlers)
 	return true;
 }
 
-/* A simulator that awaits motors before it tells its state, or lost a packet, would wait as long as we do. Returns how
- * long it is until the motors are due again without a state packet; call it when that has passed. */
+/* Sends the motors again once options.motor_ms have passed without a state packet: a simulator that waits for motors
+ * before it sends its state, or that lost a packet, would otherwise wait for us while we wait for it. Returns the time
+ * until they are due next. */
 static struct timespec host_call(void)
 {
 	const uint64_t period_ns = host.options.motor_ms * 1000000ull, now_ns = host_now_ns();
@@ -296,7 +301,7 @@ int hal_run(const struct hal_handlers *handlers, const struct nf_settings *setti
 			host.spins = host_now_ns() - host.answered_ns < SPIN_NS;
 			host_step(handlers);
 		}
-		/* Before their socket is full: it keeps the oldest packets, and what counts is the newest. */
+		/* Read before the socket is full: it would then drop new packets, and only the newest counts. */
 		if (wait[1].revents || wait[2].revents)
 			host_take_receiver_and_power();
 		for (unsigned i = 0; i < MSP_TCP_SOCKETS; ++i)
@@ -305,7 +310,7 @@ int hal_run(const struct hal_handlers *handlers, const struct nf_settings *setti
 			msp_tcp_serve(&host.tcp, handlers);
 	}
 	if (host.restarts)
-		nanosleep(&(const struct timespec){ .tv_nsec = LAST_WORDS_NS }, NULL);
+		nanosleep(&(const struct timespec){ .tv_nsec = LAST_REPLY_NS }, NULL);
 	msp_tcp_close(&host.tcp);
 	link_close(&host.link);
 	host_print_problems();

@@ -17,8 +17,8 @@ _Static_assert(__BYTE_ORDER__ == __ORDER_LITTLE_ENDIAN__, "packets are read and 
 #define MOTOR_PACKET_MOTORS 4
 #define SERVO_PACKET_MOTORS 16
 #define PACKET_MAX 256 /* longer than any good packet, so that a longer one shows */
-#define LATE_MAX_S 1.0 /* no packet is so long on its way over loopback */
-#define LATE_IN_A_ROW 10 /* more are those of a sender whose clock went back: a tenth of a second, as pilots send */
+#define LATE_MAX_S 1.0 /* own choice: no packet takes this long over loopback */
+#define LATE_IN_A_ROW 10 /* after so many the sender's clock has gone back; 0.1 s at 100 packets/s */
 
 /* The packets of toolchain/contract/simulator_link.py. */
 struct state_packet {
@@ -120,7 +120,7 @@ static size_t link_take(int bound, uint8_t packet[PACKET_MAX])
 	return size < 0 ? 0 : size == 0 ? 1 : (size_t)size;
 }
 
-/* Whoever sends such packets may wait for answers: the first is told at once. */
+/* Counts a packet of a wrong size. The first is reported at once, as its sender may be waiting for an answer. */
 static void link_ignore(struct link *link, const char *name, size_t size, size_t expected)
 {
 	if (link->ignored++ == 0)

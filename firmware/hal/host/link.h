@@ -14,9 +14,9 @@ struct link {
 	int state, receiver, power;     /* sockets */
 	unsigned motor_port, servo_port, trace_port;
 	unsigned long ignored;          /* packets of a wrong size */
-	double heard_s;                 /* time in the last receiver packet that was taken; NaN: there was none */
-	unsigned long late;             /* receiver packets that came behind a newer one */
-	unsigned late_in_a_row;
+	double heard_s;                 /* time stamp of the last receiver packet taken; NaN: none yet */
+	unsigned long late;             /* receiver packets dropped because a newer one came first */
+	unsigned late_in_a_row;         /* of those, without a good one between them */
 };
 
 /* Binds the three ports. On failure one line on stderr and false. */
@@ -43,9 +43,9 @@ struct link_power {
 /* Takes one waiting state packet. False if none was waiting or it was malformed. */
 bool link_take_state(struct link *link, struct link_state *state);
 
-/* Takes one waiting receiver packet. False if no good one waits. What is older than the one before has been overtaken on
- * its way and is dropped: it would undo what the pilot did. Not so when it is much older, or many in a row are: then its
- * sender's clock has begun anew or went back, and the pilot must be heard. */
+/* Takes one waiting receiver packet; returns false if no good one waits. A packet whose time stamp is older than the
+ * last one's was overtaken on its way and is dropped, as it would undo the pilot's newer input. If it is more than 1 s
+ * older, or follows 10 dropped ones, the sender's clock was reset, and it is taken. */
 bool link_take_receiver(struct link *link, uint16_t channels_us[NF_CHANNEL_COUNT]);
 
 /* Takes one waiting power packet. False if no good one waits. */

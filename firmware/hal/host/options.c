@@ -34,7 +34,7 @@ static const struct number {
 	  "UDP, out: trace of each control step, before its reply; 0 is off" },
 	{ "msp-port", offsetof(struct options, msp_port), NF_MSP_TCP_PORT, PORT_MAX, "TCP: MSP, two clients at once" },
 	{ "motor-ms", offsetof(struct options, motor_ms), 0, MOTOR_MS_MAX,
-	  "ms: send the motors so long after them again, when no state packet came; 0 is never" },
+	  "ms without a state packet until motors are sent again; 0 is never" },
 	{ "gyro-hz", offsetof(struct options, gyro_hz), 0, NF_GYRO_EDGE_RATE_HZ,
 	  "gyro samples per second; 0 is as set" },
 };

@@ -12,7 +12,7 @@ struct options {
 	unsigned motor_port, servo_port;                /* sent to */
 	unsigned trace_port;                            /* sent to; 0: no trace */
 	unsigned msp_port;                              /* listened on; 0: any free one */
-	unsigned motor_ms;                              /* of silence until motors are sent again; 0: never */
+	unsigned motor_ms;                              /* [ms] without state until motors are sent again */
 	unsigned gyro_hz;                               /* 0: as set */
 	const char *settings;                           /* file of the flash; NULL: memory */
 	const char *blackbox; /* file for logs; NULL: none is written */

@@ -17,11 +17,11 @@ struct receiver_line {
 	size_t count;
 };
 
-/* An empty line on which a receiver speaks `protocol`. */
+/* Empties the line; frames put on it from now on are those of `protocol`. */
 void receiver_line_start(struct receiver_line *line, uint32_t protocol);
 
-/* Puts one frame of channels [us] on the line. A full line drops the oldest frame. Returns false, and nothing is put,
- * when the protocol does not use the line. */
+/* Puts one frame of channels [us] on the line. A full line drops the oldest frame. Returns false and puts nothing if
+ * the protocol does not use the line. */
 bool receiver_line_put(struct receiver_line *line, const uint16_t channels_us[NF_CHANNEL_COUNT]);
 
 /* Takes up to `capacity` bytes off, oldest first; returns how many. */

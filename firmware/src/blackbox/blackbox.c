@@ -170,7 +170,8 @@ static void blackbox_event(struct blackbox *b, enum nf_log_event event, uint32_t
 						   event < sizeof counts / sizeof counts[0] ? counts[event] : 0);
 }
 
-/* The ecosystem's flags alone: to its programs other bits would be modes. Ours stand in slow frames. */
+/* Writes an event when a mode of the ecosystem changed. Its programs would show our own flags as modes, so these are
+ * written in slow frames only. */
 static void blackbox_tell_modes(struct blackbox *b, uint32_t flags)
 {
 	const uint32_t boxes = flags & LOG_BOXES, last = b->slow.flags & LOG_BOXES;
@@ -281,7 +282,7 @@ static void blackbox_tell_silence(struct blackbox *b)
 
 	blackbox_tell_modes(b, flags);
 	slow->flags = flags;
-	slow->edges = slow->receiver_count = 0; /* these came in their own step alone */
+	slow->edges = slow->receiver_count = 0; /* these belong to the step that they came in */
 	memset(slow->receiver, 0, sizeof slow->receiver);
 	b->out_count += (uint32_t)log_frames_slow(slow, b->out + b->out_count);
 	if (b->armed)

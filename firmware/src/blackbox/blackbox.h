@@ -75,7 +75,7 @@ void blackbox_step(struct blackbox *blackbox, const struct blackbox_view *view);
 
 void blackbox_status(const struct blackbox *blackbox, struct blackbox_status *status);
 
-/* Is a log begun, and not over yet? */
+/* Returns whether a log is being written. */
 bool blackbox_logs(const struct blackbox *blackbox);
 
 /* Logs that the device keeps. Only while the motors are stopped. NF_REFUSAL_ABSENT: this device keeps none, _ORDER: a log

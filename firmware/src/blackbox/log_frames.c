@@ -261,7 +261,7 @@ static void frames_acceleration(const struct log_step *step, int32_t out[3])
 		out[i] = frames_rounded(frames_turned(step->mount, step->record->accel, i), 1.0f, THREE_BYTES_MAX);
 }
 
-/* As the ecosystem's analysis of its chirp reads them: phase, axis, frequency, and what is added as a setpoint is told. */
+/* As the ecosystem's chirp analysis reads them: phase [0.2 mrad], axis, frequency [0.1 Hz], added setpoint [deg/s]. */
 static void frames_chirp(const struct log_record *r, int32_t out[LOG_CHIRP_FIELDS])
 {
 	const bool runs = r->chirp_frequency_hz > 0.0f;

@@ -16,7 +16,7 @@
 #define LOG_CHIRP_PHASE_SCALE 5000.0f /* of a radian, as the ecosystem tells it */
 #define LOG_ACTION_SCALE 1000.0f
 #define LOG_OBSERVATION_SCALE 100.0f
-#define LOG_BOXES 0xFFFFu /* of log_flags: the ecosystem's, whose programs name the bits */
+#define LOG_BOXES 0xFFFFu /* bits of log_flags that are the ecosystem's modes; ours lie above them */
 #define LOG_NAME_LINE_MAX 1000u /* characters of the fields' names: the ecosystem's tools read lines of 1,024 */
 #define LOG_RECEIVER_WORDS (NF_LOG_RECEIVER_BYTES / 4u)
 

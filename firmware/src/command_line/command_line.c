@@ -38,7 +38,7 @@ static uint32_t command_line_samples(const struct command_line *cl)
 }
 
 /* --- What is run instead of a command --------------------------------------------------------------------------- */
-/* The Betaflight app shows what follows the first line end, and takes the session for open once that says "CLI". */
+/* The Betaflight app shows the text after the first line end, and considers the session open once it contains "CLI". */
 static bool line_greet(const struct task_line *t)
 {
 	printer_end(t->out);

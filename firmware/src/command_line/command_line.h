@@ -2,8 +2,8 @@
  * clock: time is the gyro sample index.
  *
  * A typed session is opened by COMMAND_LINE_OPENS and echoes; a framed one, COMMAND_LINE_FRAME text LF
- * COMMAND_LINE_FRAME_END, is answered by lines between the same two, and is over then. While a session is open nothing
- * can arm. */
+ * COMMAND_LINE_FRAME_END, is answered by lines between the same two bytes, and ends then. While a session is open
+ * nothing can arm. */
 #ifndef NF_COMMAND_LINE_H
 #define NF_COMMAND_LINE_H
 

@@ -70,7 +70,7 @@ struct command_line {
 	uint8_t fault; /* of the line: enum command_line_fault */
 	uint8_t length; /* characters of `line` */
 	bool after_cr; /* an LF would belong to the CR before it */
-	bool failed; /* a command since the session, or its frame, began: `save` is refused */
+	bool failed; /* a command failed since the session, or its frame, began: `save` is refused */
 	bool found; /* the command that runs has found something */
 	bool frame_ended; /* only the output before it is outstanding */
 	const struct command *running; /* has more to say; NULL: none */

@@ -17,7 +17,7 @@ struct dshot_command {
 	uint32_t from, until;     /* the command is sent while `left` is in [until, from) */
 	uint8_t command;          /* enum nf_dshot_command */
 	uint8_t wanted;           /* bit field of the outputs that get it */
-	uint8_t next;             /* that they get behind it, 0: none */
+	uint8_t next;             /* command that they get after it; 0: none */
 	uint8_t motor_count;
 	HELD(const uint8_t *, outputs); /* of each motor */
 	uint32_t gyro_rate_hz;
@@ -28,9 +28,10 @@ struct dshot_command {
 void dshot_command_init(struct dshot_command *self, unsigned gyro_rate_hz, unsigned motor_count,
 			const uint8_t outputs[]);
 
-/* From the background: asks for `command` to the motor of that index, or to all (NF_DSHOT_ALL_MOTORS); its bits from 8 on
- * are 0 or NF_DSHOT_COMMAND_SAVE, which then follows at once. `stopped`: the motors are, and not under test. NF_DSHOT_COMMAND_STOP ends what is under way and is never refused. Refusals: PAYLOAD
- * for what is no command of ours, INDEX for no such motor, ARMED, ORDER while another is under way. */
+/* From the background: asks for `command` to the motor of that index, or to all (NF_DSHOT_ALL_MOTORS). Bits 8 to 15 of
+ * `command` are 0 or NF_DSHOT_COMMAND_SAVE, which is then sent after it. `stopped`: the motors are stopped and not
+ * under test. NF_DSHOT_COMMAND_STOP ends what is under way and is never refused. Refusals: PAYLOAD for an unsupported
+ * command, INDEX for no such motor, ARMED, ORDER while another is under way. */
 enum nf_refusal dshot_command_ask(struct dshot_command *self, unsigned command, unsigned motor, bool stopped);
 
 /* One gyro sample, in the interrupt: while a sequence is under way, writes each output's value. Returns the telemetry

@@ -42,16 +42,17 @@ void motor_test_init(struct motor_test *test, unsigned control_rate_hz, unsigned
  * known: ARMED without it. */
 enum nf_refusal motor_test_ask(struct motor_test *test, uint32_t magic, bool stopped);
 
-/* From the background: motor fractions, 0 stops, of the first `count` motors; the others stop. To be given again
- * within NF_MOTOR_TEST_TIMEOUT_MS. All are taken or none: ORDER while the test is closed, INDEX for more motors than
- * there are, RANGE for one outside 0..most (NF_MOTOR_TEST_MAX, or NF_MOTOR_BENCH_MAX where that magic opened it), NaN, or a
- * sum above NF_MOTOR_TEST_SUM_MAX. */
+/* From the background: motor fractions, 0 stops, of the first `count` motors; the others stop. To be given again within
+ * NF_MOTOR_TEST_TIMEOUT_MS. All are taken or none: ORDER while the test is closed, INDEX for more motors than there
+ * are, RANGE for one that is NaN or outside 0..most (NF_MOTOR_TEST_MAX; NF_MOTOR_BENCH_MAX where that magic opened the
+ * test, NF_MOTOR_WIZARD_MAX where the app's wizard did), or a sum above NF_MOTOR_TEST_SUM_MAX. */
 enum nf_refusal motor_test_give(struct motor_test *test, const float fractions[], size_t count);
 
 /* From the background: an open test goes on for NF_MOTOR_TEST_TIMEOUT_MS, its values as they are. */
 void motor_test_keep(struct motor_test *test);
 
-/* From the background: may values still be given? Closed, the motors stop with the next control step. */
+/* From the background: returns whether values may still be given. Once it is closed, the motors stop at the next
+ * control step. */
 bool motor_test_open(const struct motor_test *test);
 
 /* In the interrupt, for each receiver frame. A test ends when it is not `stopped`, the switch is on, or the link is

@@ -148,9 +148,11 @@ static enum nf_refusal command_arming_disable(struct request *q)
 			   NF_REFUSAL_ABSENT;
 }
 
-/* The app's wizards ask for consent before they turn motors, and tell the board nothing of it. What shows them: the peer holds
- * the arming lock, and gives each motor of the aircraft a value, which the app's sliders, eight of them, never do, and none above
- * NF_MOTOR_WIZARD_MAX. Such values open a test of that peer, up to there. Values that stop all, and commands, close it. */
+/* Opens or closes a motor test for the Betaflight app's wizards (motor order, direction). They ask the user for consent
+ * but send the board no sign of it, so a wizard is recognised by its requests: the peer holds the arming lock and sends
+ * one value for each motor of the aircraft, none above NF_MOTOR_WIZARD_MAX. (The app's sliders send eight values.) Such
+ * a SET_MOTOR opens a test of that peer, limited to NF_MOTOR_WIZARD_MAX; values that stop all motors, or a DShot
+ * command, close it. */
 static enum nf_refusal command_wizard(const struct request *q, bool opens)
 {
 	return q->peer->locks ? q->services->arming(q->services->context, q->peer, true, opens) : NF_REFUSAL_ORDER;
@@ -201,9 +203,9 @@ static enum nf_refusal command_dshot_command(struct request *q)
 	return s->dshot_command ? s->dshot_command(s->context, motor, msp_take_u8(&q->payload)) : NF_REFUSAL_ABSENT;
 }
 
-/* Type, motor, count, commands. The sequence of a command takes its time on the wire: one is taken at a time, or one and the
- * SAVE behind it, so that none is lost; the type, whether the ecosystem's firmware waits for it, makes no difference. The
- * app's wizard sends them while motors turn: these stop, and the wizard turns them again. */
+/* Type, motor, count, commands. The frames of a command take time on the wire, so one command is taken at a time, or
+ * one followed by SAVE. The type tells the ecosystem's firmware whether to wait for it and makes no difference here.
+ * The app's wizard sends commands while motors turn: they stop, and the wizard turns them again. */
 static enum nf_refusal command_send_dshot(struct request *q)
 {
 	const struct msp_services *s = q->services;

@@ -39,9 +39,9 @@ struct msp_services {
 	enum nf_refusal (*storing)(void *context, bool busy);
 	/* Channels [us] in the contract's order, where the receiver is MSP. Also while armed. */
 	enum nf_refusal (*channels)(void *context, const uint16_t channels_us[NF_CHANNEL_COUNT]);
-	/* A peer says that nothing may arm from now on (NF_ARMING_REASON_MSP), or takes it back. test: and opens the
-	 * motor test, with `disabled` up to NF_MOTOR_WIZARD_MAX; refused, nothing
-	 * has changed. Not test: what it opened so is closed. */
+	/* disabled: nothing may arm until the peer calls with false (NF_ARMING_REASON_MSP). test: also opens a motor
+	 * test of that peer, limited to NF_MOTOR_WIZARD_MAX if `disabled`; if that is refused, nothing changes.
+	 * Not test: a test that the peer opened so is closed. */
 	enum nf_refusal (*arming)(void *context, struct msp_peer *peer, bool disabled, bool test);
 	/* A peer has made a request: the motor test that it opened by `arming` goes on. */
 	void (*heard)(void *context, const struct msp_peer *peer);

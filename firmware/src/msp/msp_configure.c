@@ -24,7 +24,7 @@ static bool configure_get(const struct msp_view *view, struct msp_peer *peer, ui
 	return true;
 }
 
-/* Carries out a SET. *told: its peer knows what it changes. */
+/* Carries out a SET; returns false if `command` is none. *told: the peer has read what it changes. */
 static bool configure_set(const struct msp_view *view, const struct msp_peer *peer, uint16_t command,
 			  struct msp_reader payload, enum nf_refusal *refusal, bool *told)
 {
@@ -43,7 +43,7 @@ static bool configure_set(const struct msp_view *view, const struct msp_peer *pe
 	return true;
 }
 
-/* Takes over what a SET has made of the settings, but for what does not go with others. *detail: the first such setting. */
+/* Takes over the settings as a SET changed them, except those that conflict. *detail: the first that does. */
 static void configure_take(const struct msp_services *services, struct nf_settings *changed, bool told,
 			   enum nf_refusal *refusal, unsigned *detail)
 {

@@ -1,4 +1,5 @@
-/* Configuration by MSP: the messages of msp_fields.h and msp_lists.h; of each what is good is taken. */
+/* MSP configuration: the messages of msp_fields.h and msp_lists.h. The valid fields of a SET are taken, the others
+ * refused. */
 #ifndef NF_MSP_CONFIGURE_H
 #define NF_MSP_CONFIGURE_H
 
@@ -13,11 +14,12 @@
 
 /* Carries out `command` and writes the reply, as msp_command does. Returns false if it is none of these.
  *
- * A SET changes only what the peer changed. What of it is refused leaves its setting as it was, and so do settings that would
- * not go together: the reply is the first refusal then, though the rest of it counts. Nothing of it counts while armed; where
- * its GET is refused; and, of a peer that has not read, where any of it is refused, or its zeros would mean something: who has
- * not read may send zeros for all that it does not know.
- * After a refusal the peer's next EEPROM_WRITE stores what counts, and is answered with NF_REFUSAL_SPOILT: it is not all. */
+ * A SET changes the settings whose fields differ from what its GET tells. A refused field leaves its setting as it was,
+ * and so do settings that would conflict; the other fields are taken, and the reply is an error that names a refusal.
+ * Nothing is taken while armed, or where the GET is refused. A peer that has not sent the GET may send zeros for fields
+ * that it does not know: from it a SET is taken whole or not at all, and not at all where zeros are valid values. After
+ * a refusal the peer's next EEPROM_WRITE stores what was taken, and is answered with NF_REFUSAL_SPOILT: stored, but not
+ * all. */
 bool msp_configure(const struct msp_services *services, const struct firmware_status *status, struct msp_peer *peer,
 		   uint16_t command, const uint8_t *payload, size_t size, struct msp_writer *reply,
 		   enum nf_refusal *refusal);

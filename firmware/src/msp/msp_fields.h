@@ -19,11 +19,12 @@ bool msp_fields_read_first(int message);
 /* Writes the payload of a GET. NF_REFUSAL_ABSENT: the settings do not fit the message's form, or the board has none. */
 enum nf_refusal msp_fields_get(const struct msp_view *view, int message, struct msp_writer *reply);
 
-/* Carries out a SET: every field that is not what a GET would tell changes its setting. A payload may end behind any of the
- * fields that are not required, and bring more than is known; the former leaves the rest alone. NF_REFUSAL_ABSENT: as the GET,
- * nothing changed. NF_REFUSAL_PAYLOAD: of no such length, or its rates are of a type that there is not: nothing of it counts,
- * though some of view->settings may have changed, so let it be a copy. NF_REFUSAL_RANGE: some fields are beyond their setting's
- * limits or cannot be changed, and left as they were; the others count. */
+/* Carries out a SET: each field that differs from what a GET would tell changes its setting. A payload may end after
+ * any field that is not required, which leaves the settings of the missing fields alone, and may be longer than is
+ * known. NF_REFUSAL_ABSENT: as the GET; nothing has changed. NF_REFUSAL_PAYLOAD: the length or the type of rates is
+ * wrong; the SET must have no effect, but some of view->settings may have changed, so pass a copy. NF_REFUSAL_RANGE:
+ * some fields are beyond their setting's limits or cannot be changed; they are left as they were, the others are
+ * taken. */
 enum nf_refusal msp_fields_set(const struct msp_view *view, int message, struct msp_reader payload);
 
 #endif

@@ -65,8 +65,8 @@ static enum nf_refusal lists_set_mode(const struct msp_view *view, struct msp_re
 	const unsigned logic = size >= MODE_BYTES_LOGIC ? msp_take_u8(&payload) : range.and_others;
 	const unsigned linked = msp_take_u8(&payload);
 	range.and_others = logic == 1;
-	/* The app numbers its ranges anew at each save. Where this one is refused, the one before it in the slot may be one that
-	 * the pilot took away, and goes too. */
+	/* The app assigns slots anew at each save. If this range is refused, the slot's old one, which the pilot may
+	 * have deleted, must not stay. */
 	(void)settings_set_whole(view->settings, SETTING_AT_mode1 + slot, 0);
 	if (logic > 1 || linked != 0 || range.aux >= NF_AUX_COUNT || range.low > STEP_MAX || range.high > STEP_MAX)
 		return NF_REFUSAL_RANGE; /* each must fit into its bits */
@@ -146,7 +146,7 @@ static uint32_t lists_functions(const struct nf_settings *s, unsigned number)
 								  FUNCTION_RECEIVER;
 }
 
-/* The setting that says how fast a line is for MSP, and for a log; NF_SETTING_COUNT: it is none for that. */
+/* Return the setting of a line's baud rate for MSP and for a log; NF_SETTING_COUNT: there is none. */
 static unsigned lists_baud(unsigned number)
 {
 	return number == LINE_UART3 ? SETTING_AT_uart3_baud :
@@ -212,7 +212,7 @@ static enum nf_refusal lists_set_functions(struct nf_settings *s, unsigned numbe
 	return NF_REFUSAL_RANGE;
 }
 
-/* How fast a function is that the line does not have is nothing to it: the app tells a number for each. */
+/* Baud rates of functions that the line does not have are ignored: the app sends one for each function. */
 static enum nf_refusal lists_set_port(const struct msp_view *view, struct msp_reader payload)
 {
 	const unsigned number = msp_take_u8(&payload);
@@ -232,7 +232,7 @@ static enum nf_refusal lists_set_port(const struct msp_view *view, struct msp_re
 		       NF_REFUSAL_NONE;
 }
 
-/* Ports that there are not are refused beside those that there are; newer peers may tell more of each. */
+/* Takes the ports that exist and refuses the others. Newer peers may send longer rows. */
 static enum nf_refusal lists_set_ports(const struct msp_view *view, struct msp_reader payload)
 {
 	const unsigned count = msp_take_u8(&payload);
@@ -260,7 +260,7 @@ static enum nf_refusal lists_outputs(const struct msp_view *view, struct msp_wri
 	return NF_REFUSAL_NONE;
 }
 
-/* All are taken or none. */
+/* Takes all outputs or none: a part of a motor order means another order. */
 static enum nf_refusal lists_set_outputs(const struct msp_view *view, struct msp_reader payload)
 {
 	const unsigned count = msp_take_u8(&payload);

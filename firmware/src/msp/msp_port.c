@@ -144,7 +144,8 @@ static size_t msp_port_type(struct msp_port *port, const struct firmware_status 
 	return written + command_line_take(cl, byte, reply + written, capacity - written);
 }
 
-/* Nothing else is said beside a session. What is said to a frame stands in a frame. */
+/* Opens a command line session, if the byte opens one; returns the bytes of its reply. Streaming stops meanwhile. The
+ * reply to a frame is itself a frame. */
 static size_t msp_port_open(struct msp_port *port, uint8_t byte, uint8_t *reply, size_t capacity)
 {
 	if (!command_line_begin(&port->command_line, byte))

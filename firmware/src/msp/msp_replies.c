@@ -38,7 +38,7 @@ static void reply_fc_variant(struct msp_writer *w, const struct msp_facts *s)
 	msp_put_text(w, reply_variant(s), 4);
 }
 
-/* The release of the ecosystem's firmware that we speak like. */
+/* The release of the ecosystem's firmware whose MSP we speak; our own version is in IDENTITY. */
 static void reply_fc_version(struct msp_writer *w, const struct msp_facts *s)
 {
 	static const uint8_t release[NF_MSP_RELEASE_NUMBERS_COUNT] = NF_MSP_RELEASE_NUMBERS;

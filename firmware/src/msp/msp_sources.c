@@ -25,8 +25,8 @@ static uint32_t sources_features(const struct nf_settings *s)
 	       (s->motor_stop ? BIT(NF_MSP_FEATURE_MOTOR_STOP) : 0u);
 }
 
-/* Which serial receiver it is the provider tells; SBUS is the first of them. The app derives the bit of the blackbox from the
- * ports that it sends besides. */
+/* The provider tells which serial receiver it is; SBUS is the first of them. The bit of the blackbox is ignored: the
+ * app derives it from the ports, which it sends too. */
 static enum nf_refusal sources_set_features(struct nf_settings *s, uint32_t value)
 {
 	const uint32_t receivers = BIT(NF_MSP_FEATURE_RX_SERIAL) | BIT(NF_MSP_FEATURE_RX_MSP);

@@ -12,7 +12,7 @@
 /* Values of the length: type, payload and CRC. */
 #define LENGTH_MIN 2u
 #define LENGTH_MAX (NF_CRSF_FRAME_BYTES_MAX - 2u)
-/* At least: a newer sender may have more to say behind what is known. */
+/* Shortest lengths: newer senders may append fields. */
 #define CHANNELS_LENGTH (CHANNELS_PACKED_BYTES + 2u)
 #define LINK_LENGTH (10u + 2u) /* RSSI of two antennas stands before the uplink's quality */
 #define LINK_QUALITY (PAYLOAD + 2)
@@ -63,8 +63,8 @@ static bool crsf_decode(const uint8_t *bytes, struct crsf_frame *frame)
 	return false;
 }
 
-/* Terminates: each round removes at least one byte. The rest is shorter than the longest frame, or nothing after a
- * pause. */
+/* Terminates: each round removes at least one byte. What is left is shorter than the longest frame; after a pause it is
+ * empty. */
 bool crsf_take(struct crsf *crsf, bool paused, struct crsf_frame *frame)
 {
 	size_t from = 0;

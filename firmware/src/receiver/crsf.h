@@ -11,7 +11,7 @@
 
 #include "nf_contract.h"
 
-/* Empty when all is 0. */
+/* All zeros: empty. */
 struct crsf {
 	uint8_t bytes[NF_CRSF_FRAME_BYTES_MAX];
 	uint8_t count;
@@ -29,14 +29,15 @@ struct crsf_frame {
 	uint8_t quality;                        /* of the uplink, 0..100 % */
 };
 
-/* Takes bytes until there may be a frame, at most `count`; returns how many. Before it, the first time as well,
- * crsf_take is called until it returns false: until then no more is taken. */
+/* Takes bytes until there may be a frame, at most `count`; returns how many. Call crsf_take until it returns
+ * false before each call, the first included: until then no more bytes are taken. */
 size_t crsf_put(struct crsf *crsf, const uint8_t *bytes, size_t count);
 
 /* Takes out the next whole frame of a kind above; returns whether there was one. One byte may complete several frames:
- * when a supposed frame is none, the search continues after its first byte. So it does with `paused`, which says that
- * the line has been silent for longer than a gap inside a frame can be, where a frame is incomplete: what such a one
- * only seemed to begin may hide frames, whose channels would else be lost. Nothing is left when that returns false. */
+ * when a supposed frame is none, the search continues after its first byte. `paused`: the line has been silent for
+ * longer than a gap inside a frame can be. Then an incomplete frame is none either, and the search continues after its
+ * first byte, as bytes that only seemed to begin a frame may be followed by whole ones. When a paused call returns
+ * false, nothing is left. */
 bool crsf_take(struct crsf *crsf, bool paused, struct crsf_frame *frame);
 
 #endif

@@ -154,8 +154,8 @@ static bool receiver_read_crsf(struct receiver *receiver, const uint8_t **bytes,
 	return frame;
 }
 
-/* Silence separates frames: after a gap a frame that began before it is none. Returns whether one with channels came out
- * of what is left. */
+/* Ends what was received before a silence: an incomplete frame is none. Returns whether the bytes held back contained a
+ * frame with channels. */
 static bool receiver_pause(struct receiver *receiver)
 {
 	if (receiver->protocol == NF_RECEIVER_PROTOCOL_CRSF)

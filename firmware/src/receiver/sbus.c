@@ -6,7 +6,7 @@
 
 #define FLAGS (NF_SBUS_FRAME_BYTES - 2)
 #define FOOTER (NF_SBUS_FRAME_BYTES - 1)
-#define FLAGS_UNUSED 0xF0u /* always 0 in a true frame, as those of the footer are */
+#define FLAGS_UNUSED 0xF0u /* always 0 in a true frame, as NF_SBUS_FOOTER_UNUSED is in the footer */
 _Static_assert(1 + CHANNELS_PACKED_BYTES == FLAGS, "header, channels, flags, footer");
 
 void sbus_reset(struct sbus *sbus)

@@ -98,8 +98,8 @@ unsigned settings_conflict(const struct nf_settings *settings);
 /* Sets to their defaults those that settings_conflict finds; all others are kept. */
 void settings_mend(struct nf_settings *settings);
 
-/* Undoes what settings_conflict finds: those settings are what they were `before`, or their defaults (NULL). There may be a conflict still, as where the
- * rates' style changed. */
+/* Sets the settings that settings_conflict finds to their values in `before`, or to their defaults (NULL). They may
+ * still conflict afterwards, for instance old rates with a new style. */
 void settings_undo(struct nf_settings *settings, const struct nf_settings *before);
 
 #endif

@@ -36,7 +36,7 @@ CORE_REGISTERS = (
     *(arm_const.UC_ARM_REG_SP, arm_const.UC_ARM_REG_LR),
 )
 XPSR, CONTROL = arm_const.UC_ARM_REG_XPSR, arm_const.UC_ARM_REG_CONTROL
-NUMBERED = (  # registers by their number; that of pc is the engine's own
+NUMBERED = (  # of unicorn, by the number of `register`; pc is kept by the engine itself
     *(*CORE_REGISTERS, arm_const.UC_ARM_REG_PC, XPSR),
     *(arm_const.UC_ARM_REG_S0 + i for i in range(32)),
     *(arm_const.UC_ARM_REG_FPSCR, arm_const.UC_ARM_REG_MSP, arm_const.UC_ARM_REG_PSP),
@@ -196,7 +196,7 @@ class Engine:
         self._reset("power")
 
     def pull_reset(self) -> None:
-        """Pull the line NRST and let it go, between two runs. An error that was raised is forgotten."""
+        """Reset the chip by its NRST pin, between two runs; an error that `run` raised is cleared."""
         self._reset("pin")
 
     def _reset(self, cause: str) -> None:
@@ -242,8 +242,10 @@ class Engine:
         self.library.engine_set_pc(self.handle, address)
 
     def register(self, number: int) -> int:
-        """r0 to r12, sp (13), lr (14), pc (15), xPSR (16), s0 to s31 (17 to 48), FPSCR (49), MSP, PSP,
-        PRIMASK, BASEPRI, FAULTMASK and CONTROL (55).
+        """Return a register's 32 bits.
+
+        number: r0 to r12, sp (13), lr (14), pc (15), xPSR (16), s0 to s31 (17 to 48), FPSCR (49), MSP (50),
+        PSP (51), PRIMASK (52), BASEPRI (53), FAULTMASK (54), CONTROL (55).
         """
         if number == 15:
             return self.pc
@@ -263,7 +265,7 @@ class Engine:
 
     @property
     def depth(self) -> int:
-        """How many exceptions are active; 0: the thread runs."""
+        """Number of active exceptions; 0: the thread runs."""
         return int(self.library.engine_depth(self.handle))
 
     @property
@@ -308,7 +310,7 @@ class Engine:
             raise ValueError(f"{len(wanted)} breakpoints, at most 64")
 
     def set_watchpoints(self, watchpoints: Iterable[Watchpoint]) -> None:
-        """Stop before the instructions that access these, and for no others. Raises ValueError above 32.
+        """Stop before each instruction that accesses one of these, at most 32. Raises ValueError.
 
         Inside an IT block nothing stops: an access there stops the core behind the block.
         """
@@ -319,7 +321,7 @@ class Engine:
 
     @property
     def watch_hit(self) -> tuple[int, int]:
-        """Index of the watchpoint that stopped the core last, and the address in it that is accessed."""
+        """Index of the watchpoint that stopped the core last, and the first watched address accessed."""
         hit = self.library.engine_watch_hit(self.handle)
         return int(hit.number), int(hit.address)
 
@@ -333,7 +335,7 @@ class Engine:
         self.library.engine_bound_entry(self.handle, 16 + irq, cycles, self._bound[irq], urgent)
 
     def skip_breakpoint(self) -> None:
-        """The instruction at hand stops at no breakpoint and no watchpoint when it is executed next."""
+        """Let the next instruction run, once, in spite of break- and watchpoints on it."""
         self.library.engine_skip_breakpoint(self.handle)
 
     # ---- Bus ----

@@ -20,7 +20,7 @@ from toolchain.errors import LinkError
 SLICE = 2_160_000  # cycles between two checks for the debugger's Ctrl-C: 10 ms
 TRAP, INTERRUPT, ABORT = 5, 2, 6  # signals that tell why the core stands
 WATCHES = {"2": "watch", "3": "rwatch", "4": "awatch"}  # kinds of Z packets, and how a stop is told
-MONITOR = "reset: all starts anew, and stands at its first instruction\ntime: how long the board has run\n"
+MONITOR = "reset: reset the board; it stands at its first instruction\ntime: how long the board has run\n"
 
 
 class GdbServer:
@@ -75,7 +75,7 @@ class GdbServer:
             self.wait()
 
     def close(self) -> None:
-        """No debugger any more: it is told that the program has ended."""
+        """Tell the debugger that the program has ended, and hang up."""
         if self._client is not None:
             self._send("W00")
         self._leave()
@@ -121,7 +121,7 @@ class GdbServer:
             self._stop(INTERRUPT)
 
     def _has_stepped(self, outcome: Outcome) -> bool:
-        """A handler that interrupts the instruction belongs to the step."""
+        """Return whether a step is over; a handler that interrupts its instruction belongs to it."""
         return outcome is Outcome.RESET or (outcome is Outcome.LIMIT and self._engine.depth <= self._depth)
 
     def _stop(self, signal: int, why: str = "") -> None:
@@ -153,7 +153,7 @@ class GdbServer:
                     self._send(reply)
 
     def _is_readable(self, timeout: float | None) -> bool:
-        """Whether the client has sent something, within `timeout` [s]. Turns others away meanwhile."""
+        """Return whether the client has sent something within `timeout` [s]. Turns others away meanwhile."""
         assert self._client is not None
         ready = select.select([self._client, self._listener], [], [], timeout)[0]
         if self._listener in ready:
@@ -196,7 +196,7 @@ class GdbServer:
     # ---- what it asks ----
 
     def _answer(self, text: str) -> str | None:
-        """The reply; None: it comes when the core stands again."""
+        """Return the reply; None: it comes when the core stands again."""
         whole = self._whole.get(text)
         if whole is not None:
             return whole()
@@ -211,7 +211,7 @@ class GdbServer:
         return ""
 
     def _commands(self) -> dict[str, Callable[[], str | None]]:
-        """Packets without arguments."""
+        """Return what answers packets without arguments, by packet."""
         return {
             "?": lambda: self._signal,
             "g": self._target.registers,
@@ -227,7 +227,7 @@ class GdbServer:
         }
 
     def _beginnings(self) -> dict[str, Callable[[str], str | None]]:
-        """Others, by what they begin with."""
+        """Return what answers packets with arguments, by how they begin."""
         return {
             "G": self._target.set_registers,
             "p": self._target.register,
@@ -297,7 +297,7 @@ class GdbServer:
         self._leave()
 
     def _restart(self) -> str:
-        """The reset line is pulled; the core stands at its first instruction."""
+        """Reset the chip by its NRST pin; the core stands at its first instruction."""
         self._engine.pull_reset()
         self._restarted, self._signal = True, f"S{TRAP:02x}"
         return "OK"
@@ -320,6 +320,6 @@ class GdbServer:
 
 
 def _piece(text: str, rest: str) -> str:
-    """The part of a document that is asked for."""
+    """Return the part of a document that a qXfer asks for. rest: its offset and size."""
     offset, size = numbers(rest, 2)
     return ("m" if offset + size < len(text) else "l") + text[offset : offset + size]

@@ -1,4 +1,4 @@
-"""What a debugger is told of the chip: its registers, and which memory lies where."""
+"""Description of the chip for a debugger: its registers and its memory map."""
 
 from __future__ import annotations
 

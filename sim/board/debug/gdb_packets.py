@@ -12,34 +12,34 @@ _STARTS = re.compile(rb"[$\x03-]")  # a packet, an interrupt, a request to send 
 
 
 class Kind(Enum):
-    """What has come."""
+    """Kind of an event."""
 
     PACKET = auto()
     DAMAGED = auto()  # a packet whose checksum is wrong
     INTERRUPT = auto()  # Ctrl-C
-    AGAIN = auto()  # the last packet has not arrived
+    AGAIN = auto()  # a request to send the last packet again
 
 
 @dataclass(frozen=True)
 class Event:
-    """Something whole that has come; data: of a packet, without escapes."""
+    """A received packet or signal; data: of a packet, unescaped."""
 
     kind: Kind
     data: bytes = b""
 
 
 class Inbox:
-    """What a client has sent and nobody has taken yet: no more than one packet of the longest kind."""
+    """Bytes received and not taken yet: no more than one packet of the longest kind."""
 
     def __init__(self) -> None:
         self._buffer = b""
 
     def feed(self, data: bytes) -> None:
-        """Append what has come."""
+        """Append received bytes."""
         self._buffer += data
 
     def take(self) -> Event | None:
-        """Return the next event, or None until more has come. What is none is passed over."""
+        """Return the next event, None if more bytes are needed. Bytes that are no event are skipped."""
         while found := _STARTS.search(self._buffer):
             self._buffer = self._buffer[found.start() :]
             if found[0] != b"$":
@@ -65,7 +65,7 @@ class Inbox:
         return None
 
     def take_interrupt(self) -> bool:
-        """Take events up to the first interrupt; return whether one came. A running core hears no other."""
+        """Take events up to the first interrupt, ignoring others; return whether one came."""
         while (event := self.take()) is not None:
             if event.kind is Kind.INTERRUPT:
                 return True
@@ -73,12 +73,12 @@ class Inbox:
 
 
 def checksum(data: bytes) -> bytes:
-    """Return the two digits behind #."""
+    """Return the two hexadecimal digits that follow #."""
     return b"%02x" % (sum(data) % 256)
 
 
 def packet(data: bytes) -> bytes:
-    """Return `data`, which holds none of $ # } *, as it goes over the line."""
+    """Return `data`, which holds none of $ # } *, framed with its checksum."""
     return b"$" + data + b"#" + checksum(data)
 
 

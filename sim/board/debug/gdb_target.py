@@ -1,7 +1,7 @@
 """A debugger's packets for registers, memory and flash of an engine that stands between two runs.
 
-Each function takes what stands behind the packet's name and returns the answer. It raises ValueError for what
-is no such packet, or asks for what there is not, and RefusedError where the user is told why.
+Each method takes the text after the packet's name and returns the reply. It raises ValueError for a malformed
+packet or an address that does not exist, and RefusedError where the user is told why.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ DATA_BYTES = PACKET_BYTES // 2  # of memory in one answer
 
 
 class RefusedError(Exception):
-    """What was asked for is not done; text: for the debugger's user."""
+    """A request that is not carried out; its text tells the debugger's user why."""
 
 
 class Target:
@@ -44,7 +44,7 @@ class Target:
         return "".join(map(self._value, REGISTERS))
 
     def register(self, rest: str) -> str:
-        """Return the value of one."""
+        """Return the value of the register of that number."""
         return self._value(_register(rest))
 
     def set_registers(self, rest: str) -> str:
@@ -58,7 +58,7 @@ class Target:
         return "OK"
 
     def set_register(self, rest: str) -> str:
-        """Set one."""
+        """Set the register of that number."""
         number, _, value = rest.partition("=")
         register, data = _register(number), bytes.fromhex(value)
         if len(data) != register.bits // 8:
@@ -86,7 +86,7 @@ class Target:
         return data.hex()
 
     def _peripherals(self, address: int, size: int) -> bytes:
-        """Words of registers, as the program would read them; what that changes is put back."""
+        """Read words of registers as the program would; what that changes is restored."""
         engine, first, end = self._engine, address & ~3, address + size
         if not any(base <= address and end <= base + length for base, length in REGISTER_SPACES):
             return b""
@@ -108,7 +108,7 @@ class Target:
         return data[address - first : end - first]
 
     def write(self, rest: str, decode: Callable[[str], bytes]) -> str:
-        """Change RAM; decode: what makes bytes of the packet's data."""
+        """Change RAM; decode: turns the packet's data into bytes."""
         place, _, text = rest.partition(":")
         address, size = numbers(place, 2)
         data = decode(text)

@@ -114,8 +114,8 @@ static size_t frame_around(const uint8_t *content, size_t count, uint8_t frame[F
 	return body + 3;
 }
 
-/* After whatever came, a gap that ends it, and the time for which the receiver's word that it is in failsafe counts, the
- * next frame is read. */
+/* After whatever came, a gap that ends it, and the time for which the receiver's word that it is in failsafe counts,
+ * the next frame is read. */
 static void expect_frame(struct pair *pair)
 {
 	uint8_t content[SBUS_CONTENT] = { 0 }, frame[FRAME_MAX] = { 0 };

@@ -122,7 +122,7 @@ def test_ports_outputs_and_names_change_one_thing_when_saved(app: App) -> None:
 
 
 def port_rows(*rows: tuple[int, int, int, int, int, int], rest: bytes = b"") -> bytes:
-    """As COMMON_SET_SERIAL_CONFIG has them: port, functions, bauds of MSP, GPS, telemetry, blackbox."""
+    """Pack COMMON_SET_SERIAL_CONFIG: port, functions, baud indices of MSP, GPS, telemetry, log."""
     return bytes([len(rows)]) + b"".join(struct.pack("<BIBBBB", *row) + rest for row in rows)
 
 

@@ -70,7 +70,7 @@ def test_the_core_reads_the_true_body_rates_back_when_the_chip_is_turned(
 
 @pytest.fixture(params=["sbus", "crsf"])
 def carried(scripted: Any, request: pytest.FixtureRequest) -> Callable[[list[int]], list[int]]:
-    """Channels as they come through a frame of the protocol and the firmware's parser of it."""
+    """Return channels after a frame of the protocol and the firmware's parser."""
     lib, wire = scripted.lib, scripted.new("uint8_t[26]")
     parser, frame = scripted.new(f"struct {request.param} *"), scripted.new(f"struct {request.param}_frame *")
 

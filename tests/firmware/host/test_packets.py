@@ -28,14 +28,14 @@ class Flight:
         self.program, self.ms = program, 0
 
     def step(self) -> bool:
-        """A millisecond passes. Is it armed?"""
+        """Advance by 1 ms; return whether it is armed."""
         self.program.state(time_s=self.ms / 1000)
         self.program.motors()
         self.ms += 1
         return armed(self.program)
 
     def run(self, ms: int, arm: int | None = None, **sticks: int) -> bool:
-        """Was it ever armed? `arm` None: the pilot is silent."""
+        """Advance; return whether it was ever armed. `arm` None: the pilot sends nothing."""
         ever = False
         for _ in range(ms):
             if arm is not None and self.ms % 10 == 0:
@@ -45,7 +45,7 @@ class Flight:
 
 
 def armed(program: Any) -> bool:
-    """Of the oldest control step that is not looked at yet."""
+    """Return whether it is armed in the oldest control step not looked at yet."""
     return bool(program.last_trace()[10] & contract.SIM_TRACE_FLAG_ARMED)
 
 
@@ -198,7 +198,7 @@ def test_what_a_companion_said_last_neither_arms_nor_flies_on_when_it_falls_sile
     flight = Flight(start("--gyro-hz=1000", "--set=receiver_protocol=msp"))
 
     def steer(ms: int, arm: int, throttle: int = 1000, count: int = 16) -> bool:
-        """A companion's channels, each 20 ms, `count` of them. Was it ever armed?"""
+        """Send a companion's channels `count` times, 20 ms apart; return whether it was ever armed."""
         channels = [1500, 1500, throttle, 1500, arm, *[1500] * 11][:count]
         ever = False
         for _ in range(ms // 20):

@@ -18,7 +18,7 @@ import pytest
 from flash import requests
 from flash.layouts import decode, encode
 from flash.msp import Decoder, Message, Version
-from tests.firmware.conftest import Core, scripted_blob
+from tests.firmware.conftest import scripted_blob
 from tests.firmware.images import header_of, make_image
 from tests.firmware.joined.ground import API_VERSION, STANDING, Ground, Request, State
 from toolchain import contract
@@ -107,12 +107,6 @@ def payloads(lengths: tuple[int, ...]) -> Iterator[bytes]:
 
 
 @pytest.fixture(scope="module")
-def ground(scripted: Core) -> Ground:
-    """One bench for all tests; each takes up a state."""
-    return Ground(scripted)
-
-
-@pytest.fixture(scope="module")
 def ready(ground: Ground) -> State:
     """The switch would arm it."""
     ground.get_ready()
@@ -180,7 +174,7 @@ def under_app_test(ground: Ground, ready: State) -> State:
 
 @pytest.fixture(scope="module")
 def locked(ground: Ground, ready: State) -> State:
-    """A peer holds the arming lock, as the app does while it is connected."""
+    """Return a state in which a peer holds the arming lock, as the app does while connected."""
     ground.go_back(ready)
     assert ground.ask(LOCKS)
     return ground.keep()

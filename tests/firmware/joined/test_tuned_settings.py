@@ -25,25 +25,12 @@ TUNED = {
 STEPS = 700
 
 
-@pytest.fixture(scope="module")
-def ground(scripted: Core) -> Ground:
-    """One bench for all tests."""
-    return Ground(scripted)
-
-
-@pytest.fixture(scope="module")
-def ready(ground: Ground) -> State:
-    """The switch would arm it."""
-    ground.get_ready()
-    return ground.keep()
-
-
 def change(name: str, value: float) -> Request:
     return Request(Msp.SETTING_SET, requests.setting_set(INDEX[name], value, SETTINGS[INDEX[name]].kind))
 
 
 def flown(ground: Ground) -> tuple[bytes, bytes, bytes]:
-    """Rates and PID as the control path has them, and the settings that logs tell."""
+    """Return rates and PID as the control path has them, and the settings that logs tell."""
     fw, ffi = ground.firmware, ground.core.ffi
     ground.run(2)
     pid = bytes(ffi.buffer(ffi.addressof(fw.control, "pid")))
@@ -52,12 +39,12 @@ def flown(ground: Ground) -> tuple[bytes, bytes, bytes]:
 
 
 def gains(ground: Ground) -> tuple[object, ...]:
-    """Rates, and what of the PID a flight does not change."""
+    """Return rates, and the part of the PID that a flight does not change."""
     pid = ground.firmware.control.pid
     return flown(ground)[0], *map(list, (pid.p, pid.i, pid.d, pid.integral_max))
 
 
-@pytest.mark.parametrize("name", TUNED)
+@pytest.mark.parametrize("name", [setting.name for setting in SETTINGS if setting.at_once])
 def test_it_is_flown_as_after_a_boot_when_it_is_set(
     scripted: Core, ground: Ground, ready: State, name: str
 ) -> None:
@@ -78,7 +65,7 @@ def test_nothing_else_is_flown_before_the_next_boot(ground: Ground, ready: State
     for setting in SETTINGS:
         ground.go_back(ready)
         before = flown(ground)
-        if setting.name not in TUNED and setting.kind in ("uint32_t", "float"):
+        if not setting.at_once and setting.kind in ("uint32_t", "float"):
             value = setting.low if setting.low != setting.default else setting.high
             assert ground.ask(change(setting.name, value))
             assert flown(ground) == before, setting.name
@@ -133,7 +120,7 @@ def test_gains_wait_for_the_filters_that_they_want(scripted: Core) -> None:
 
 # --- Flown, over the app's own messages -----------------------------------------------------------------
 def fly(program: Any) -> bytes:
-    """Boot, arm, and fly sticks and rates of a fixed course with the PID; what the motors were told."""
+    """Boot, arm and fly a fixed course of sticks and rates with the PID; return the motors' commands."""
     told = b""
     for _ in range(1300):
         program.sticks(pid=2000)

@@ -11,7 +11,6 @@ import struct
 
 import pytest
 
-from tests.firmware.conftest import Core
 from tests.firmware.joined.ground import FRAME_MS, STANDING, Ground, Request, State
 from toolchain import contract
 from toolchain.contract import CHANNEL_ARM, CHANNEL_MAX_US, CHANNEL_MIN_US, MOTOR_TEST_TIMEOUT_MS, Msp
@@ -48,18 +47,6 @@ SLIDERS = Request(Msp.ARMING_DISABLE, b"\0\1")
 OPENERS = [SLIDERS, Request(Msp.MOTOR_TEST, struct.pack("<I", contract.MOTOR_TEST_MAGIC))]
 
 
-@pytest.fixture(scope="module")
-def ground(scripted: Core) -> Ground:
-    return Ground(scripted)
-
-
-@pytest.fixture(scope="module")
-def ready(ground: Ground) -> State:
-    """The switch would arm it."""
-    ground.get_ready()
-    return ground.keep()
-
-
 class Watch:
     """What happens, and that it may."""
 
@@ -75,7 +62,7 @@ class Watch:
         self.turns = self.commands = self.flights = 0
 
     def ask(self, request: Request, port: int) -> None:
-        """A request, and what it may do at once."""
+        """Send a request and check what it may do at once."""
         ground = self.ground
         writes, turning = ground.board.flash.operations, max(ground.motors) > contract.DSHOT_MIN
         done = ground.ask(request, port)
@@ -107,6 +94,7 @@ class Watch:
             self.flights += 1
             assert self.flights > 1 or not any(self.locks.values()), "armed under a lock"
             assert self.flights > 1 or now - self.turned > MOTOR_TEST_TIMEOUT_MS, "before motors stood"
+            assert all(value == 0 or value >= contract.DSHOT_MIN for value in told), "a command in flight"
             self.stops = 0
             return
         self.flights = 0

@@ -11,7 +11,6 @@ import struct
 
 import pytest
 
-from tests.firmware.conftest import Core
 from tests.firmware.joined.ground import STANDING, Ground, Request, State
 from toolchain import contract
 from toolchain.contract import CHANNEL_ARM, MOTOR_TEST_TIMEOUT_MS, ArmingReason, Msp
@@ -33,14 +32,8 @@ QUEUE_MS, PAUSE_MS = 100, 400  # between its requests; until a motor that it sto
 
 
 @pytest.fixture(scope="module")
-def ground(scripted: Core) -> Ground:
-    """One bench for all tests."""
-    return Ground(scripted)
-
-
-@pytest.fixture(scope="module")
 def ready(ground: Ground) -> State:
-    """The switch would arm it, but for the lock of the app on port 0."""
+    """Return a state in which the arm switch would arm it, but for the app's lock on port 0."""
     ground.get_ready()
     assert ground.ask(LOCK)
     ground.run(2)
@@ -49,7 +42,7 @@ def ready(ground: Ground) -> State:
 
 @pytest.fixture(scope="module")
 def turning(ground: Ground, ready: State) -> State:
-    """The wizard Direction turns all motors."""
+    """Return a state in which the wizard Direction turns all motors."""
     ground.go_back(ready)
     assert ground.ask(ALL)
     assert ground.run(5) == [TURNS] * 4
@@ -57,7 +50,7 @@ def turning(ground: Ground, ready: State) -> State:
 
 
 def values(ground: Ground, ms: int) -> list[list[int]]:
-    """What the motors were told in so many milliseconds, each once in a row."""
+    """Return the motors' commands in so many milliseconds, repetitions left out."""
     seen: list[list[int]] = []
     for _ in range(ms):
         now = ground.run(1)

@@ -7,6 +7,7 @@ from tests.firmware.mutants.mutant import Mutant
 COMMANDS, COMMAND, BACKGROUND = "msp/msp_commands.c", "motors/dshot_command.c", "background.c"
 LISTS = "msp/msp_lists.c"
 OF_WIZARDS, OF_SEQUENCES = "joined/test_wizards.py", "joined/test_wizard_sequences.py"
+OF_PARTS, CONFIGURE = "joined/test_partial_saves.py", "msp/msp_configure.c"
 OF_SLOTS, OF_TABS = "host/test_app_slots.py", "host/test_app_tabs.py"
 
 APP_MUTANTS = (
@@ -79,5 +80,29 @@ APP_MUTANTS = (
         old="\t\t    NF_REFUSAL_NONE)\n\t\t\treturn NF_REFUSAL_PAYLOAD;\n\treturn NF_REFUSAL_NONE;",
         new="\t\t    NF_REFUSAL_NONE)\n\t\t\treturn NF_REFUSAL_RANGE;\n\treturn NF_REFUSAL_NONE;",
         tests=(OF_SLOTS,),
+    ),
+    Mutant(
+        name="what contradicts other settings is taken where that alone cannot be undone",
+        file=CONFIGURE,
+        old="\t\ttold &= settings_conflict(changed) == NF_SETTING_COUNT;\n",
+        new="",
+        tests=(OF_TABS,),
+    ),
+    Mutant(
+        name="what contradicts other settings is taken",
+        file=CONFIGURE,
+        old="\t\tsettings_undo(changed, settings);\n"
+        "\t\ttold &= settings_conflict(changed) == NF_SETTING_COUNT;\n",
+        new="",
+        tests=(OF_PARTS,),
+    ),
+    Mutant(
+        name="a motor test opens while a restart is under way",
+        file=BACKGROUND,
+        old="fw->status.state == NF_FLIGHT_DISARMED && !background->rebooting);",
+        new="fw->status.state == NF_FLIGHT_DISARMED);",
+        tests=(
+            "joined/test_line_interlock.py::test_nothing_arms_and_nothing_turns_when_a_reboot_is_under_way",
+        ),
     ),
 )

@@ -234,7 +234,7 @@ def test_frames_behind_a_false_beginning_come_out_and_a_half_one_is_forgotten_wh
     parser, out, lib = scripted.new("struct crsf *"), scripted.new("struct crsf_frame *"), scripted.lib
 
     def feed(data: bytes) -> list[int]:
-        """Qualities of the frames that came out at once."""
+        """Return the link qualities of the frames that came out at once."""
         seen = []
         for byte in data:
             while lib.crsf_take(parser, False, out):

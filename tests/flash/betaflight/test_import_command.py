@@ -109,7 +109,7 @@ def test_what_has_a_counterpart_is_stored_and_the_rest_is_told(msp: Run, diff: P
         "note: mode2 = pid aux2 1700 2100 stays, and in the file AUX 2 switched ANGLE",
         "note: failsafe delay: not brought over, as setting failsafe_hold_ms would be 300",
         "note: check the motors' order, propellers off",
-        "all stored; they are flown from the next boot on",
+        "all stored; rates, dead bands and PID factors are flown at once, others from the next boot on",
     ):
         assert words in out, out
     code, out, _ = msp("import", str(diff))

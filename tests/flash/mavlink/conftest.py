@@ -145,7 +145,7 @@ class Lockstep:
             station.read()
 
     def _open(self) -> Transport:
-        """A line to the firmware."""
+        """Open a line to the firmware."""
         return self._through(TcpTransport(TcpPort(LOOPBACK, self.port.msp_port)))
 
     def restart_gateway(self) -> None:

@@ -17,7 +17,7 @@ ACCEPTED, UNSUPPORTED, NO_SUCH = 0, 3, 13  # MAV_MISSION_RESULT
 
 
 def asked(gateway: Lockstep, kind: str) -> list[Any]:
-    """Answers of that type to what was sent."""
+    """Return the answers of that type to a message."""
     gateway.settle()
     return gateway.station.got(kind)
 

@@ -69,7 +69,7 @@ def test_a_ground_station_sees_the_aircraft_and_its_parameters(resting_host: str
 
 @contextmanager
 def host_at(program: Path, flash: Path, port: int) -> Iterator[subprocess.Popen[str]]:
-    """A host program with that flash and MSP port, to which no sample ever comes."""
+    """Start a host program with that flash and MSP port, which never gets a sample."""
     free = [f"--{name}-port=0" for name in ("state", "receiver", "power")]
     command = [str(program), f"--settings={flash}", f"--msp-port={port}", *free, "--with-parent"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:

@@ -15,7 +15,7 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from flash.mavlink.endpoint import UdpPeer
 from flash.mavlink.parameter_names import SHORT
-from flash.mavlink.session import DEFAULT_HZ
+from flash.mavlink.streams import DEFAULT_HZ
 from tests.flash.mavlink.conftest import LOOPBACK, MakeLockstep
 from toolchain.contract import SETTINGS
 

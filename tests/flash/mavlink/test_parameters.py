@@ -36,7 +36,7 @@ def as_float(value: int) -> float:
 
 
 def float32(value: float) -> float:
-    """What a message keeps of it."""
+    """Return the value as a message's float32 field keeps it."""
     (kept,) = struct.unpack("<f", struct.pack("<f", value))
     return float(kept)
 

@@ -249,7 +249,7 @@ REAL32, INT32, UINT16 = 9, 6, 3  # MAV_PARAM_TYPE
 
 
 def listed(gateway: Any, station: Station) -> dict[str, Any]:
-    """PARAM_VALUE by name, as told to a station that asks for all."""
+    """Return PARAM_VALUE by name, as told to a station that asks for all."""
     station.forget()
     station.link.mav.param_request_list_send(1, 1)
     gateway.settle()
@@ -454,7 +454,7 @@ ARMED = mavlink.MAV_MODE_FLAG_SAFETY_ARMED
 
 
 def choose(station: Station, main: int, sub: int = 0) -> None:
-    """Offboard in both ways that modes are set, as clients of all customs do."""
+    """Ask for offboard by both messages that set modes, as clients of all customs do."""
     station.command(DO_SET_MODE, 1, main, sub)
     station.link.mav.set_mode_send(1, 1, main << 16 | sub << 24 if main == 6 or sub else main)
 

@@ -134,7 +134,8 @@ int engine_set_breakpoints(struct engine *e, const uint32_t *addresses, uint32_t
 /* More than WATCHPOINT_MAX: -1. While there is one, each instruction is looked at: the run is slower and the same. */
 int engine_set_watchpoints(struct engine *e, const struct watchpoint *watchpoints, uint32_t count);
 const struct watch_hit *engine_watch_hit(const struct engine *e);
-/* Break- and watchpoints at the program counter are run over once; what interrupts the instruction there does not count. */
+/* Break- and watchpoints at the program counter are run over once; what interrupts the instruction there does not
+ * count. */
 void engine_skip_breakpoint(struct engine *e);
 const struct node *engine_nodes(const struct engine *e, uint32_t *count);
 /* Runs until `cycle` (of 216 MHz) or for at most `instructions`. Returns an enum outcome. */

@@ -266,8 +266,8 @@ struct engine {
 	struct watchpoint watchpoints[WATCHPOINT_MAX];
 	struct watch_hit watch_hit;
 	uint32_t watch_count;
-	uint32_t skip;               /* address of a breakpoint or access to run over */
-	uint32_t skip_depth;         /* once an instruction has been executed there or further out */
+	uint32_t skip;               /* address of the breakpoint or watched access to run over once */
+	uint32_t skip_depth;         /* `skip` ends once an instruction was executed at this exception depth or below */
 	bool at_breakpoint, at_watchpoint;
 	bool watch_passed;           /* a watched access was executed, inside an IT block */
 

@@ -232,7 +232,7 @@ static bool hooks_want_loop(struct engine *e, uint32_t address)
 	return exceptions_deliverable(e) != EXC_THREAD;
 }
 
-/* Leaves before a watched access, or behind the IT block of one. */
+/* Stops before a watched access; one inside an IT block stops after that block. Returns whether it has stopped. */
 static bool hooks_watch(struct engine *e, uint32_t address)
 {
 	const uint32_t index = clock_index_at(e, address);

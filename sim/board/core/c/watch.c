@@ -1,13 +1,14 @@
-/* Watchpoints: which memory the instruction at hand is about to access, and whether a debugger waits for that.
+/* Watchpoints: decodes which memory the next instruction accesses, and tells whether a debugger watches it.
  *
- * The core's own accesses are seen, as a DWT comparator sees them; DMA and the frames of exceptions are not. */
+ * Only the core's own accesses count, as for a DWT comparator; DMA and the stack frames of exceptions do not. Sections
+ * (A5, A7) are those of the ARMv7-M Architecture Reference Manual. */
 #include "clock.h"
 #include "memory.h"
 #include "watch.h"
 
 enum { SP = 13, PC = 15 };
 
-/* Bytes that an instruction loads or stores; size 0: none. */
+/* Memory that an instruction loads or stores; size [bytes] 0: none. */
 struct access {
 	uint32_t address, size;
 	bool store;
@@ -18,7 +19,7 @@ static uint32_t watch_register(struct engine *e, uint32_t at, uint32_t number)
 	return number == PC ? (at + 4u) & ~3u : reg(e, general[number]);
 }
 
-/* Encodings of 16 bits (ARMv7-M A5.2). */
+/* Decodes an instruction of 16 bits (A5.2). */
 static struct access watch_narrow(struct engine *e, uint32_t at, uint32_t w)
 {
 	const uint32_t base = w >> 3 & 7u, five = w >> 6 & 31u, eight = w & 0xFFu;
@@ -59,7 +60,7 @@ static struct access watch_narrow(struct engine *e, uint32_t at, uint32_t w)
 	return (struct access){0};
 }
 
-/* Load or store of a single register, its address in any form (A5.3.7 to A5.3.10). */
+/* Decodes the load or store of a single register, in any addressing mode (A5.3.7 to A5.3.10). */
 static struct access watch_single(struct engine *e, uint32_t at, uint32_t a, uint32_t b)
 {
 	const uint32_t base = a & 15u, bytes = 1u << (a >> 5 & 3u);
@@ -79,7 +80,8 @@ static struct access watch_single(struct engine *e, uint32_t at, uint32_t a, uin
 	return (struct access){address, bytes, store};
 }
 
-/* Encodings of 32 bits that load or store more than one register, or a word for itself alone (A5.3.5, A5.3.6, A5.3.11). */
+/* Decodes the instructions of 32 bits that load or store several registers, exclusively, or branch by a table (A5.3.5,
+ * A5.3.6, A5.3.11). */
 static struct access watch_several(struct engine *e, uint32_t at, uint32_t a, uint32_t b)
 {
 	const uint32_t base = watch_register(e, at, a & 15u), words = b & 0xFFu;
@@ -106,7 +108,9 @@ static struct access watch_several(struct engine *e, uint32_t at, uint32_t a, ui
 
 	if (op >= 4u) /* LDREXB, LDREXH and their stores */
 		return (struct access){base, op == 4u ? 1u : 2u, store};
-	return (struct access){((a & 15u) == PC ? at + 4u : base) + (reg(e, general[b & 15u]) << op), 1u << op, false}; /* TBB, TBH */
+	const uint32_t table = (a & 15u) == PC ? at + 4u : base; /* TBB, TBH */
+
+	return (struct access){table + (reg(e, general[b & 15u]) << op), 1u << op, false};
 }
 
 static struct access watch_decode(struct engine *e, uint32_t at)
@@ -120,12 +124,14 @@ static struct access watch_decode(struct engine *e, uint32_t at)
 
 	if ((a & 0xFE00u) == 0xF800u)
 		return watch_single(e, at, a, b);
-	if ((a & 0xFE00u) == 0xE800u || ((a & 0xFE00u) == 0xEC00u && (b & 0xE00u) == 0xA00u && (a & 0xFFE0u) != 0xEC40u))
+	const bool floats = (a & 0xFE00u) == 0xEC00u && (b & 0xE00u) == 0xA00u && (a & 0xFFE0u) != 0xEC40u;
+
+	if ((a & 0xFE00u) == 0xE800u || floats)
 		return watch_several(e, at, a, b);
 	return (struct access){0};
 }
 
-/* ConditionPassed() (A7.3.1). */
+/* Returns whether a condition holds: ConditionPassed() of A7.3.1. */
 static bool watch_holds(uint32_t condition, uint32_t psr)
 {
 	const bool n = psr >> 31 & 1u, z = psr >> 30 & 1u, c = psr >> 29 & 1u, v = psr >> 28 & 1u;
@@ -142,7 +148,7 @@ bool watch_is_skipped(struct engine *e, uint32_t index)
 	while (first > 0u && b->offsets[first] & 1u)
 		--first;
 	if (b->offsets[first] & 1u || !(b->offsets[index] & 1u))
-		return false; /* under no IT, or one of the block before */
+		return false; /* in no IT block, or in one that began in the block before */
 	const uint32_t it = host(e, e->start + b->offsets[first], 2)[0];
 	const uint32_t last_bit = (it & 0x1Fu) << (index - first - 1u) >> 4 & 1u;
 

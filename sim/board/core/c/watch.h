@@ -4,9 +4,9 @@
 
 #include "engine.h"
 
-/* Whether the instruction at `at`, which is about to be executed, accesses what a watchpoint covers; notes it in `watch_hit`. */
+/* Returns whether the instruction at `at`, which is executed next, accesses watched memory; notes it in `watch_hit`. */
 bool watch_sees(struct engine *e, uint32_t at);
-/* Whether the condition of an IT block keeps this instruction of the block that runs from being executed. */
+/* Returns whether an IT block's condition fails for instruction `index` of the running block, which is then skipped. */
 bool watch_is_skipped(struct engine *e, uint32_t index);
 
 #endif

@@ -35,7 +35,7 @@ LEFT_OUT = (
 
 
 def instructions(seed: int) -> Iterator[tuple[int, int]]:
-    """Halfwords of instructions, most of them loads and stores of every form; many are none at all."""
+    """Draw halfwords of instructions, most of them loads and stores of every form; many are undefined."""
     rng = random.Random(seed)
     while True:
         b = rng.getrandbits(16)
@@ -79,7 +79,7 @@ class Judge:
         self.seen.append((kind == unicorn.UC_MEM_WRITE, address, size))
 
     def accesses(self, at: int, values: dict[int, int]) -> tuple[bool, int, int] | None:
-        """Whether it stores, and the span it accesses, if any. Raises UcError for no instruction."""
+        """Return whether it stores, and the span it accesses, if any. Raises UcError for no instruction."""
         for number, value in values.items():
             self.uc.reg_write(CORE_REGISTERS[number], value)
         self.seen.clear()

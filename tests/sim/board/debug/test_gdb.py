@@ -364,7 +364,7 @@ def test_a_step_goes_over_the_handler_that_interrupts_it(boot: Callable[..., Eng
 
 
 def load(client: Client, flash: bytes) -> None:
-    """As gdb does: whole sectors, then the bytes, escaped where the protocol needs it."""
+    """Load as gdb does: erase whole sectors, then write the bytes, escaped where the protocol needs it."""
     assert client.ask("vFlashErase:8000000,4000") == "OK"
     for at in range(0, len(flash), 300):
         data = b"".join(bytes([0x7D, c ^ 0x20]) if c in b"$#}*" else bytes([c]) for c in flash[at : at + 300])
