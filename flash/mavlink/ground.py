@@ -75,8 +75,8 @@ class Ground:
             self.tell(mavlink.MAV_SEVERITY_WARNING, line)
 
     def refuse(self, line: str) -> None:
-        """Why something is not done: each line once a second, and so many in one, as a peer may ask in a flood
-        that none of the others should hear."""
+        """Why something is not done: each line once a second, and so many lines in one. A peer may ask in a
+        flood that none of the others should hear."""
         now = self._clock()
         self._refused = {told: at for told, at in self._refused.items() if now < at + COMPLAINT_PERIOD_S}
         if line not in self._refused and len(self._refused) < REFUSALS_MAX:

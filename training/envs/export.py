@@ -48,8 +48,8 @@ def export_policy(actor: torch.nn.Module, env: object, path: str | Path) -> Poli
     batch = batch_of(env)
     if not isinstance(actor, torch.nn.Module):
         raise PolicyError(
-            f"export_policy: the actor is a {type(actor).__name__}, expected a torch.nn.Module that gives the "
-            f"mean action of an observation"
+            f"export_policy: the actor is a {type(actor).__name__}, expected a torch.nn.Module that gives "
+            f"the mean action of an observation"
         )
     module = Fractions(actor, batch)
     modes = {part: part.training for part in module.modules()}
@@ -59,7 +59,15 @@ def export_policy(actor: torch.nn.Module, env: object, path: str | Path) -> Poli
         _try(module, observation)
         with tempfile.TemporaryDirectory() as folder:
             model = Path(folder) / "actor.onnx"
-            torch.onnx.export(module, (observation,), str(model), verbose=False)
+            try:
+                torch.onnx.export(module, (observation,), str(model), verbose=False)
+            except Exception as error:
+                cause = error.__cause__ or error
+                why = " ".join(f"{type(cause).__name__}: {cause}".split())[:200]
+                raise PolicyError(
+                    "export_policy: torch cannot export the actor; give the layers that make the mean action "
+                    f"alone, without a distribution: {why}"
+                ) from None
             policy, _ = import_onnx(model, Path(path), _claims(batch.setup), clip=False, prove=compare)
     finally:
         for part, training in modes.items():

@@ -7,7 +7,7 @@ import gymnasium
 import numpy as np
 import pytest
 import torch
-from stable_baselines3 import PPO
+from stable_baselines3 import PPO, SAC
 from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor
 
 from sim.control.controller import PolicyController
@@ -81,6 +81,7 @@ def test_nothing_is_written_when_it_is_no_policy(tmp_path: Path) -> None:
         (torch.nn.Linear(5, 4), r"the actor does not take observations \(1, 6\)"),
         (torch.nn.LSTM(6, 4), "the actor gives a tuple, expected the mean action"),
         (whole.policy, "the actor gives a tuple, expected the mean action"),
+        (SAC("MlpPolicy", env, device="cpu").actor, "torch cannot export the actor; give the layers"),
         (whole, "the actor is a PPO, expected a torch.nn.Module"),
     ):
         with pytest.raises(PolicyError, match=message) as refused:
