@@ -70,8 +70,8 @@ APP_MUTANTS = (
     Mutant(
         name="the line that is spoken over may be taken away",
         file=LISTS,
-        old="\treturn NF_REFUSAL_RANGE;\n}\n\n/* How fast",
-        new="\treturn NF_REFUSAL_NONE;\n}\n\n/* How fast",
+        old="uart3_function, choice);\n\treturn NF_REFUSAL_RANGE;",
+        new="uart3_function, choice);\n\treturn NF_REFUSAL_NONE;",
         tests=(OF_SLOTS,),
     ),
     Mutant(
