@@ -13,6 +13,7 @@ from flash.mavlink.texts import Text, status_texts
 
 PACKETS_MAX = 32  # of a peer at a time: none keeps the others waiting
 COMPLAINT_PERIOD_S = 1.0  # between two complaints
+REFUSALS_MAX = 8  # in it
 EVERYBODY = 0  # as a target's id
 COMPONENT = mavlink.MAV_COMP_ID_AUTOPILOT1
 
@@ -32,6 +33,7 @@ class Ground:
         self._system, self._clock, self._say = system, clock, say
         self._texts = 0
         self._complained = clock() - COMPLAINT_PERIOD_S
+        self._refused: dict[str, float] = {}  # lines of the last second, and when
 
     def heard(self) -> Iterator[tuple[Source, Any]]:
         """Messages that have come for this aircraft or for everybody, and who sent them."""
@@ -70,4 +72,13 @@ class Ground:
         """A text about what a peer sends again and again: one a second at most."""
         if self._clock() >= self._complained + COMPLAINT_PERIOD_S:
             self._complained = self._clock()
+            self.tell(mavlink.MAV_SEVERITY_WARNING, line)
+
+    def refuse(self, line: str) -> None:
+        """Why something is not done: each line once a second, and so many lines in one. A peer may ask in a
+        flood that none of the others should hear."""
+        now = self._clock()
+        self._refused = {told: at for told, at in self._refused.items() if now < at + COMPLAINT_PERIOD_S}
+        if line not in self._refused and len(self._refused) < REFUSALS_MAX:
+            self._refused[line] = now
             self.tell(mavlink.MAV_SEVERITY_WARNING, line)

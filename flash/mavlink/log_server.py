@@ -117,7 +117,7 @@ class LogServer:
         self._tell(error)
 
     def _tell(self, error: LinkError) -> None:
-        self._ground.tell(mavlink.MAV_SEVERITY_WARNING, str(error).removeprefix(f"{self._client.name}: "))
+        self._ground.refuse(str(error).removeprefix(f"{self._client.name}: "))
 
     # --- The list --------------------------------------------------------------------------------------
     def _list(self, first: int, last: int) -> None:

@@ -67,20 +67,25 @@ class Offboard:
             oldest = next(known for known in self._heard if known != self.owner)
             del self._heard[oldest]
 
-    def enable(self, source: Source, now: float, *, armed: bool) -> str:
-        """Let `source` steer; returns why not, "" if it does.
-
-        armed: whether the firmware is armed and flies: then its switch stays on.
-        """
+    def why_not(self, source: Source, now: float) -> str:
+        """Why `source` may not steer, "" if it may."""
         if not self.allowed:
             return "start the gateway with --offboard to let a companion steer"
         if self.owner not in (None, source):
             return f"system {self.owner[1]} steers" if self.owner else ""
         if self._fresh(source, now) is None:
             return "send setpoints first, then enable"
-        if self.owner is None:
-            self.owner, self.armed = source, armed
         return ""
+
+    def enable(self, source: Source, now: float, *, armed: bool) -> str:
+        """Let `source` steer; returns why not, "" if it does.
+
+        armed: whether the firmware is armed and flies: then its switch stays on.
+        """
+        why = self.why_not(source, now)
+        if not why and self.owner is None:
+            self.owner, self.armed = source, armed
+        return why
 
     def release(self) -> None:
         """Send nothing more: the firmware's failsafe acts if it is armed."""

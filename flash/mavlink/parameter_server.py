@@ -131,7 +131,7 @@ class ParameterServer:
                 error = TYPE_MISMATCH
             words = str(why).removeprefix(f"setting {parameter.setting} ")
             self._refuse(source, message.param_id, error)
-            self._ground.tell(mavlink.MAV_SEVERITY_WARNING, f"{parameter.name}: {words}")
+            self._ground.refuse(f"{parameter.name}: {words}")
         return parameter.whole and came_in_bytes(field, told)
 
     def _refuse(self, source: Source, name: str, error: int) -> None:

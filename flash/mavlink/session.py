@@ -327,7 +327,7 @@ class Session:
         except NoAnswerError:
             raise
         except LinkError as error:
-            self._ground.tell(texts.WARNING, str(error).removeprefix(f"{self._client.name}: "))
+            self._ground.refuse(str(error).removeprefix(f"{self._client.name}: "))
             return int(commands.FAILED)
         return int(commands.ACCEPTED)
 

@@ -151,11 +151,16 @@ class Steering:
         return result
 
     def _enable(self, source: Source) -> int:
-        self._firmware.look()
-        flies = self._firmware.safety.state in FLYING
-        steered = self.steered
-        if why := self._offboard.enable(source, self._clock(), armed=flies):
-            self._ground.tell(texts.WARNING, f"Offboard denied: {why}")
+        steered, flies = self.steered, False
+        why = self._offboard.why_not(source, self._clock())
+        if (
+            not why
+        ):  # a question to the firmware takes time, which who steers has not while others ask in vain
+            self._firmware.look()
+            flies = self._firmware.safety.state in FLYING
+            why = self._offboard.enable(source, self._clock(), armed=flies)
+        if why:
+            self._ground.refuse(f"Offboard denied: {why}")
             return int(commands.REJECTED if self._offboard.allowed else commands.DENIED)
         if not steered:
             self._on, self._offs = flies, 0
@@ -181,14 +186,14 @@ class Steering:
         else:
             why = self._offboard.arm(request.source, self._clock())
         if why:
-            self._ground.tell(texts.WARNING, f"Arming denied: {why}")
+            self._ground.refuse(f"Arming denied: {why}")
             return int(commands.REJECTED if self._offboard.may_arm else commands.DENIED)
         return self._switch(request, armed=True)
 
     def disarm(self, request: Request) -> int:
         """Put the arm switch off; the result comes once the firmware has obeyed."""
         if why := self._offboard.disarm(self._clock()):
-            self._ground.tell(texts.WARNING, f"Disarming denied: {why}")
+            self._ground.refuse(f"Disarming denied: {why}")
             return int(commands.DENIED)
         self._due = self._clock()
         return self._switch(request, armed=False)

@@ -51,7 +51,7 @@ class ConfigReader:
         try:
             return kind(**given)
         except TrainingError as error:
-            raise self.error(path, str(error)) from error
+            raise self.error(path, str(error)) from None
 
     def field(self, kind: type[Any], name: str, value: object) -> object:
         """Return one field of the dataclass `kind`; a value that is an object already is taken as it is."""
@@ -106,13 +106,13 @@ class ConfigReader:
         return self.table(registry[name], {key: item for key, item in values.items() if key != NAME}, path)
 
     def _tuple(self, inside: tuple[Any, ...], value: object, path: str) -> tuple[object, ...]:
+        some = Ellipsis in inside
         if not isinstance(value, list | tuple):
-            raise self.error(path, f"got {shown(value)}, expected a list")
+            size = "" if some else f" of {len(inside)}"
+            raise self.error(path, f"got {shown(value)}, expected a list{size}")
         if len(value) > ITEMS_MAX:
             raise self.error(path, f"got {len(value)} items, expected at most {ITEMS_MAX}")
-        kinds = inside
-        if len(inside) == 2 and inside[1] is Ellipsis:
-            kinds = (inside[0],) * len(value)
+        kinds = (inside[0],) * len(value) if some else inside
         if len(value) != len(kinds):
             raise self.error(path, f"got {shown(value)}, expected a list of {len(kinds)}")
         items = enumerate(zip(kinds, value, strict=True))

@@ -224,11 +224,11 @@ class TrainingConfig:
         try:
             check_observation(self.blocks(), aircraft.motor_count)
         except ValueError as error:
-            raise TrainingError(f"{where}: {error}") from error
+            raise TrainingError(f"{where}: {error}") from None
         try:
             self._model(aircraft)
         except AircraftError as error:
-            raise TrainingError(str(error)) from error
+            raise TrainingError(str(error)) from None
         varied = self.world.randomization
         battery, supply = aircraft.battery, aircraft.propulsion.supply_voltage
         if varied.charge is not None and (battery is None or supply is None):
@@ -277,7 +277,7 @@ class TrainingConfig:
             check_cutoffs(terms, self.control_rate_hz)
             return terms
         except ValueError as error:
-            raise TrainingError(f"observation {self.observation!r}: {error}") from error
+            raise TrainingError(f"observation {self.observation!r}: {error}") from None
 
     def observation_scale(self, motors: int) -> list[float]:
         """Factor for each raw observation value."""

@@ -76,7 +76,8 @@ class AttitudeBatch:
         """
         simulation = self.simulation
         if actions.shape != (self.count, simulation.motor_count):
-            raise ValueError(f"actions {actions.shape}, expected {(self.count, simulation.motor_count)}")
+            expected = self.count, simulation.motor_count
+            raise ValueError(f"actions of shape {actions.shape}, expected {expected}: aircraft, motors")
         if not np.isfinite(actions).all():
             raise ValueError("an action is not finite, expected numbers from -1 to 1")
         actions = np.asarray(actions, np.float32)

@@ -11,7 +11,7 @@ import torch
 
 from sim.control.estimator import model_constants
 from toolchain.contract import needs_model
-from toolchain.errors import TrainingError
+from toolchain.errors import PolicyError, TrainingError
 from toolchain.policy.import_onnx import PolicyClaims, import_onnx
 from toolchain.policy.model import PolicyModel
 from toolchain.verification.original import compare
@@ -26,7 +26,7 @@ class Fractions(torch.nn.Module):
 
     def __init__(self, actor: torch.nn.Module, batch: AttitudeBatch) -> None:
         super().__init__()
-        output = batch.setup.config.output
+        output, self.motors = batch.setup.config.output, batch.setup.aircraft.motor_count
         self.actor, self.gain, self.offset = actor, output.scale, output.offset
         self.low, self.high = max(0.0, self.offset - self.gain), min(1.0, self.offset + self.gain)
         self.register_buffer("scale", torch.from_numpy(batch.scale))
@@ -46,18 +46,52 @@ def export_policy(actor: torch.nn.Module, env: object, path: str | Path) -> Poli
     filters. Raises PolicyError, one line, on an actor that is no policy; then nothing is written.
     """
     batch = batch_of(env)
+    if not isinstance(actor, torch.nn.Module):
+        raise PolicyError(
+            f"export_policy: the actor is a {type(actor).__name__}, expected a torch.nn.Module that gives "
+            f"the mean action of an observation"
+        )
     module = Fractions(actor, batch)
     modes = {part: part.training for part in module.modules()}
     observation = torch.zeros(1, len(batch.scale))
     try:
+        module.eval()
+        _try(module, observation)
         with tempfile.TemporaryDirectory() as folder:
             model = Path(folder) / "actor.onnx"
-            torch.onnx.export(module.eval(), (observation,), str(model), verbose=False)
+            try:
+                torch.onnx.export(module, (observation,), str(model), verbose=False)
+            except Exception as error:
+                cause = error.__cause__ or error
+                why = " ".join(f"{type(cause).__name__}: {cause}".split())[:200]
+                raise PolicyError(
+                    "export_policy: torch cannot export the actor; give the layers that make the mean action "
+                    f"alone, without a distribution: {why}"
+                ) from None
             policy, _ = import_onnx(model, Path(path), _claims(batch.setup), clip=False, prove=compare)
     finally:
         for part, training in modes.items():
             part.training = training
     return policy
+
+
+def _try(module: Fractions, observation: torch.Tensor) -> None:
+    """Raise PolicyError where the actor takes no observation or gives no action: torch says so in pages."""
+    inputs, motors = observation.shape[1], module.motors
+    try:
+        with torch.no_grad():
+            action = module.actor(observation)
+    except Exception as error:
+        why = " ".join(str(error).split())[:200]
+        raise PolicyError(
+            f"export_policy: the actor does not take observations (1, {inputs}) of this environment: {why}"
+        ) from None
+    if not isinstance(action, torch.Tensor) or action.shape != (1, motors):
+        got = tuple(action.shape) if isinstance(action, torch.Tensor) else f"a {type(action).__name__}"
+        raise PolicyError(
+            f"export_policy: the actor gives {got}, expected the mean action (1, {motors}): the layers that "
+            f"make it, not a whole policy"
+        )
 
 
 def _claims(setup: Setup) -> PolicyClaims:

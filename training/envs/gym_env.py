@@ -45,8 +45,11 @@ class AttitudeEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]], EzPic
     def step(
         self, action: NDArray[np.float32]
     ) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
-        """Advance one control period. Raises ValueError on an action that is not finite."""
-        result = self.batch.step(np.asarray(action)[None])
+        """Advance one control period. Raises ValueError on an action of another shape or not finite."""
+        action = np.asarray(action)
+        if action.shape != self.action_space.shape:
+            raise ValueError(f"an action of shape {action.shape}, expected {self.action_space.shape}")
+        result = self.batch.step(action[None])
         return result.observation[0], float(result.reward[0]), False, bool(result.ended[0]), self._info()
 
     def render(self) -> NDArray[np.uint8] | None:  # type: ignore[override]

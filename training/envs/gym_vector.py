@@ -152,9 +152,9 @@ class AttitudeVectorEnv(VectorEnv[Floats, Floats, NDArray[Any]], EzPickle):
 def _mode(mode: AutoresetMode | str) -> AutoresetMode:
     try:
         return AutoresetMode(mode)
-    except ValueError as error:
+    except ValueError:
         known = ", ".join(each.value for each in AutoresetMode)
-        raise TrainingError(f"environment: autoreset_mode: got {mode!r}, expected one of: {known}") from error
+        raise TrainingError(f"environment: autoreset_mode: got {mode!r}, expected one of: {known}") from None
 
 
 def _steps_max(steps: int | None) -> int | None:

@@ -14,9 +14,10 @@ from pymavlink.dialects.v20 import common as mavlink
 from flash.client import Client
 from flash.mavlink.commands import CANCELLED
 from flash.mavlink.endpoint import UdpPeer, parse_address
+from flash.mavlink.ground import REFUSALS_MAX
 from flash.mavlink.parameter_names import parameter_name
 from flash.mavlink.parameter_server import TYPE_MISMATCH
-from flash.mavlink.session import Options, Session
+from flash.mavlink.session import LOOK_S, Options, Session
 from flash.setting_text import BY_NAME
 from flash.transport import LineGoneError, TcpPort, TcpTransport, Transport
 from tests.flash.mavlink.conftest import FLYING, GYRO_HZ, LOOPBACK, READY_MS, MakeLockstep, Station
@@ -591,6 +592,39 @@ def test_arming_is_refused_without_permission_whatever_is_tried(lockstep: MakeLo
     assert set(gateway.station.acks(mavlink.MAV_CMD_COMPONENT_ARM_DISARM)) == {DENIED}
     assert not gateway.reply.armed
     assert any("--allow-arm" in text for text in gateway.station.texts())
+
+
+def test_a_flood_of_what_is_refused_reaches_nobody_else(lockstep: MakeLockstep) -> None:
+    gateway = lockstep(stations=2)
+    watcher, flooder = gateway.stations
+    gateway.run(READY_MS)
+    watcher.forget()
+    questions = gateway.session.firmware.look
+    asked: list[None] = []
+
+    def look() -> None:
+        asked.append(None)
+        questions()
+
+    def flood() -> None:
+        for value in range(20):
+            flooder.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1)
+            flooder.command(mavlink.MAV_CMD_NAV_GUIDED_ENABLE, 1)
+            flooder.link.mav.param_set_send(1, 1, b"ROLL_MAX", 1e6 + value, mavlink.MAV_PARAM_TYPE_REAL32)
+            gateway.settle()
+
+    gateway.session.firmware.look = look  # type: ignore[method-assign]
+    gateway.run(2000, flood, every_ms=50)
+    assert len(watcher.texts()) <= 3 * REFUSALS_MAX
+    assert any(text.startswith("Arming denied: ") for text in watcher.texts())
+    assert any(text.startswith("Offboard denied: ") for text in watcher.texts())
+    assert len(asked) <= 2.0 / LOOK_S + 2, "nobody who is refused anyway costs a question to the firmware"
+    assert len(watcher.got("HEARTBEAT")) >= 2
+    assert len(watcher.got("ATTITUDE")) >= 18
+    flooder.forget()
+    flooder.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1)
+    gateway.settle()
+    assert flooder.acks(mavlink.MAV_CMD_COMPONENT_ARM_DISARM) == [REJECTED], "each is answered"
 
 
 def test_arming_is_refused_with_thrust_and_from_others(lockstep: MakeLockstep) -> None:

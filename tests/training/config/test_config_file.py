@@ -169,7 +169,7 @@ def test_a_table_is_replaced_when_an_override_names_another_kind(tmp_path: Path)
         (["world.gravity=maybe"], "world.gravity: got 'maybe', expected true or false"),
         (["world.mount=ceiling"], "mount 'ceiling', expected one of: centre, rig, free"),
         (["world.randomization.mass=[0.5]"], "mass: got [0.5], expected a list of 2"),
-        (["world.randomization.mass=0.5"], "mass: got 0.5, expected a list"),
+        (["world.randomization.mass=0.5"], "mass: got 0.5, expected a list of 2"),
         (["world.randomization.mass=[2, 1]"], "randomization mass [2.0, 1.0], expected [least, greatest]"),
         (["algorithm.log_std=['a', 0]"], "0]\": algorithm.log_std[0]: got 'a'"),
         (["hidden=[64, 0]"], "hidden layers [64, 0], expected 1 to 8 widths of at least 1"),

@@ -7,6 +7,7 @@ import gymnasium
 import numpy as np
 import pytest
 import torch
+from stable_baselines3 import PPO, SAC
 from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor
 
 from sim.control.controller import PolicyController
@@ -74,7 +75,17 @@ def test_nothing_is_written_when_it_is_no_policy(tmp_path: Path) -> None:
     with pytest.raises(TrainingError, match="no environment of ours in this process"):
         export_policy(actor(3), gymnasium.make("Pendulum-v1"), path)
     env = AttitudeVecEnv(1)
-    with pytest.raises(PolicyError):
-        export_policy(torch.nn.Linear(6, 8), env, path)
+    whole = PPO("MlpPolicy", env, n_steps=8, batch_size=8, device="cpu")
+    for wrong, message in (
+        (torch.nn.Linear(6, 8), r"the actor gives \(1, 8\), expected the mean action \(1, 4\)"),
+        (torch.nn.Linear(5, 4), r"the actor does not take observations \(1, 6\)"),
+        (torch.nn.LSTM(6, 4), "the actor gives a tuple, expected the mean action"),
+        (whole.policy, "the actor gives a tuple, expected the mean action"),
+        (SAC("MlpPolicy", env, device="cpu").actor, "torch cannot export the actor; give the layers"),
+        (whole, "the actor is a PPO, expected a torch.nn.Module"),
+    ):
+        with pytest.raises(PolicyError, match=message) as refused:
+            export_policy(wrong, env, path)  # type: ignore[arg-type]
+        assert "\n" not in str(refused.value)
     env.close()
     assert not path.exists()

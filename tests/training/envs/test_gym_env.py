@@ -211,12 +211,14 @@ def test_rejects_an_action_that_is_not_finite(value: float, make: Any) -> None:
         ({"mix": "none"}, TrainingError, "mix 'none', expected one of: attitude-first, centred"),
         ({"reward_scale": 0}, TrainingError, "reward_scale: got 0, expected 1e-09 to 1e"),
         ({"output": {"gain": 1}}, TrainingError, r"output\.gain: unknown key"),
+        ({"wind_m_s": 2}, TrainingError, "wind_m_s: got 2, expected a list of 3"),
         ({"render_mode": "ansi"}, ValueError, "render_mode 'ansi', expected one of: rgb_array"),
     ],
 )  # fmt: skip
 def test_rejects_unknown_options(options: dict[str, Any], error: type[Exception], message: str) -> None:
-    with pytest.raises(error, match=message):
+    with pytest.raises(error, match=message) as refused:
         gymnasium.make(ID, **options)
+    assert refused.value.__cause__ is None, "one line, not two exceptions"
 
 
 def test_a_stock_learner_trains_on_it(make: Any) -> None:
