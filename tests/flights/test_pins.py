@@ -33,11 +33,8 @@ from toolchain.image.elf import read_flashable
 MOTORS = 4
 LEVEL = np.array([0.0, 0.0, GRAVITY])
 TURN = 1.0  # rad/s
-# Places in the ecosystem's app's list of gyro chips.
-_APP = (
-    "AUTO NONE MPU6050 L3G4200D MPU3050 L3GD20 MPU6000 MPU6500 MPU9250 ICM20601 ICM20602 ICM20608G ICM20649 "
-    "ICM20689"
-)
+# Places in the ecosystem's app's list of gyro chips at API 1.47, which has L3G4200D and MPU3050 no more.
+_APP = "AUTO NONE MPU6050 L3GD20 MPU6000 MPU6500 MPU9250 ICM20601 ICM20602 ICM20608G ICM20649 ICM20689"
 APP_NUMBERS = {name: number for number, name in enumerate(_APP.split())}
 
 

@@ -62,7 +62,7 @@ SCRATCH = {
 def test_a_pasted_dump_gives_identical_settings_at_the_speed_of_the_line(
     talk: Callable[[bytes, bytes], bytes],
 ) -> None:
-    assert talk(b"#", PROMPT).startswith(b"Neuroflight ")
+    assert talk(b"#", PROMPT).startswith(b"\r\nNeuroflight ")
     for name, value in SCRATCH.items():
         talk(f"set {name} = {value}\r".encode(), PROMPT)
     dump = talk(b"dump\r", PROMPT).removeprefix(b"dump\r\n").removesuffix(b"# ")
