@@ -5,7 +5,6 @@ A part's inertia is given as measured, or follows from a mesh or a simple solid 
 
 from __future__ import annotations
 
-import hashlib
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -51,12 +50,9 @@ class Meshes:
             self._files[name] = self._load(name)
         return self._files[name]
 
-    def sha256(self, document: bytes) -> str:
-        """Of the aircraft file and, where there are any, of the meshes in the order they were named."""
-        digest = hashlib.sha256(document)
-        for data in self._files.values():
-            digest.update(hashlib.sha256(data).digest())
-        return digest.hexdigest()
+    def contents(self) -> tuple[bytes, ...]:
+        """The meshes that were read, in that order."""
+        return tuple(self._files.values())
 
     def _load(self, name: str) -> bytes:
         if self._folder is None:

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from sim.aircraft.advance import AdvanceRatio, read_advance
 from sim.aircraft.airframe import ZERO, Meshes, read_parts, read_rotors, reject_collisions
 from sim.aircraft.airframe import Rotor as Rotor
+from sim.aircraft.digest import EARLIER, file_sha256, flown_sha256
 from sim.aircraft.mass import MassProperties, Part, Vector, mass_properties
 from sim.strict_toml import StrictTable
 from toolchain.contract import AXES, GRAVITY, POLICY_FILTER_MEAN, Mix
@@ -165,7 +166,8 @@ class Aircraft:
 
     name: str
     description: str
-    sha256: str  # of the file's bytes, and of its meshes'
+    sha256: str  # of what the twin flies: without name, description, comments and PIDs
+    file_sha256: str  # of the file's bytes and its meshes', which policies of before hold
     parts: tuple[Part, ...]
     rotors: tuple[Rotor, ...]
     propulsion: Propulsion
@@ -182,6 +184,10 @@ class Aircraft:
     def motor_count(self) -> int:
         """Number of motors M."""
         return len(self.rotors)
+
+    def is_meant_by(self, sha256: str) -> bool:
+        """Return whether the digest that a policy holds is this aircraft's, in the form of before too."""
+        return EARLIER.get(sha256, sha256) in (self.sha256, self.file_sha256)
 
     @property
     def rotor_positions(self) -> NDArray[np.float64]:
@@ -222,7 +228,8 @@ def parse_aircraft(data: bytes, where: str, folder: Path | None = None) -> Aircr
 
     folder: where its meshes lie; without one, a file that names a mesh is refused.
     """
-    root = StrictTable(_document(data, where), f"aircraft file {where}", AircraftError)
+    document = _document(data, where)
+    root = StrictTable(document, f"aircraft file {where}", AircraftError)
     root.integer("format", 1, 1)
     name = root.text("name")
     if not NAME.fullmatch(name):
@@ -249,7 +256,8 @@ def parse_aircraft(data: bytes, where: str, folder: Path | None = None) -> Aircr
     return Aircraft(
         name=name,
         description=description,
-        sha256=meshes.sha256(data),
+        sha256=flown_sha256(document, meshes.read),
+        file_sha256=file_sha256(data, meshes.contents()),
         parts=tuple(parts),
         rotors=rotors,
         propulsion=propulsion,

@@ -1,17 +1,24 @@
 """Aircraft files: what is read, and one line naming the key for what is refused."""
 
+import copy
+import functools
 import hashlib
 import math
+import operator
 import re
-from collections.abc import Mapping
+import tomllib
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import trimesh
 
 import sim.aircraft.model
+from sim.aircraft.digest import EARLIER, flown_sha256
 from sim.aircraft.mesh import BYTES_MAX
 from sim.aircraft.model import (
     FOLDER,
@@ -23,6 +30,7 @@ from sim.aircraft.model import (
     thrust_coefficient,
     torque_ratio,
 )
+from sim.aircraft.pid_write import write_pid
 from sim.design.airworthiness import Level, examine
 from sim.strict_toml import StrictTable, Value
 from toolchain.errors import AircraftError
@@ -94,14 +102,71 @@ def test_iris_has_its_published_mass_and_axial_moments_when_loaded() -> None:
     assert found.inertia[2, 2] == pytest.approx(0.017 + 4 * 1.676e-4 + 0.025 * hubs)
 
 
-def test_hash_is_that_of_the_file_when_loaded_by_path(tmp_path: Path) -> None:
-    copy = tmp_path / "mine.toml"
-    copy.write_bytes(NF1.encode())
-    assert (
-        load_aircraft(copy).sha256 == load_aircraft("nf1").sha256 == hashlib.sha256(NF1.encode()).hexdigest()
-    )
-    copy.write_bytes(NF1.encode() + b"\n# changed\n")
-    assert load_aircraft(copy).sha256 != load_aircraft("nf1").sha256
+@pytest.mark.parametrize(
+    ("text", "by"),
+    [
+        ('name = "nf1"', 'name = "mine"'),
+        ("mass_kg = 0.066", "mass_kg = 6.60e-2 # weighed again"),
+        ("cells = 4\ncapacity_ah = 1.5", "capacity_ah = 1.50\ncells = 4"),
+        ('name = "frame"', 'name = "carbon frame"'),
+        ("[gyro]", "# a line\n\n[gyro]"),
+        ("position_m = [0.0, 0.0, 0.037]", "position_m = [0, 0, 0.037]"),
+        ("\n", "\r\n"),
+    ],
+)
+def test_digest_stays_when_the_file_says_the_same_in_other_words(tmp_path: Path, text: str, by: str) -> None:
+    assert text in NF1
+    path = tmp_path / "mine.toml"
+    path.write_bytes(NF1.replace(text, by).encode())
+    assert load_aircraft(path).sha256 == load_aircraft("nf1").sha256
+    assert load_aircraft(path).file_sha256 != load_aircraft("nf1").file_sha256
+
+
+def test_digest_stays_when_the_pid_is_another(tmp_path: Path) -> None:
+    path = tmp_path / "mine.toml"
+    settings = replace(load_aircraft("nf1").pids[0][1], gains=((1.0, 2.0, 3.0),) * 3)
+    write_pid(FOLDER / "nf1.toml", path, "mine", settings, "")
+    assert load_aircraft(path).pids[0] == ("mine", settings)
+    assert load_aircraft(path).sha256 == load_aircraft("nf1").sha256
+
+
+def test_digest_changes_when_the_twin_flies_another_number() -> None:
+    """Every number, choice and list of the file but those of names and PIDs."""
+    document = tomllib.loads(NF1)
+    found = flown_sha256(document, no_mesh)
+    places = [place for place in leaves(document) if place[0] not in {"pid", "description"}]
+    assert len(places) > 100
+    for place in places:
+        changed = copy.deepcopy(document)
+        *way, last = place
+        at = functools.reduce(operator.getitem, way, changed)
+        at[last] = at[last] + "x" if isinstance(at[last], str) else at[last] * 1.001 + 1e-12
+        assert (flown_sha256(changed, no_mesh) == found) == (last == "name"), place
+
+
+def no_mesh(name: str) -> bytes:
+    raise AssertionError(name)
+
+
+def leaves(value: Any, way: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
+    items = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+    for key, each in items:
+        yield from leaves(each, (*way, key)) if isinstance(each, dict | list) else [(*way, key)]
+
+
+def test_digest_of_a_file_stays_known_when_a_policy_holds_it(tmp_path: Path) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_bytes(NF1.replace("capacity_ah = 1.5", "capacity_ah = 1.3").encode())
+    mine, nf1 = load_aircraft(path), load_aircraft("nf1")
+    assert mine.is_meant_by(hashlib.sha256(path.read_bytes()).hexdigest())
+    assert mine.is_meant_by(mine.sha256) and not mine.is_meant_by(nf1.sha256)
+    earlier = [digest for digest, flown in EARLIER.items() if flown == nf1.sha256]
+    assert len(earlier) == 3
+    assert all(nf1.is_meant_by(digest) and not mine.is_meant_by(digest) for digest in earlier)
+
+
+def test_digests_of_before_are_of_aircraft_that_ship() -> None:
+    assert set(EARLIER.values()) == {load_aircraft(name).sha256 for name in shipped()}
 
 
 def test_hash_covers_the_mesh_when_a_part_has_one(tmp_path: Path) -> None:
