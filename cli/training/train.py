@@ -15,11 +15,11 @@ if TYPE_CHECKING:
     from training.runs.seeds import Planned
     from training.runs.train import Callback, Progress
 
-DEFAULT_RECIPE = "default"
+DEFAULT_RECIPE = "nf1"  # of every aircraft that has none of its own
 PLOT, BOARD = "monitor.png", "tensorboard"
 EPILOG = (
-    "Without --config, the recipe named like the aircraft is used, or else the default one; with --algorithm "
-    "alone, the recipe named like the algorithm."
+    f"Without --config: the recipe named like a shipped aircraft, for all others {DEFAULT_RECIPE}; with "
+    "--algorithm alone, the recipe named like the algorithm, such as ppo, the dissertation's."
 )
 
 
@@ -113,12 +113,15 @@ def _config(args: argparse.Namespace, aircraft: Aircraft) -> TrainingConfig:
 
 
 def _source(args: argparse.Namespace, aircraft: Aircraft) -> str | None:
+    """The recipe or file that the run begins from; None: `TrainingConfig()`."""
+    from sim.aircraft.model import shipped
     from training.config.config_file import recipes
 
     if args.config is not None:
         return str(args.config)
-    wanted = (args.algorithm,) if args.algorithm else (aircraft.name, DEFAULT_RECIPE)
-    return next((name for name in wanted if name in recipes()), None)
+    if args.algorithm:
+        return args.algorithm if args.algorithm in recipes() else None
+    return aircraft.name if aircraft.name in shipped() and aircraft.name in recipes() else DEFAULT_RECIPE
 
 
 def _check_folder(out: Path) -> None:

@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 from cli.main import main
+from sim.aircraft.model import FOLDER, load_aircraft
 from training.config.config_file import load_config
 
 Capture = pytest.CaptureFixture[str]
@@ -67,6 +68,19 @@ def test_the_chosen_checkpoint_is_what_freeze_makes_of_the_file(tmp_path: Path, 
     assert load_config(out / "training.json").seed == record["config"]["seed"]
     tags = _tensorboard(out / "tensorboard")
     assert {"train/reward", "monitor_mean/mae", "monitor_least/change", "monitor_greatest/reward"} <= tags
+
+
+@pytest.mark.parametrize("name", ["mine", "gymnasium", "ppo"])
+def test_an_aircraft_of_ones_own_gets_the_flying_recipe_whatever_it_is_called(
+    name: str, tmp_path: Path, capsys: Capture
+) -> None:
+    own = tmp_path / "own.toml"
+    text = (FOLDER / "nf1.toml").read_text().replace('name = "nf1"', f'name = "{name}"')
+    own.write_text(text[: text.index("[battery]")] + text[text.index("[body]") :])  # what a first file lacks
+    assert main(["train", "--aircraft", str(own), "--steps", "1", "--out", str(tmp_path), "--json"]) == 0
+    record = json.loads(capsys.readouterr().out)
+    wanted = load_config("nf1", ["steps=1"]).document(load_aircraft(own))
+    assert record["config"] == json.loads(json.dumps(wanted))
 
 
 def _tensorboard(folder: Path) -> set[str]:
