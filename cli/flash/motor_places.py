@@ -29,10 +29,12 @@ def motor_places(aircraft: str | None, trained_for: str, count: int, reverse: bo
     aircraft with another number of motors.
     """
     from sim.aircraft.model import load_aircraft, shipped
+    from sim.aircraft.props_out import NAME_END, SUFFIX
 
-    if aircraft is None and trained_for not in shipped():
+    plain = trained_for.removesuffix(NAME_END)
+    if aircraft is None and plain not in shipped():
         return tuple(Place(CORNERS[i] if i < len(CORNERS) else f"number {i + 1}", "") for i in range(count))
-    model = load_aircraft(aircraft or trained_for)
+    model = load_aircraft(aircraft or (trained_for if plain == trained_for else plain + SUFFIX))
     if len(model.rotors) != count:
         raise AircraftError(
             f"aircraft {model.name}: got {len(model.rotors)} motors, expected the firmware's {count}; "

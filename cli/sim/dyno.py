@@ -102,7 +102,7 @@ def _fit(args: argparse.Namespace) -> int:
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
     from cli.output import check_output
-    from sim.aircraft.model import FOLDER, load_aircraft, shipped
+    from sim.aircraft.model import aircraft_file, load_aircraft
     from sim.identification.dyno.fit import fit
     from sim.identification.dyno.points import PointsFit, fit_points
     from sim.identification.dyno.response import DELAY_MAX
@@ -148,8 +148,7 @@ def _fit(args: argparse.Namespace) -> int:
     if args.write:
         from sim.identification.dyno.write import write_fit
 
-        source = FOLDER / f"{name}.toml" if str(name) in shipped() else Path(name)
-        write_fit(source, args.write, found, title, args.inertia)
+        write_fit(aircraft_file(name), args.write, found, title, args.inertia)
     if args.plot:
         from sim.identification.dyno.plot import save_fit_plot
 

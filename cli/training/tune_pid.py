@@ -101,7 +101,7 @@ def run(args: argparse.Namespace) -> int:
 
     from rich.console import Console
 
-    from sim.aircraft.model import FOLDER, load_aircraft, shipped
+    from sim.aircraft.model import aircraft_file, load_aircraft
     from sim.aircraft.pid_write import write_pid
     from sim.plotting import save_png
     from training.pid_tuning.trial import Limits, Loop
@@ -121,9 +121,7 @@ def run(args: argparse.Namespace) -> int:
     checked = _fly_unseen(args, aircraft, tuning, limits, loop)
     best = replace(tuning.best.settings, nominal_voltage=aircraft.propulsion.supply_voltage)
     if args.write:
-        name = args.aircraft
-        source = FOLDER / f"{name}.toml" if name in shipped() else Path(name)
-        write_pid(source, args.write, args.name, best, comment(args, checked["tuned"]))
+        write_pid(aircraft_file(args.aircraft), args.write, args.name, best, comment(args, checked["tuned"]))
     if args.plot:
         title = f"{aircraft.name}: PID tuning, seed {args.seed}"
         save_png(args.plot, draw(tuning, aircraft, limits, loop, title))

@@ -20,6 +20,7 @@ from sim.aircraft.airframe import ZERO, Meshes, read_parts, read_rotors, reject_
 from sim.aircraft.airframe import Rotor as Rotor
 from sim.aircraft.digest import EARLIER, file_sha256, flown_sha256
 from sim.aircraft.mass import MassProperties, Part, Vector, mass_properties
+from sim.aircraft.props_out import SUFFIX, props_out
 from sim.strict_toml import StrictTable
 from toolchain.contract import AXES, GRAVITY, POLICY_FILTER_MEAN, Mix
 from toolchain.errors import AircraftError
@@ -167,7 +168,7 @@ class Aircraft:
     name: str
     description: str
     sha256: str  # of what the twin flies: without name, description, comments and PIDs
-    file_sha256: str  # of the file's bytes and its meshes', which policies of before hold
+    file_sha256: str  # of the file's bytes and its meshes', as policies of before hold it; props out: none
     parts: tuple[Part, ...]
     rotors: tuple[Rotor, ...]
     propulsion: Propulsion
@@ -205,9 +206,18 @@ def shipped() -> tuple[str, ...]:
     return tuple(sorted(path.stem for path in FOLDER.glob("*.toml")))
 
 
+def aircraft_file(name: str | Path) -> Path:
+    """Return the file of a shipped aircraft's name or of a path, with or without `:props-out` behind it."""
+    plain = str(name).removesuffix(SUFFIX)
+    return FOLDER / f"{plain}.toml" if plain in shipped() else Path(plain)
+
+
 def load_aircraft(name: str | Path) -> Aircraft:
-    """Read an aircraft by shipped name or by path. Raises AircraftError naming the file and key."""
-    path = FOLDER / f"{name}.toml" if str(name) in shipped() else Path(name)
+    """Read an aircraft by shipped name or by path. Raises AircraftError naming the file and key.
+
+    With `:props-out` behind the name it is the same aircraft whose rotors all turn the other way.
+    """
+    path = aircraft_file(name)
     if not path.is_file():
         known = ", ".join(shipped())
         raise AircraftError(
@@ -220,15 +230,18 @@ def load_aircraft(name: str | Path) -> Aircraft:
         raise AircraftError(f"aircraft file {path}: cannot be read: {error.strerror}") from error
     if size > FILE_BYTES_MAX:
         raise AircraftError(f"aircraft file {path}: {size} bytes, expected at most {FILE_BYTES_MAX}")
-    return parse_aircraft(data, str(path), path.parent)
+    return parse_aircraft(data, str(path), path.parent, out=str(name).endswith(SUFFIX))
 
 
-def parse_aircraft(data: bytes, where: str, folder: Path | None = None) -> Aircraft:
+def parse_aircraft(data: bytes, where: str, folder: Path | None = None, *, out: bool = False) -> Aircraft:
     """Aircraft from the bytes of its file; `where` names it in messages. Raises AircraftError.
 
-    folder: where its meshes lie; without one, a file that names a mesh is refused.
+    folder: where its meshes lie; without one, a file that names a mesh is refused. out: with its propellers
+    out, all turning the other way than in the file.
     """
     document = _document(data, where)
+    if out:
+        document = props_out(document)
     root = StrictTable(document, f"aircraft file {where}", AircraftError)
     root.integer("format", 1, 1)
     name = root.text("name")
@@ -257,7 +270,7 @@ def parse_aircraft(data: bytes, where: str, folder: Path | None = None) -> Aircr
         name=name,
         description=description,
         sha256=flown_sha256(document, meshes.read),
-        file_sha256=file_sha256(data, meshes.contents()),
+        file_sha256="" if out else file_sha256(data, meshes.contents()),
         parts=tuple(parts),
         rotors=rotors,
         propulsion=propulsion,

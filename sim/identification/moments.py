@@ -19,7 +19,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.aircraft.model import FILE_BYTES_MAX, FOLDER, Aircraft, parse_aircraft, shipped
+from sim.aircraft.model import FILE_BYTES_MAX, Aircraft, aircraft_file, parse_aircraft
+from sim.aircraft.props_out import SUFFIX
 from sim.analysis.confidence import NORMAL
 from sim.blackbox.flight import check_motors
 from sim.blackbox.log import read_log
@@ -183,7 +184,12 @@ def adapted_text(source: str, aircraft: Aircraft, factors: Factors) -> bytes:
     Inertia is added as a part of 1 mg at the centre of mass. Where an axis turns more than the file says, K_T
     is raised so far that no inertia has to be taken away. Raises AircraftError.
     """
-    path = FOLDER / f"{source}.toml" if source in shipped() else Path(source)
+    path = aircraft_file(source)
+    if source.endswith(SUFFIX):
+        raise AircraftError(
+            f"{source}: got an aircraft with its propellers out, expected a file to be changed; reverse the "
+            f"spins in a copy of {path.name} and name that"
+        )
     file_size(path)
     text = path.read_bytes()[: FILE_BYTES_MAX + 1].decode()
     moments = np.diag(aircraft.mass_properties.inertia)

@@ -24,6 +24,7 @@ from sim.aircraft.model import (
     FOLDER,
     NAME,
     Aircraft,
+    aircraft_file,
     load_aircraft,
     parse_aircraft,
     shipped,
@@ -542,3 +543,40 @@ def test_guide_lists_every_key_with_its_range_and_default_when_compared_with_the
             assert default in defaults, key
         else:
             assert default in ("required", "none", "either"), key
+
+
+def test_props_out_is_the_file_with_its_spins_turned(tmp_path: Path) -> None:
+    swapped = NF1.replace('"cw"', '"x"').replace('"ccw"', '"cw"').replace('"x"', '"ccw"')
+    path = tmp_path / "by hand.toml"
+    path.write_text(swapped)
+    by_hand, nf1, out = load_aircraft(path), load_aircraft("nf1"), load_aircraft("nf1:props-out")
+    assert out.name == "nf1-props-out" and out.spins.tolist() == (-nf1.spins).tolist()
+    assert out.sha256 == by_hand.sha256 != nf1.sha256
+    assert not any(out.is_meant_by(digest) for digest in (nf1.sha256, nf1.file_sha256, *EARLIER))
+    assert out.pids[0] == nf1.pids[0]
+    for name, settings in nf1.pids:
+        if settings.mixer is not None:
+            roll, pitch, yaw = settings.mixer
+            assert dict(out.pids)[name].mixer == (roll, pitch, tuple(-share for share in yaw))
+    mine = tmp_path / "mine.toml"
+    mine.write_text(NF1)
+    assert load_aircraft(f"{mine}:props-out").sha256 == out.sha256
+    assert (
+        aircraft_file(f"{mine}:props-out") == mine and aircraft_file("nf1:props-out") == FOLDER / "nf1.toml"
+    )
+
+
+@pytest.mark.parametrize(
+    ("pattern", "text", "message"),
+    [
+        (r'^name = "nf1"$', 'name = "a-name-of-twenty-five-char"', "at most 32"),
+        (r'^spin = "cw"$', 'spin = "left"', "expected one of: cw, ccw"),
+        (r'^spin = "cw"$', "spin = [1]", "expected one of: cw, ccw"),
+        (r"^name = .*$", "", "name: missing"),
+        (r"^yaw = \[.*$", 'yaw = "x"', "yaw"),
+        (r"^\[pid\.\w+\]$", "[[pid.flying]]", "pid"),
+    ],
+)
+def test_props_out_of_no_aircraft_is_refused_as_the_file_is(pattern: str, text: str, message: str) -> None:
+    with pytest.raises(AircraftError, match=re.escape(message)):
+        parse_aircraft(replaced(pattern, text), "mine.toml", out=True)
