@@ -50,6 +50,8 @@ class Display(Callback):
         self._first = self._first or progress
         steps, seconds = progress.steps - self._first.steps, progress.seconds - self._first.seconds
         speed = f" · {steps / seconds:,.0f}/s" if seconds > 0 else ""
+        if progress.note:
+            self._console.print(f"{self._name}, {progress.note}", highlight=False, soft_wrap=True)
         self._reward = f"training reward {progress.reward:.3f}"
         self._bar.update(self._task, completed=progress.steps, speed=speed)
         self._show()

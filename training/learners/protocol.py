@@ -18,6 +18,7 @@ class Report:
     steps: int  # control steps so far, all aircraft together
     reward: float  # mean per control step since the last report; of a loss, its negative
     figures: dict[str, float] = field(default_factory=dict)  # by TensorBoard's names, such as "train/loss"
+    note: str = ""  # a line for the user
 
 
 def named_layers(layers: Sequence[Tensors]) -> dict[str, torch.Tensor]:

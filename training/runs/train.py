@@ -44,6 +44,7 @@ class Progress:
     seconds: float  # including those before the run was resumed
     reward: float  # mean per control step since the last report
     figures: dict[str, float] = field(default_factory=dict)  # by TensorBoard's names
+    note: str = ""  # a line for the user, of this update
     chosen: CheckpointMetrics | None = None  # metrics of the policy that would be chosen now
 
 
@@ -139,7 +140,13 @@ def train(
         rewards = rewards.reported(update.steps, update.reward, config.steps)
         passed = before + time.monotonic() - began
         state = Progress(
-            update.steps, config.steps, passed, update.reward, update.figures, monitor_state.best
+            update.steps,
+            config.steps,
+            passed,
+            update.reward,
+            update.figures,
+            update.note,
+            monitor_state.best,
         )
         callback.progressed(state)
 
@@ -238,6 +245,7 @@ class _Results:
             "tools": {tool: version(tool) for tool in TOOLS},
             "chosen": best and {"rule": rule(self.config.selection), **best.document()},
             "monitor": [metrics.document() for metrics in monitor_state.history],
+            "setbacks": run.learner.get("setbacks", []),
         }
 
 

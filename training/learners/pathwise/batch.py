@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.physics.variation import Variation
+from training.config.pathwise_config import PathwiseConfig
 from training.config.training_config import TrainingConfig
 from training.tasks.random_steps import RandomStepsTask, StepWeights
 
@@ -28,6 +29,7 @@ class Batch:
     throttle: Array  # (B, T), the pilot's thrust
     variation: Variation  # of the B aircraft
     seed: int  # of the noise
+    integral: Array | None = None  # (B, 3) [rad], of the rate error at the start; None: 0
     disturbance: Array | None = None  # (B, T, 3) [rad/s^2], by moments from outside at the file's inertia
 
     def shares(self) -> list[Array]:
@@ -44,13 +46,9 @@ class Batch:
         ]
 
 
-def draw(
-    config: TrainingConfig, count: int, delay_s: float, disturbance: float, rng: np.random.Generator
-) -> Batch:
-    """Episodes for `count` aircraft.
-
-    delay_s: the aircraft's own. disturbance [rad/s^2]: see PathwiseConfig.
-    """
+def draw(config: TrainingConfig, pathwise: PathwiseConfig, delay_s: float, rng: np.random.Generator) -> Batch:
+    """Draw the episodes of an update. delay_s: the aircraft's own."""
+    count, disturbance, integral = pathwise.aircraft, pathwise.disturbance, pathwise.integral
     task, world, rate_hz = config.task, config.world, config.control_rate_hz
     if isinstance(task, RandomStepsTask):
         setpoint, step_weights = task.batch(count, rng, rate_hz)
@@ -66,6 +64,7 @@ def draw(
         disturbance=disturbances(count, setpoint.shape[1], rate_hz, disturbance, rng)
         if disturbance
         else None,
+        integral=rng.uniform(-integral, integral, (count, 3)).astype(np.float32) if integral else None,
     )
 
 

@@ -1,4 +1,8 @@
-"""Updates: Adam along the gradient, and adapted loss weights that hold means at their limits."""
+"""Updates: Adam along the gradient, adapted loss weights that hold means at their limits, and setbacks.
+
+A run can diverge within some hundred updates. It then goes back to the parameters with the least running
+error, with a fresh Adam at half the rate.
+"""
 
 from __future__ import annotations
 
@@ -8,6 +12,7 @@ from dataclasses import asdict, dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from toolchain.errors import TrainingError
 from training.config.pathwise_config import PathwiseConfig
 from training.learners.pathwise.loss import Figures, Weights
 
@@ -18,6 +23,38 @@ MEMORY = 0.9  # decay of the running means that are compared with the limits
 LENGTH_MEMORY = 0.95  # decay of the gradient's usual length
 WEIGHT_MIN, WEIGHT_MAX = 0.02, 5000.0  # [deg/s] of an adapted weight
 SLOPE = 3.0  # of the adaption, by the relative distance of a mean from its limit
+SETTLED = 20  # updates until the running means say something of the parameters
+DIVERGED = 4.0  # times the least running error; by the luck of its batches it is up to twice that
+SETBACK_RATE = 0.5  # factor of the learning rate after each setback
+SETBACKS_MAX = 4  # more: the configuration is at fault
+
+
+@dataclass(frozen=True, eq=False)
+class Good:
+    """Where the running error was least."""
+
+    updates: int
+    error: float  # [deg/s]: see Figures
+    parameters: Floats
+    weights: Weights
+
+
+@dataclass(frozen=True)
+class Setback:
+    """A run diverged and went back. `parameters` are those after `back_to` updates."""
+
+    updates: int
+    error: float  # [deg/s]
+    back_to: int
+    least: float  # [deg/s], error there
+
+    def line(self, batch_steps: int) -> str:
+        """Tell the user. batch_steps: control steps of an update."""
+        return (
+            f"diverged at {self.updates * batch_steps:,} steps: error {self.error:.1f} deg/s, "
+            f"{self.least:.1f} at {self.back_to * batch_steps:,} steps; it goes on from there at "
+            f"{SETBACK_RATE:g} of the learning rate"
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,14 +67,22 @@ class State:
     square: Floats  # likewise of its square
     weights: Weights
     figures: Figures | None  # running means; None before the first update
+    good: Good  # to go back to
     length: float = 0.0  # usual length of the gradient; 0 before the first
     skipped: int = 0  # updates whose gradient was not followed
+    begun: int = 0  # updates at which Adam began, at 0 or after a setback
+    setbacks: tuple[Setback, ...] = ()
 
     @staticmethod
     def fresh(parameters: Floats, weights: Weights) -> State:
         """The state before the first update."""
         nothing = np.zeros_like(parameters)
-        return State(0, parameters, nothing, nothing, weights, None)
+        return State(0, parameters, nothing, nothing, weights, None, Good(0, math.inf, parameters, weights))
+
+    @property
+    def rate_factor(self) -> float:
+        """Factor of the learning rate."""
+        return SETBACK_RATE ** len(self.setbacks)
 
 
 def descended(state: State, found: Floats, rate: float, pathwise: PathwiseConfig) -> State:
@@ -60,7 +105,8 @@ def descended(state: State, found: Floats, rate: float, pathwise: PathwiseConfig
         return replace(state, skipped=state.skipped + 1)
     cut = np.float32(min(1.0, pathwise.gradient_max / (length + 1e-9)))
     a, b, step = np.float32(MOMENTUM), np.float32(SPREAD), np.float32(rate)
-    fresh_mean, fresh_square = np.float32(1.0 - MOMENTUM**updates), np.float32(1.0 - SPREAD**updates)
+    taken = updates - state.begun
+    fresh_mean, fresh_square = np.float32(1.0 - MOMENTUM**taken), np.float32(1.0 - SPREAD**taken)
     slope = found * cut
     mean = a * state.mean + (np.float32(1.0) - a) * slope
     square = b * state.square + (np.float32(1.0) - b) * slope * slope
@@ -79,6 +125,38 @@ def adapted(state: State, figures: Figures, pathwise: PathwiseConfig, adapting: 
             change=_held(weights.change, running.change, pathwise.change_limit, pathwise.adaption),
         )
     return replace(state, weights=weights, figures=running)
+
+
+def guarded(state: State, square: float) -> State:
+    """With the parameters kept if they are the best so far; set back if the run has diverged.
+
+    square: of the configuration. Raises TrainingError on a run that diverges again and again.
+    """
+    assert state.figures is not None
+    good, error = state.good, state.figures.error(square)
+    if state.updates - state.begun < SETTLED:
+        return state
+    if error < good.error:
+        return replace(state, good=Good(state.updates, error, state.parameters, state.weights))
+    if error <= DIVERGED * good.error:  # false for NaN
+        return state
+    if len(state.setbacks) == SETBACKS_MAX:
+        raise TrainingError(
+            f"the run diverged {1 + SETBACKS_MAX} times, although its learning rate was halved each time; "
+            f"give a lower algorithm.learning_rate, or another seed"
+        )
+    nothing = np.zeros_like(good.parameters)
+    return replace(
+        state,
+        parameters=good.parameters,
+        mean=nothing,
+        square=nothing,
+        weights=good.weights,
+        figures=None,
+        length=0.0,
+        begun=state.updates,
+        setbacks=(*state.setbacks, Setback(state.updates, error, good.updates, good.error)),
+    )
 
 
 def _blended(old: Figures, new: Figures) -> Figures:

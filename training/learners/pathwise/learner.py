@@ -14,7 +14,7 @@ attitude. flight.c says which derivatives are exact.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -30,7 +30,7 @@ from training.config.pathwise_config import PathwiseConfig
 from training.config.training_config import OBSERVATION_SCALES, TrainingConfig
 from training.learners.network.shape import Shape
 from training.learners.pathwise.batch import draw
-from training.learners.pathwise.descent import State, adapted, descended
+from training.learners.pathwise.descent import Good, Setback, State, adapted, descended, guarded
 from training.learners.pathwise.flights import Flights
 from training.learners.pathwise.loss import Figures, Weights
 from training.learners.pathwise.plan import Surroundings
@@ -67,26 +67,29 @@ class PathwiseLearner:
         for _ in range(math.ceil(self._pathwise.leg_steps / self._batch_steps)):
             if self._state.updates == self._updates:
                 return
-            report(self._report(self._update(rng)))
+            before = len(self._state.setbacks)
+            figures = self._update(rng)
+            report(self._report(figures, self._state.setbacks[before:]))
 
     def _update(self, rng: np.random.Generator) -> Figures:
         """Fly a batch and update the policy; returns the batch's figures."""
         state, pathwise = self._state, self._pathwise
-        batch = draw(self._config, pathwise.aircraft, self._delay_s, pathwise.disturbance, rng)
+        batch = draw(self._config, pathwise, self._delay_s, rng)
         figures, found = self._flights.gradient(batch, state.parameters, state.weights)
         adapting = state.updates >= pathwise.adaption_start * self._updates
         state = descended(state, found, self._rate(), pathwise)
-        self._state = adapted(state, figures, pathwise, adapting)
+        self._state = guarded(adapted(state, figures, pathwise, adapting), pathwise.square)
         return figures
 
     def _rate(self) -> float:
         """Learning rate of the next update."""
-        done, pathwise = self._state.updates, self._pathwise
-        rise = min(1.0, (done + 1) / max(1, pathwise.warm_up))
+        state, pathwise = self._state, self._pathwise
+        done = state.updates
+        rise = state.rate_factor * min(1.0, (done - state.begun + 1) / max(1, pathwise.warm_up))
         fall = 0.5 * (1.0 + math.cos(math.pi * done / self._updates))
         return pathwise.learning_rate * rise * (RATE_LAST + (1.0 - RATE_LAST) * fall)
 
-    def _report(self, figures: Figures) -> Report:
+    def _report(self, figures: Figures, setbacks: Sequence[Setback]) -> Report:
         state = self._state
         return Report(
             self.steps,
@@ -101,8 +104,10 @@ class PathwiseLearner:
                 "train/weight_change": state.weights.change,
                 "train/gradient": state.length,
                 "train/skipped": float(state.skipped),
+                "train/setbacks": float(len(state.setbacks)),
                 "train/learning_rate": self._rate(),
             },
+            " ".join(setback.line(self._batch_steps) for setback in setbacks),
         )
 
     def policy(self) -> dict[str, torch.Tensor]:
@@ -128,11 +133,19 @@ class PathwiseLearner:
             "figures": None if state.figures is None else vars(state.figures),
             "length": state.length,
             "skipped": state.skipped,
+            "begun": state.begun,
+            "good": {
+                **vars(state.good),
+                "parameters": torch.from_numpy(state.good.parameters),
+                "weights": vars(state.good.weights),
+            },
+            "setbacks": [vars(setback) for setback in state.setbacks],
         }
 
     def restore(self, state: dict[str, Any]) -> None:
         """See Learner."""
-        figures = state["figures"]
+        figures, good = state["figures"], dict(state["good"])
+        good |= {"parameters": good["parameters"].numpy().copy(), "weights": Weights(**good["weights"])}
         self._state = State(
             updates=state["updates"],
             **{name: state[name].numpy().copy() for name in ("parameters", "mean", "square")},
@@ -140,6 +153,9 @@ class PathwiseLearner:
             figures=None if figures is None else Figures(**figures),
             length=state["length"],
             skipped=state["skipped"],
+            begun=state["begun"],
+            good=Good(**good),
+            setbacks=tuple(Setback(**setback) for setback in state["setbacks"]),
         )
 
     def start_from(self, policy: dict[str, torch.Tensor], state: dict[str, Any]) -> None:

@@ -25,11 +25,14 @@ class Figures:
     change: float  # of outputs in a control step, or of motors in 1 ms
     closed: float = 0.0  # motor fraction above the idle
 
+    def error(self, square: float) -> float:
+        """The part of the loss that is the error's [deg/s]; square: see Weights."""
+        return self.mae + square * self.mse
+
     def loss(self, weights: Weights) -> float:
         """The loss [deg/s]."""
         return (
-            self.mae
-            + weights.square * self.mse
+            self.error(weights.square)
             + weights.output * self.output
             + weights.change * self.change
             + weights.closed * self.closed

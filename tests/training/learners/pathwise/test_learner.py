@@ -21,9 +21,18 @@ from toolchain.policy.model import parse_policy
 from training.config.pathwise_config import PathwiseConfig
 from training.config.randomization import Randomization
 from training.config.training_config import TrainingConfig, WorldConfig
-from training.learners.pathwise.descent import State, adapted, descended
+from training.learners.pathwise.descent import (
+    DIVERGED,
+    SETBACKS_MAX,
+    SETTLED,
+    State,
+    adapted,
+    descended,
+    guarded,
+)
 from training.learners.pathwise.loss import Figures, Weights
 from training.learners.protocol import Report
+from training.runs.checkpoint import snapshot
 from training.runs.make_learner import make_learner
 from training.tasks.random_steps import RandomStepsTask
 
@@ -146,6 +155,7 @@ def test_a_run_is_rejected_when_it_has_no_pathwise_gradient(
         ("change_of", "rotors"),
         ("closed", -1.0),
         ("outlier", 0.5),
+        ("integral", 0.7),
         ("learning_rate", 0.0),
         ("square", -1.0),
         ("output_limit", 0.0),
@@ -207,3 +217,67 @@ def test_a_gradient_is_skipped_when_it_is_an_outlier_but_not_when_it_stays() -> 
         after = descended(after, 8.0 * one, 0.01, hyperparameters)
     assert after.skipped == 3
     assert after.parameters is not usual.parameters
+
+
+def told(before: State, mae: float) -> State:
+    """A state some updates later, with other parameters, whose running error is `mae`."""
+    return replace(
+        before,
+        updates=before.updates + SETTLED,
+        parameters=before.parameters + np.float32(1.0),
+        mean=np.ones(20, np.float32),
+        figures=Figures(mae=mae, mse=0.0, output=0.0, change=0.0),
+    )
+
+
+@pytest.mark.parametrize("mae", [1.01 * DIVERGED, float("inf"), float("nan")])
+def test_the_best_parameters_come_back_when_the_error_grows_far_beyond_theirs(mae: float) -> None:
+    first = guarded(told(state(Weights(0.0, 5.0, 6.0)), 3.0), 0.0)
+    best = guarded(told(replace(first, weights=Weights(0.0, 5.0, 7.0)), 1.0), 0.0)
+    worse = guarded(told(replace(best, weights=Weights(0.0, 5.0, 90.0)), 0.99 * DIVERGED), 0.0)
+    assert worse.parameters is not best.parameters
+    assert worse.setbacks == ()
+    back = guarded(told(worse, mae), 0.0)
+    assert back.parameters is best.parameters
+    assert back.weights == best.weights
+    assert not back.mean.any()
+    assert (back.updates, back.begun, back.rate_factor) == (4 * SETTLED, 4 * SETTLED, 0.5)
+    assert [(each.back_to, each.least) for each in back.setbacks] == [(2 * SETTLED, 1.0)]
+    # The running means say nothing before they have settled again.
+    early = replace(told(back, 100.0), updates=back.updates + SETTLED - 1)
+    assert guarded(early, 0.0) is early
+
+
+def test_a_run_ends_with_an_error_when_it_diverges_again_and_again() -> None:
+    now = guarded(told(state(Weights(0.0, 5.0, 6.0)), 1.0), 0.0)
+    for _ in range(SETBACKS_MAX):
+        now = guarded(told(now, 10.0), 0.0)
+    with pytest.raises(TrainingError, match=f"diverged {SETBACKS_MAX + 1} times"):
+        guarded(told(now, 10.0), 0.0)
+
+
+def test_a_run_that_diverged_goes_on_as_if_it_had_never_stopped_when_restored() -> None:
+    aircraft = load_aircraft("nf1")
+    updates = 4 * SETTLED
+    run = config(
+        steps=updates * UPDATE,
+        algorithm=PathwiseConfig(aircraft=4, leg_steps=UPDATE * updates // 2, learning_rate=0.005),
+    )
+    whole = make_learner(aircraft, run)
+    # An error that no run reaches: every running mean that has settled is one of a diverged run.
+    own = whole._state  # type: ignore[attr-defined]
+    good = replace(own.good, error=0.1, parameters=own.parameters + np.float32(0.01))
+    whole._state = replace(own, good=good)  # type: ignore[attr-defined]
+    notes: list[str] = []
+    whole.learn(0, lambda report: notes.append(report.note))
+    state, policy = snapshot(whole.state()), whole.policy()
+    assert [note.partition(":")[0] for note in notes if note] == [
+        f"diverged at {count * SETTLED * UPDATE:,} steps" for count in (1, 2)
+    ]
+    whole.learn(1, unheard)
+    resumed = make_learner(aircraft, run)
+    resumed.restore(state)
+    assert equal(resumed.policy(), policy)
+    resumed.learn(1, unheard)
+    assert equal(whole.policy(), resumed.policy())
+    assert len(resumed.state()["setbacks"]) == 4
