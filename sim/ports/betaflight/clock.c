@@ -52,7 +52,7 @@ enum {
 	/* Each turn of the main loop sleeps 50 us to spare the computer. A board does not, and the sleep would
 	 * only make the gyro's task late: sleeps up to SPARING_NS cost TURN_NS. */
 	SPARING_NS = 60000,
-	TURN_NS = 5000,
+	TURN_NS = 12500,
 	STATE_BYTES = 144,
 	RECEIVER_BYTES = 40,
 	STATE_PORT = 9003,
