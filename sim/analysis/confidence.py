@@ -26,14 +26,25 @@ class Mean:
     count: NDArray[np.int64]  # how many episodes it is the mean of
 
 
-def mean_of(values: Array, valid: NDArray[np.bool_]) -> Mean:
-    """Mean of the `valid` ones of values (E, ...) with Student's t interval; a single one has no width."""
+def mean_of(values: Array, valid: NDArray[np.bool_], each: int = 1) -> Mean:
+    """Mean of the `valid` ones of values (E, ...) with Student's t interval; a single one has no width.
+
+    each: how many values one after another are of one flight. They depend on each other, so that the
+    interval is that of as many independent values as there are flights: of the sums over a flight of what
+    its values differ from the mean, the linearised ratio of two sums.
+    """
     count = valid.sum(axis=0)
     some = np.maximum(count, 1)
     mean = np.where(valid, values, 0.0).sum(axis=0) / some
-    squares = np.where(valid, (values - mean) ** 2, 0.0).sum(axis=0)
-    freedom = np.maximum(count - 1, 1)
-    margin = student(freedom) * np.sqrt(squares / freedom / some)
+    residual = np.where(valid, values - mean, 0.0)
+    flown = valid
+    if each > 1:
+        shape = (-1, each, *residual.shape[1:])
+        residual, flown = residual.reshape(shape).sum(axis=1), valid.reshape(shape).any(axis=1)
+    flights = np.maximum(flown.sum(axis=0), 1)
+    freedom = np.maximum(flights - 1, 1)
+    share = flights / some  # of a flight in its sum
+    margin = student(freedom) * np.sqrt((residual**2).sum(axis=0) / freedom / flights) * share
     return Mean(mean, mean - margin, mean + margin, count.astype(np.int64))
 
 
@@ -50,11 +61,14 @@ def paired(first: Array, second: Array) -> Mean:
     return mean_of(each, count > 0)
 
 
-def share_of(hits: NDArray[np.bool_]) -> Mean:
-    """Share of hits (E, ...), 0..1, with Wilson's interval, which has a width at 0 and at 1 too."""
+def share_of(hits: NDArray[np.bool_], each: int = 1) -> Mean:
+    """Share of hits (E, ...), 0..1, with Wilson's interval, which has a width at 0 and at 1 too.
+
+    each: see `mean_of`; the interval is that of as many hits and misses as there are flights.
+    """
     count = len(hits)
     share = hits.mean(axis=0)
-    z = NORMAL * NORMAL / count
+    z = NORMAL * NORMAL / (count / each)
     centre = (share + z / 2) / (1 + z)
     half = np.sqrt(z * share * (1 - share) + z * z / 4) / (1 + z)
     bounds = np.clip([centre - half, centre + half], 0.0, 1.0)

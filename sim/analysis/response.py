@@ -210,34 +210,37 @@ def response_figures(held: Hold, floor_deg_s: float = FLOOR_DEG_S) -> ResponseFi
     return mean_figures(response(held, floor_deg_s), floor_deg_s)
 
 
-def mean_figures(each: Response, floor_deg_s: float = FLOOR_DEG_S) -> ResponseFigures:
-    """Means of responses taken with that floor, with their 95 % confidence."""
+def mean_figures(each: Response, floor_deg_s: float = FLOOR_DEG_S, commands: int = 1) -> ResponseFigures:
+    """Means of responses taken with that floor, with their 95 % confidence.
+
+    commands: how many one after another are of one flight; see `mean_of`.
+    """
     everyone = np.ones_like(each.large)
     return ResponseFigures(
         episodes=len(each.large),
         floor_deg_s=floor_deg_s,
-        success=share_of(each.success),
-        success_bare=share_of(each.success_bare),
-        settling_ms=mean_of(each.settling_ms, each.success),
-        failure=mean_of(each.late_error, each.large & ~each.success),
-        failure_bare=mean_of(each.late_error, each.large & ~each.success_bare),
-        rise_ms=mean_of(each.rise_ms, each.rose),
-        peak=mean_of(each.peak, each.large),
-        error=mean_of(each.error, everyone),
-        stability=mean_of(each.stability, everyone),
-        slope=mean_of(each.slope, everyone),
-        in_band_500=mean_of(each.in_band_500, everyone),
-        in_band_750=mean_of(each.in_band_750, everyone),
-        in_band_500_bare=mean_of(each.in_band_500_bare, everyone),
-        in_band_750_bare=mean_of(each.in_band_750_bare, everyone),
-        all_in_band_500=mean_of(each.all_in_band_500, everyone[:, 0]),
-        all_in_band_750=mean_of(each.all_in_band_750, everyone[:, 0]),
-        all_in_band_500_bare=mean_of(each.all_in_band_500_bare, everyone[:, 0]),
-        all_in_band_750_bare=mean_of(each.all_in_band_750_bare, everyone[:, 0]),
-        steady=share_of(each.steady),
-        steady_bare=share_of(each.steady_bare),
-        steady_750=share_of(each.steady_750),
-        steady_750_bare=share_of(each.steady_750_bare),
+        success=share_of(each.success, commands),
+        success_bare=share_of(each.success_bare, commands),
+        settling_ms=mean_of(each.settling_ms, each.success, commands),
+        failure=mean_of(each.late_error, each.large & ~each.success, commands),
+        failure_bare=mean_of(each.late_error, each.large & ~each.success_bare, commands),
+        rise_ms=mean_of(each.rise_ms, each.rose, commands),
+        peak=mean_of(each.peak, each.large, commands),
+        error=mean_of(each.error, everyone, commands),
+        stability=mean_of(each.stability, everyone, commands),
+        slope=mean_of(each.slope, everyone, commands),
+        in_band_500=mean_of(each.in_band_500, everyone, commands),
+        in_band_750=mean_of(each.in_band_750, everyone, commands),
+        in_band_500_bare=mean_of(each.in_band_500_bare, everyone, commands),
+        in_band_750_bare=mean_of(each.in_band_750_bare, everyone, commands),
+        all_in_band_500=mean_of(each.all_in_band_500, everyone[:, 0], commands),
+        all_in_band_750=mean_of(each.all_in_band_750, everyone[:, 0], commands),
+        all_in_band_500_bare=mean_of(each.all_in_band_500_bare, everyone[:, 0], commands),
+        all_in_band_750_bare=mean_of(each.all_in_band_750_bare, everyone[:, 0], commands),
+        steady=share_of(each.steady, commands),
+        steady_bare=share_of(each.steady_bare, commands),
+        steady_750=share_of(each.steady_750, commands),
+        steady_750_bare=share_of(each.steady_750_bare, commands),
     )
 
 

@@ -28,7 +28,6 @@ from sim.ports.betaflight.build import VERSION
 from sim.ports.betaflight.fleet import ArmedBetaflight, BetaflightFleet
 from sim.ports.betaflight.port import IDLE, ROW_RATE_HZ
 from training.evaluation.evaluation import Event, Flights, Rows, drawn
-from training.tasks.pieces import RecordedPieces
 from training.tasks.task import Task
 
 
@@ -100,5 +99,4 @@ def record_betaflight(
             if progress is not None:
                 progress(k + 1, steps)
     np.divide(rows.motors - np.float32(IDLE), np.float32(1.0 - IDLE), out=rows.output)
-    recorded = isinstance(task, RecordedPieces)
-    return rows.flights(setpoints.swapaxes(0, 1), 1.0 / ROW_RATE_HZ, recorded)
+    return rows.flights(setpoints.swapaxes(0, 1), 1.0 / ROW_RATE_HZ, task)

@@ -74,15 +74,25 @@ def enter(
 
 
 def values(each: Scores) -> dict[str, Array]:
-    """Each figure of each episode, (E,), or (E, 3) for roll, pitch, yaw; NaN where undefined."""
+    """Each figure of each episode, (E,), or (E, 3) for roll, pitch, yaw; NaN where undefined.
+
+    A flight counts with the mean of its commands: they depend on each other.
+    """
     found = {name: getattr(each.tracking, name) for name in SUMS}
     found |= {"output": each.output, "change": each.change, "smoothness": each.smoothness}
     if each.motor_change is not None:
         found["motor_change"] = each.motor_change
+    if each.holding is not None:
+        found |= {
+            "rest_early": each.holding.early,
+            "rest_late": each.holding.late,
+            "hover": each.holding.hover,
+            "drift": np.abs(each.holding.drift),
+        }
     response = each.response
     if response is None:
         return found
-    return found | {
+    single = {
         "success": response.success.astype(np.float64),
         "success_bare": response.success_bare.astype(np.float64),
         "rise_ms": np.where(response.rose, response.rise_ms, np.nan),
@@ -97,11 +107,28 @@ def values(each: Scores) -> dict[str, Array]:
         "steady_750": response.steady_750.astype(np.float64),
         "steady_750_bare": response.steady_750_bare.astype(np.float64),
     }
+    return found | {name: _by_flight(rows, each.commands) for name, rows in single.items()}
+
+
+def _by_flight(rows: Array, commands: int) -> Array:
+    """The mean of each flight's commands that have a number; NaN where none has."""
+    if commands == 1:
+        return rows
+    parts = rows.reshape(-1, commands, *rows.shape[1:])
+    count = np.isfinite(parts).sum(axis=1)
+    mean: Array = np.where(count > 0, np.nansum(parts, axis=1) / np.maximum(count, 1), np.nan)
+    return mean
 
 
 def means(scores: Scores) -> dict[str, Mean]:
     """Each figure over episodes, averaged over axes, with its 95 % confidence."""
-    return {name: _mean_of(name, each) for name, each in values(scores).items()}
+    return {name: _mean_of(name, each, scores.commands) for name, each in values(scores).items()}
+
+
+def by_axis(scores: Scores) -> dict[str, Mean]:
+    """Each figure that has three axes, (3,), over episodes with its 95 % confidence."""
+    three = {name: each for name, each in values(scores).items() if each.ndim == 2}
+    return {name: mean_of(each, np.isfinite(each)) for name, each in three.items()}
 
 
 def differences(first: Scores, other: Scores) -> dict[str, Mean]:
@@ -162,6 +189,7 @@ def average(entries: Sequence[Entry]) -> dict[str, object]:
     """
     responses = [entry.scores.response for entry in entries]
     held = [response for response in responses if response is not None]
+    commands = entries[0].scores.commands
     pooled = [values(entry.scores) for entry in entries]
     sums = [float(each["error" if "error" in each else "iae"].mean(axis=0).sum()) for each in pooled]
     return {
@@ -170,10 +198,12 @@ def average(entries: Sequence[Entry]) -> dict[str, object]:
         "sum_of_errors": sums,
         "best": entries[int(np.argmin(sums))].controller.name,
         "means": {
-            name: interval(_mean_of(name, np.concatenate([each[name] for each in pooled])))
+            name: interval(_mean_of(name, np.concatenate([each[name] for each in pooled]), commands))
             for name in pooled[0]
         },
-        "response": asdict(mean_figures(together(held))) if len(held) == len(entries) else None,
+        "response": (
+            asdict(mean_figures(together(held), commands=commands)) if len(held) == len(entries) else None
+        ),
     }
 
 
@@ -230,5 +260,7 @@ def _steps(held: Hold) -> tuple[Array, Array]:
     return held.t[shown], drawn
 
 
-def _mean_of(name: str, each: Array) -> Mean:
-    return share_of(each == 1.0) if name in SHARES else paired(np.zeros_like(each), each)
+def _mean_of(name: str, each: Array, commands: int) -> Mean:
+    if name in SHARES and commands == 1:
+        return share_of(each == 1.0)
+    return paired(np.zeros_like(each), each)

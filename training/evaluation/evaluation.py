@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from sim.aircraft.model import Aircraft
 from sim.analysis.confidence import Mean, mean_of
+from sim.analysis.holding import Holding, HoldingFigures, holding, holding_figures
 from sim.analysis.metrics import Effort, Tracking, effort, tracking
 from sim.analysis.response import Hold, Response, ResponseFigures, hold, mean_figures, response
 from sim.analysis.spectrum import Spectrum, components, smoothness, spectrum
@@ -24,10 +25,11 @@ from sim.physics.variation import Variation
 from sim.physics.world import Mount
 from sim.ports.port import control_divider
 from toolchain.contract import IDLE_DEFAULT, Mix
+from training.tasks.flight import Course, course_of
 from training.tasks.pieces import RecordedPieces
 from training.tasks.task import Task
 
-CHUNK = 256  # episodes whose errors are computed at a time, because their float64 copies are large
+CHUNK_ROWS = 1 << 20  # of episodes whose errors are computed at a time: their float64 copies are large
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,30 +46,60 @@ class Flights:
     volts: NDArray[np.float32] | None = None  # (E, T) [V], of the battery under load; None: the bench supply
     power: NDArray[np.float32] | None = None  # (E, T) [W], electric: motors and electronics
     current: NDArray[np.float32] | None = None  # (E, T) [A]; NaN where the supply's voltage is not known
+    course: Course | None = None  # of flights of a minute; None: of single commands
+
+    @property
+    def commands(self) -> int:
+        """How many commands an episode holds, of which figures are told one by one."""
+        return max(1, self.course.commands) if self.course else 1
+
+    @property
+    def commanded(self) -> slice:
+        """The rows before the hover; all where there is none."""
+        rows = self.rate.shape[1] - (round(self.course.hover_s / self.step_s) if self.course else 0)
+        return slice(0, rows - rows % self.commands)
 
     def hold(self) -> Hold | None:
-        """The held command of each episode; None if the task holds none for a second."""
-        return None if self.recorded else hold(self.setpoint, self.rate, self.step_s)
+        """The held command of each episode, of a flight one by one; None if one holds under a second."""
+        if self.recorded or (self.course and not self.course.commands):
+            return None
+        parts = len(self.rate) * self.commands
+        setpoint, rate = (
+            rows[:, self.commanded].reshape(parts, -1, 3) for rows in (self.setpoint, self.rate)
+        )
+        return hold(setpoint, rate, self.step_s)
+
+    def holding(self) -> Holding | None:
+        """Figures by age; None where episodes are no flights of a minute."""
+        if self.course is None:
+            return None
+        return holding(self.setpoint, self.rate, self.step_s, self.course.commands, self.commanded.stop)
 
 
 @dataclass(frozen=True, eq=False)
 class Scores:
-    """Figures of each of E episodes."""
+    """Figures of each of E episodes; of flights of a minute, those of the time before the hover."""
 
     tracking: Tracking  # (E, 3) each
     output: NDArray[np.float64]  # (E,), mean output of the controller, fraction 0..1
     change: NDArray[np.float64]  # (E,), mean |change| of an output in 1 ms
     smoothness: NDArray[np.float64]  # (E,), Sm: see sim.analysis.spectrum
     spectrum: Spectrum  # of all episodes
-    response: Response | None  # None where the task holds no command for a second
+    response: Response | None  # of each command, flight by flight; None where none is held for a second
     motor_change: NDArray[np.float64] | None = None  # (E,), mean |change| of a motor's fraction in 1 ms
     power: NDArray[np.float64] | None = None  # (E,) [W], mean electric power
     current: NDArray[np.float64] | None = None  # (E,) [A], mean
+    holding: Holding | None = None  # by age, and the hover's; None where episodes are no flights of a minute
+
+    @property
+    def commands(self) -> int:
+        """How many commands of `response` are of one episode."""
+        return len(self.response.success) // len(self.output) if self.response else 1
 
 
 @dataclass(frozen=True)
 class Evaluation:
-    """Figures of a controller over `episodes` commands; errors are against the true rate."""
+    """Figures of a controller over `episodes` commands or flights; errors are against the true rate."""
 
     episodes: int
     tracking: Tracking  # mean over episodes, per axis
@@ -80,6 +112,7 @@ class Evaluation:
     spectrum: Spectrum
     response: ResponseFigures | None  # None where the task holds no command for a second
     motor_change: Mean | None = None  # |change| of a motor's fraction in 1 ms; None where none was recorded
+    holding: HoldingFigures | None = None  # None where episodes are no flights of a minute
 
 
 @dataclass(frozen=True)
@@ -115,13 +148,25 @@ class Rows:
                 self._volts = np.empty_like(self._lift)
             self._volts[k] = twin.battery.voltage[:, 0]
 
-    def flights(self, setpoint: NDArray[np.float32], step_s: float, recorded: bool) -> Flights:
-        """The record of all steps; see Flights."""
+    def flights(self, setpoint: NDArray[np.float32], step_s: float, task: Task) -> Flights:
+        """The record of all steps of the task's episodes; see Flights."""
         rate, output, motors, lift, power, current = map(
             _by_episode, (self._rate, self.output, self.motors, self._lift, self._power, self._current)
         )
         volts = None if self._volts is None else _by_episode(self._volts)
-        return Flights(setpoint, rate, output, step_s, recorded, motors, lift, volts, power, current)
+        return Flights(
+            setpoint,
+            rate,
+            output,
+            step_s,
+            isinstance(task, RecordedPieces),
+            motors,
+            lift,
+            volts,
+            power,
+            current,
+            course_of(task),
+        )
 
 
 def drawn(seed: int) -> tuple[np.random.Generator, np.random.Generator]:
@@ -214,7 +259,7 @@ def record(
                 progress(k + 1, steps)
     finally:
         twin.close()
-    return rows.flights(wanted, 1.0 / control_rate_hz, isinstance(task, RecordedPieces))
+    return rows.flights(wanted, 1.0 / control_rate_hz, task)
 
 
 def _thrust_by_step(throttle: float | NDArray[np.float32]) -> NDArray[np.float32] | None:
@@ -229,11 +274,13 @@ def figures(flights: Flights) -> Evaluation:
 
 def scores(flights: Flights) -> Scores:
     """The figures of each episode."""
-    episodes, step_s = len(flights.rate), flights.step_s
-    chunks = [slice(start, start + CHUNK) for start in range(0, episodes, CHUNK)]
-    errors = [tracking(flights.setpoint[c], flights.rate[c], step_s) for c in chunks]
-    efforts = [effort(output, step_s) for output in flights.output]
-    parts = components(flights.output, step_s)
+    episodes, step_s, rows = len(flights.rate), flights.step_s, flights.commanded
+    setpoint, rate, output = (part[:, rows] for part in (flights.setpoint, flights.rate, flights.output))
+    at_a_time = max(1, CHUNK_ROWS // max(1, rate.shape[1]))
+    chunks = [slice(start, start + at_a_time) for start in range(0, episodes, at_a_time)]
+    errors = [tracking(setpoint[c], rate[c], step_s) for c in chunks]
+    efforts = [effort(each, step_s) for each in output]
+    parts = components(output, step_s)
     held = flights.hold()
     return Scores(
         tracking=Tracking(
@@ -247,16 +294,17 @@ def scores(flights: Flights) -> Scores:
         motor_change=(
             None
             if flights.motors is None
-            else np.array([effort(motors, step_s).change for motors in flights.motors])
+            else np.array([effort(motors[rows], step_s).change for motors in flights.motors])
         ),
-        power=_means(flights.power),
-        current=_means(flights.current),
+        power=_means(flights.power, rows),
+        current=_means(flights.current, rows),
+        holding=flights.holding(),
     )
 
 
-def _means(rows: NDArray[np.float32] | None) -> NDArray[np.float64] | None:
-    """The mean of each episode (E,) of rows (E, T)."""
-    return None if rows is None else np.asarray(rows.mean(axis=1, dtype=np.float64))
+def _means(values: NDArray[np.float32] | None, rows: slice) -> NDArray[np.float64] | None:
+    """The mean of each episode (E,) over these rows of values (E, T)."""
+    return None if values is None else np.asarray(values[:, rows].mean(axis=1, dtype=np.float64))
 
 
 def summary(scores: Scores) -> Evaluation:
@@ -273,8 +321,9 @@ def summary(scores: Scores) -> Evaluation:
         smoothness=float(rough.value),
         smoothness_margin=float(rough.high - rough.value),
         spectrum=scores.spectrum,
-        response=mean_figures(scores.response) if scores.response else None,
+        response=mean_figures(scores.response, commands=scores.commands) if scores.response else None,
         motor_change=None if scores.motor_change is None else mean_over(scores.motor_change),
+        holding=holding_figures(scores.holding) if scores.holding else None,
     )
 
 

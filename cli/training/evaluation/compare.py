@@ -28,7 +28,7 @@ from cli.training.evaluation.contenders import (
     open_contenders,
 )
 from cli.training.evaluation.ranges import check_ranges
-from cli.training.evaluation.task_arguments import drawn_as_flown, flown_words
+from cli.training.evaluation.task_arguments import drawn_as_flown, flight_note, flown_words
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -39,7 +39,13 @@ if TYPE_CHECKING:
     from training.evaluation.controllers import Conditions, Contender
     from training.evaluation.thrust import Transparency
 
-TRACKING_ROWS = (("MAE", "mae", 2), ("MSE", "mse", 1))  # heading, figure, digits: with a row an axis
+AXIS_ROWS = (  # heading, figure, digits: with a row an axis
+    ("MAE", "mae", 2),
+    ("MSE", "mse", 1),
+    ("rest early", "rest_early", 2),
+    ("rest late", "rest_late", 2),
+    ("drift, °", "drift", 1),
+)
 ROWS = (  # heading, figure, factor, digits
     ("IAE", "iae", 1, 0),
     ("ISE", "ise", 1, 0),
@@ -171,7 +177,7 @@ def _at_throttles(
         _print(console, title + throttle_words(throttle), entries)
     for found in averages:
         print_average(console, found)
-    console.print(NOTE + (ONE_EPISODE if flown.episodes == 1 else ""), style="dim")
+    console.print(f"{NOTE}{flight_note(flown)}{ONE_EPISODE if flown.episodes == 1 else ''}", style="dim")
     if rests:
         print_transparency(console, rests)
     return 0
@@ -252,7 +258,7 @@ def _print(console: Console, title: str, entries: Sequence[Entry]) -> None:
     from rich.table import Table
 
     from toolchain.contract import AXES
-    from training.evaluation.comparison import differences, means
+    from training.evaluation.comparison import by_axis, differences, means
 
     table = Table(title=title, title_justify="left", box=None, pad_edge=False)
     table.add_column("", no_wrap=True)
@@ -260,18 +266,13 @@ def _print(console: Console, title: str, entries: Sequence[Entry]) -> None:
         idle = f"\nidle {entry.controller.idle:g}" if entry.controller.idle else ""
         table.add_column(entry.controller.label + idle, justify="right", no_wrap=True)
     averages = [means(entry.scores) for entry in entries]
-    for heading, name, digits in TRACKING_ROWS:
+    each = [by_axis(entry.scores) for entry in entries]
+    for heading, name, digits in AXIS_ROWS:
+        if not all(name in found for found in averages):
+            continue
         for axis, word in enumerate(AXES):
-            cells = []
-            for entry in entries:
-                value, margin = (
-                    getattr(part, name)[axis]
-                    for part in (entry.evaluation.tracking, entry.evaluation.tracking_margin)
-                )
-                cells.append(f"{value:,.{digits}f} ± {margin:,.{digits}f}")
-            table.add_row(f"{heading} {word}", *cells)
-        cells = [_interval(each[name], 1, digits) for each in averages]
-        table.add_row(f"{heading} mean", *cells)
+            table.add_row(f"{heading} {word}", *(_interval(found[name], 1, digits, axis) for found in each))
+        table.add_row(f"{heading} mean", *(_interval(found[name], 1, digits) for found in averages))
     for heading, name, factor, digits in ROWS:
         if all(name in each for each in averages):
             table.add_row(heading, *(_interval(each[name], factor, digits) for each in averages))
@@ -284,17 +285,21 @@ def _print(console: Console, title: str, entries: Sequence[Entry]) -> None:
     for entry in entries[1:]:
         table.add_column(entry.controller.label, justify="right", no_wrap=True)
     found = [differences(first.scores, entry.scores) for entry in entries[1:]]
-    rows = [(f"{heading} mean", name, 1, digits) for heading, name, digits in TRACKING_ROWS]
+    rows = [(f"{heading} mean", name, 1, digits) for heading, name, digits in AXIS_ROWS]
     for heading, name, factor, digits in (*rows, *ROWS):
         if name in found[0]:
             table.add_row(heading, *(_difference(each[name], factor, digits) for each in found))
     console.print(table)
 
 
-def _interval(mean: Mean, factor: float, digits: int) -> str:
-    if not mean.count:
+def _interval(mean: Mean, factor: float, digits: int, axis: int | None = None) -> str:
+    """A mean and its margin; axis: the one of three."""
+    count, value, low, high = (
+        part if axis is None else part[axis] for part in (mean.count, mean.value, mean.low, mean.high)
+    )
+    if not count:
         return "none"
-    value, margin = factor * float(mean.value), factor * float(mean.high - mean.low) / 2
+    value, margin = factor * float(value), factor * float(high - low) / 2
     return f"{value:,.{digits}f} ± {margin:,.{digits}f}"
 
 

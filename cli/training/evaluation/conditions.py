@@ -175,5 +175,6 @@ def flight_document(controller: Contender, throttle: float | None, result: Evalu
         "smoothness": result.smoothness,
         "margin_95": {name: plain(values) for name, values in margins.items()},
         "response": plain(asdict(result.response)) if result.response else None,
+        **({"holding": plain(asdict(result.holding))} if result.holding else {}),
         "spectrum": result.spectrum.document(),
     }

@@ -20,12 +20,13 @@ from cli.training.evaluation.conditions import (
 )
 from cli.training.evaluation.contenders import add_contender_arguments, check_thrusts, open_contenders
 from cli.training.evaluation.ranges import check_ranges
-from cli.training.evaluation.task_arguments import drawn_as_flown, flown_words
+from cli.training.evaluation.task_arguments import drawn_as_flown, flight_note, flown_words
 
 if TYPE_CHECKING:
     from rich.table import Table
 
     from sim.analysis.confidence import Mean
+    from sim.analysis.holding import HoldingFigures
     from training.evaluation.controllers import Conditions, Contender
     from training.evaluation.evaluation import Evaluation
 
@@ -150,7 +151,7 @@ def _at_throttle(args: argparse.Namespace, controller: Contender, flown: Conditi
         }
         print(json.dumps(document, indent=2))
     else:
-        _print(title, result)
+        _print(title, result, flight_note(flown))
     return 0
 
 
@@ -159,7 +160,8 @@ def _told(args: argparse.Namespace) -> float | None:
     return args.throttle if args.commands is not None else args.throttle or None
 
 
-def _print(title: str, result: Evaluation) -> None:
+def _print(title: str, result: Evaluation, more: str) -> None:
+    """Print the figures; more: words for the note."""
     from rich.console import Console
     from rich.table import Table
 
@@ -176,6 +178,8 @@ def _print(title: str, result: Evaluation) -> None:
             for value, margin in zip(values, margins[name], strict=True)
         ]
         table.add_row(name.upper(), *cells, _number(values.mean(), digits))
+    if result.holding:
+        _add_holding(table, result.holding)
     if result.response:
         _add_response(table, result)
     console = Console()
@@ -195,9 +199,26 @@ def _print(title: str, result: Evaluation) -> None:
             f"leave out initial errors below {floor}. Every sample: from 500 to 1500 ms after the command, "
             f"or to its end."
         )
+    note += more
     if result.episodes == 1:
         note += ONE_EPISODE
     console.print(note, style="dim")
+
+
+def _add_holding(table: Table, found: HoldingFigures) -> None:
+    rest = found.rest
+    rows = [
+        (f"rest, fifth {n + 1}", 2, *(part[n] for part in (rest.value, rest.low, rest.high, rest.count)))
+        for n in range(len(rest.value))
+    ]
+    for heading, mean, digits in (("hover", found.hover, 2), ("drift, °", found.drift, 1)):
+        rows.append((heading, digits, mean.value, mean.low, mean.high, mean.count))
+    for heading, digits, value, low, high, count in rows:
+        cells = [
+            f"{value[axis]:.{digits}f} ± {(high - low)[axis] / 2:.{digits}f}" if count[axis] else "none"
+            for axis in range(3)
+        ]
+        table.add_row(heading, *cells, f"{value.mean():.{digits}f}")
 
 
 def _motors(result: Evaluation) -> str:

@@ -16,12 +16,19 @@ if TYPE_CHECKING:
     from training.tasks.pieces import RecordedPieces
     from training.tasks.task import Task
 
-TASKS = ("pulse", "episodic", "envelope", "continuous")
-CONTINUOUS_EPISODES = 10  # unless the user says: each holds many commands
-CONTINUOUS_MAX_S = 10_000.0  # of all episodes together; all are kept in memory, a gigabyte for this long
+TASKS = ("pulse", "flight", "episodic", "envelope", "continuous")
+LONG_EPISODES = {"flight": 20, "continuous": 10}  # unless the user says: each holds many commands
+LONG_MAX_S = 10_000.0  # of all such episodes together; all are kept in memory, a gigabyte for this long
 LENGTH_MIN_S, LENGTH_MAX_S = 0.1, 600.0
+FLIGHT_MIN_S = 20.0
 PIECE_S = 5.0  # of recorded commands, unless the user says
 PIECE_MIN_S, PIECE_MAX_S = 0.1, 3600.0
+FLIGHT_NOTE = (
+    " Of flights, figures are of the commands before the hover, and ± is that of flights, as commands of one "
+    "depend on each other. Rest: |rate| in deg/s with the sticks centred for half a second, in the first and "
+    "in the last fifth of these. Hover and drift: |rate| in its last 10 s, and what the aircraft turned in "
+    "them."
+)
 
 
 def add_task_arguments(parser: argparse.ArgumentParser, episodes: int) -> None:
@@ -31,8 +38,9 @@ def add_task_arguments(parser: argparse.ArgumentParser, episodes: int) -> None:
         "--episodes",
         type=int,
         metavar="N",
-        help=f"commands, one aircraft each; default: {episodes}, of the continuous task "
-        f"{CONTINUOUS_EPISODES}",
+        help=f"commands, one aircraft each; flights of the flight task, whose default is "
+        f"{LONG_EPISODES['flight']}, and of the continuous task, {LONG_EPISODES['continuous']}; else "
+        f"{episodes}",
     )
     parser.set_defaults(episodes_default=episodes)
     parser.add_argument(
@@ -54,7 +62,7 @@ def add_task_arguments(parser: argparse.ArgumentParser, episodes: int) -> None:
         "--length",
         type=float,
         metavar="SECONDS",
-        help="of an episode of the continuous task; default: 10",
+        help="of an episode of the continuous task, 10, or of a flight, 60: ten commands, then a hover",
     )
     parser.add_argument(
         "--commands",
@@ -77,7 +85,6 @@ def task_of(args: argparse.Namespace) -> tuple[Task, int]:
     """What is commanded, and its number of episodes."""
     from sim.physics.world import COUNT_MAX
     from toolchain.errors import TrainingError
-    from training.tasks.task import ContinuousTask
 
     if args.commands is None:
         if args.piece is not None:
@@ -90,14 +97,14 @@ def task_of(args: argparse.Namespace) -> tuple[Task, int]:
         episodes = args.episodes_default
         if args.named_command is not None:
             episodes = 1
-        elif isinstance(task, ContinuousTask):
-            episodes = min(episodes, CONTINUOUS_EPISODES)
+        elif task.name in LONG_EPISODES:
+            episodes = min(episodes, LONG_EPISODES[task.name])
         if args.episodes is not None:
             episodes = args.episodes
         check_ranges(("--episodes", episodes, 1, COUNT_MAX))
-        if isinstance(task, ContinuousTask) and episodes * task.length_s > CONTINUOUS_MAX_S:
+        if task.name in LONG_EPISODES and episodes * task.duration_s > LONG_MAX_S:
             raise TrainingError(
-                f"{episodes} episodes of {task.length_s:g} s, expected at most {CONTINUOUS_MAX_S:g} s "
+                f"{episodes} episodes of {task.duration_s:g} s, expected at most {LONG_MAX_S:g} s "
                 f"together; ask for fewer, or for shorter ones with --length"
             )
         return task, episodes
@@ -116,6 +123,7 @@ def _commanded(args: argparse.Namespace) -> Task:
     """The task of the arguments, with their limit, length or command."""
     from toolchain.contract import RATE_FULL_STICK_DEG_S
     from toolchain.errors import TrainingError
+    from training.tasks.flight import FlightTask
     from training.tasks.named_command import NamedCommand
     from training.tasks.registry import TASKS as BUILDERS
     from training.tasks.task import ContinuousTask, EpisodicTask, PulseTask, RandomCommands
@@ -123,10 +131,16 @@ def _commanded(args: argparse.Namespace) -> Task:
     full = float(RATE_FULL_STICK_DEG_S)
     task = BUILDERS[args.task or TASKS[0]]()
     if args.length is not None:
-        if not isinstance(task, ContinuousTask):
-            raise TrainingError(f"--length: of the continuous task, got {task.name}; leave it out")
-        check_ranges(("--length", args.length, LENGTH_MIN_S, LENGTH_MAX_S))
-        task = replace(task, length_s=args.length)
+        if isinstance(task, FlightTask):
+            check_ranges(("--length", args.length, FLIGHT_MIN_S, LENGTH_MAX_S))
+            task = task.of_length(args.length)
+        elif isinstance(task, ContinuousTask):
+            check_ranges(("--length", args.length, LENGTH_MIN_S, LENGTH_MAX_S))
+            task = replace(task, length_s=args.length)
+        else:
+            raise TrainingError(
+                f"--length: of the flight and the continuous task, got {task.name}; leave it out"
+            )
     if args.limit is not None:
         if not isinstance(task, RandomCommands) or task.distribution != "uniform":
             raise TrainingError(
@@ -163,6 +177,7 @@ def _pieces(args: argparse.Namespace) -> RecordedPieces:
 
 def flown_words(flown: Conditions) -> str:
     """What is flown, for titles."""
+    from training.tasks.flight import FlightTask
     from training.tasks.named_command import NamedCommand
     from training.tasks.pieces import RecordedPieces
     from training.tasks.task import ContinuousTask
@@ -175,10 +190,20 @@ def flown_words(flown: Conditions) -> str:
         rates = ", ".join(f"{rate:g}" for rate in task.command_deg_s)
         times = f", {flown.episodes} times" if flown.episodes > 1 else ""
         return f"{task.task.name} command of ({rates}) deg/s{times}, seed {flown.seed}"
+    if isinstance(task, FlightTask):
+        flights = f"{flown.episodes} flights" if flown.episodes > 1 else "a flight"
+        return f"{flights} of {task.pulses} commands and a hover, {task.duration_s:g} s, seed {flown.seed}"
     if isinstance(task, ContinuousTask):
         episodes = f"{flown.episodes} episodes" if flown.episodes > 1 else "an episode"
         return f"{episodes} of {task.name}, {task.length_s:g} s, seed {flown.seed}"
     return f"{flown.episodes} commands of {task.name}, seed {flown.seed}"
+
+
+def flight_note(flown: Conditions) -> str:
+    """What the figures of flights are, to stand below a table; nothing for other tasks."""
+    from training.tasks.flight import course_of
+
+    return FLIGHT_NOTE if course_of(flown.task) else ""
 
 
 def task_name(task: Task) -> str:
@@ -198,12 +223,15 @@ def drawn_as_flown(flown: Conditions) -> bool:
 
 def task_document(flown: Conditions) -> dict[str, Any]:
     """What is commanded, as JSON data."""
+    from training.tasks.flight import FlightTask
     from training.tasks.named_command import NamedCommand
     from training.tasks.task import ContinuousTask
 
     task, found = flown.task, {"task": task_name(flown.task)}
     if isinstance(task, NamedCommand):
         return {**found, "command_deg_s": list(task.command_deg_s)}
+    if isinstance(task, FlightTask):
+        return {**found, "length_s": task.duration_s, "commands_of_a_flight": task.pulses}
     if isinstance(task, ContinuousTask):
         return {**found, "length_s": task.length_s, "limit_deg_s": task.limit_deg_s}
     return found

@@ -1,0 +1,84 @@
+"""The flight task: commands one after another in a flight of a minute, nothing reset, then a hover."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+
+from sim.analysis.holding import DRIFT_S
+from training.tasks.limits import check_limits
+from training.tasks.sticks import OnSticks
+from training.tasks.task import LENGTH_MAX_S, PulseTask, RandomCommands, Setpoints, Task
+
+PULSES_MAX = 1000
+
+
+@dataclass(frozen=True)
+class Course:
+    """How a flight's time is divided."""
+
+    commands: int  # equal parts of the time before the hover; 0: it has no equal parts
+    hover_s: float  # centred sticks at its end
+
+
+@dataclass(frozen=True)
+class FlightTask(RandomCommands):
+    """Ten pulses as those of the pulse task in one flight, and then a hover.
+
+    The commands of flight k are those of the pulse task's episodes 10 k to 10 k + 9 with the same seed.
+    """
+
+    name: ClassVar[str] = "flight"
+    pulses: int = 10
+    idle_s: float = 0.5  # of each pulse, before its command
+    command_s: float = 2.0
+    rest_s: float = 2.0
+    hover_s: float = 15.0
+
+    def __post_init__(self) -> None:
+        """Reject invalid values."""
+        super().__post_init__()
+        length = (0.0, LENGTH_MAX_S)
+        check_limits(
+            f"task {self.name}",
+            self,
+            pulses=(1, PULSES_MAX),
+            idle_s=length,
+            command_s=length,
+            rest_s=length,
+            hover_s=(DRIFT_S, LENGTH_MAX_S),
+        )
+
+    @property
+    def duration_s(self) -> float:
+        """Length of a flight [s]."""
+        return self.pulses * self._pulse.duration_s + self.hover_s
+
+    @property
+    def course(self) -> Course:
+        """How its time is divided."""
+        return Course(self.pulses, self.hover_s)
+
+    def of_length(self, length_s: float) -> FlightTask:
+        """The same for a flight of that length: as many pulses as fit, and the rest of it to the hover."""
+        pulses = int((length_s - self.hover_s) / self._pulse.duration_s * (1 + 1e-9))
+        return replace(self, pulses=pulses, hover_s=length_s - pulses * self._pulse.duration_s)
+
+    def episodes(self, count: int, rng: np.random.Generator, rate_hz: int) -> Setpoints:
+        """See Task."""
+        pulses = self._pulse.of(self.commands(count * self.pulses, rng), rate_hz)
+        setpoints = np.zeros((count, round(self.duration_s * rate_hz), 3), np.float32)
+        setpoints[:, : self.pulses * pulses.shape[1]] = pulses.reshape(count, -1, 3)
+        return setpoints
+
+    @property
+    def _pulse(self) -> PulseTask:
+        return PulseTask(idle_s=self.idle_s, command_s=self.command_s, rest_s=self.rest_s)
+
+
+def course_of(task: Task) -> Course | None:
+    """How the time of the task's flights is divided; None where its episodes are no such flights."""
+    inner = task.task if isinstance(task, OnSticks) else task
+    return inner.course if isinstance(inner, FlightTask) else None
