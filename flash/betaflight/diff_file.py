@@ -81,10 +81,11 @@ class Diff:
     lines: tuple[Line, ...]
 
 
-def read_diff(path: Path, release: str | None = None) -> Diff:
+def read_diff(path: Path, release: str | None = None, assumed: str | None = None) -> Diff:
     """Read the file `path`. Raises LinkError, one line, if it is not a file of Betaflight's.
 
-    release: the version of Betaflight that wrote it, for a file that does not name it.
+    release: the version of Betaflight that wrote it, for a file that does not name it; assumed: likewise,
+    where it is not known that a file names none.
     """
     texts = [text.strip() for text in re.split(r"\r\n|\n|\r", _read(path))]
     target, told = _written_by(path, texts)
@@ -92,7 +93,7 @@ def read_diff(path: Path, release: str | None = None) -> Diff:
         raise LinkError(
             f"{path}: it is of Betaflight {told} by its own words; leave out --betaflight {release}"
         )
-    release = told or release
+    release = told or release or assumed
     if release is None:
         raise LinkError(
             f"{path}: no line `# Betaflight / BOARD VERSION` in it, on which units and defaults depend; is "

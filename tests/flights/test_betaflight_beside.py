@@ -104,7 +104,7 @@ def test_a_copy_answers_as_the_original_goes_on_when_both_see_the_same() -> None
     with (
         ArmedBetaflight(build_betaflight(FOLDER, print), NF1) as own,
         closing(Twin(NF1, 1, rate_hz=own.gyro_rate_hz, rng=np.random.default_rng(5))) as twin,
-        BetaflightFleet(own, twin.live) as fleet,
+        BetaflightFleet((own,), twin.live) as fleet,
     ):
         frame = sticks.channels(np.array([[90.0, -40.0, 20.0]]), np.array([0.3]), armed=True)
         for k in range(400):
@@ -132,7 +132,7 @@ def test_copies_end_with_their_fleet_and_a_lost_one_is_told(armed: ArmedBetaflig
     assert len(group(armed)) == 1
     with (
         closing(Twin(NF1, 3, rate_hz=4000, rng=np.random.default_rng(5))) as twin,
-        BetaflightFleet(armed, twin.live) as fleet,
+        BetaflightFleet((armed,), twin.live) as fleet,
     ):
         copies = sorted(set(group(armed)) - {armed.process.pid})
         assert len(copies) == 3

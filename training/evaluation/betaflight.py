@@ -1,4 +1,4 @@
-"""Betaflight beside controllers: its defaults fly the commands, gyros and noise that they fly.
+"""Betaflight beside controllers: its defaults, or a pilot's settings, fly the same commands and noise.
 
 Each command is flown by a Betaflight of its own, a copy of one that armed at rest (see
 sim/ports/betaflight/fleet.py): an episode begins as every controller's, with rotors and integral at rest, and
@@ -11,9 +11,9 @@ idle, 0..1, which hold the throttle too.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import closing
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
@@ -27,25 +27,59 @@ from sim.physics.world import Mount
 from sim.ports.betaflight.build import VERSION
 from sim.ports.betaflight.fleet import ArmedBetaflight, BetaflightFleet
 from sim.ports.betaflight.port import IDLE, ROW_RATE_HZ
+from sim.ports.betaflight.tune import Tune
 from training.evaluation.evaluation import Event, Flights, Rows, drawn
 from training.tasks.task import Task
+
+BETAFLIGHT = "betaflight"
 
 
 @dataclass(frozen=True)
 class BetaflightSpec:
-    """Betaflight with its default PID, filters, mixer and idle."""
+    """Betaflight with its default PID, filters, mixer and idle, or a pilot's."""
 
     armed: ArmedBetaflight
-    name: ClassVar[str] = "betaflight"
-    label: ClassVar[str] = "Betaflight 4.6"
+    name: str = BETAFLIGHT  # as the user wrote it
     control_rate_hz: ClassVar[int] = ROW_RATE_HZ
-    idle: ClassVar[float] = IDLE
     gyro_mean: ClassVar[bool] = False  # its filters take in all samples
-    facts: dict[str, str] = field(default_factory=lambda: {"betaflight": VERSION})
+
+    @property
+    def label(self) -> str:
+        """A short name for tables and plots."""
+        return betaflight_label(self.armed.tune)
+
+    @property
+    def idle(self) -> float:
+        """Motor fraction of armed motors at no thrust."""
+        return betaflight_idle(self.armed.tune)
+
+    @property
+    def facts(self) -> dict[str, str]:
+        """What a stored result records of it."""
+        return betaflight_facts(self.armed.tune)
+
+
+def betaflight_label(tune: Tune | None) -> str:
+    """A short name of Betaflight with these settings."""
+    return "Betaflight 4.6" if tune is None else f"Betaflight 4.6 {tune.name}"
+
+
+def betaflight_idle(tune: Tune | None) -> float:
+    """Motor fraction of its armed motors at no thrust."""
+    own = None if tune is None else tune.idle
+    return IDLE if own is None else own
+
+
+def betaflight_facts(tune: Tune | None) -> dict[str, str]:
+    """What a stored result records of Betaflight with these settings."""
+    own = (
+        {} if tune is None else {"betaflight_settings": tune.name, "betaflight_settings_sha256": tune.sha256}
+    )
+    return {BETAFLIGHT: VERSION, **own}
 
 
 def record_betaflight(
-    armed: ArmedBetaflight,
+    armed: Sequence[ArmedBetaflight],
     aircraft: Aircraft,
     task: Task,
     *,
@@ -61,19 +95,20 @@ def record_betaflight(
 ) -> Flights:
     """Fly `episodes` commands of `task`, a Betaflight and an aircraft each, all at once; see `record`.
 
+    armed: those that are flown, each by an equal share of the episodes, one share after the other.
     Commands and throttle are rounded to what sticks can say, and errors are to these setpoints. Raises
     LinkError when a Betaflight fails, ScenarioError on commands beyond full stick.
     """
     commands, noise_rng = drawn(seed)
     wanted = task.episodes(episodes, commands, ROW_RATE_HZ)
-    steps, samples = wanted.shape[1], armed.gyro_rate_hz // ROW_RATE_HZ
+    steps, samples = wanted.shape[1], armed[0].gyro_rate_hz // ROW_RATE_HZ
     thrust = np.broadcast_to(np.asarray(throttle, np.float32).T, (steps, episodes))
     rows = Rows(steps, episodes, aircraft.motor_count)
     setpoints = np.empty((steps, episodes, 3), np.float32)
     twin = Twin(
         aircraft,
         episodes,
-        rate_hz=armed.gyro_rate_hz,
+        rate_hz=armed[0].gyro_rate_hz,
         mount=mount,
         ground=ground,
         noise=noise,
@@ -98,5 +133,6 @@ def record_betaflight(
                 twin.step(motors)
             if progress is not None:
                 progress(k + 1, steps)
-    np.divide(rows.motors - np.float32(IDLE), np.float32(1.0 - IDLE), out=rows.output)
+    idle = np.repeat([betaflight_idle(one.tune) for one in armed], episodes // len(armed))[:, None]
+    np.divide(rows.motors - idle.astype(np.float32), (1.0 - idle).astype(np.float32), out=rows.output)
     return rows.flights(setpoints.swapaxes(0, 1), 1.0 / ROW_RATE_HZ, task)

@@ -126,7 +126,7 @@ class Conditions:
             if event is not None and event.yaw_given_up:
                 raise ValueError("Betaflight cannot be told to give up yaw")
             return record_betaflight(
-                controller.armed,
+                (controller.armed,),
                 self.aircraft,
                 task,
                 episodes=self.episodes,

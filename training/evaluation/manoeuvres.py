@@ -28,16 +28,17 @@ from sim.flight.scenario import Scenario
 from sim.flight.trace import Trace
 from sim.physics.twin import Twin
 from sim.physics.world import Mount
-from sim.ports.betaflight.build import VERSION, Betaflight
-from sim.ports.betaflight.port import IDLE, BetaflightPort, aircraft_settings
+from sim.ports.betaflight.build import Betaflight
+from sim.ports.betaflight.port import BetaflightPort, aircraft_settings
+from sim.ports.betaflight.tune import Tune
 from sim.ports.port import FirmwarePort
 from sim.ports.python_controller import ControllerPort
 from toolchain.contract import GYRO_RATE_DEFAULT_HZ
 from toolchain.errors import PolicyError
+from training.evaluation.betaflight import betaflight_facts, betaflight_idle, betaflight_label
 from training.evaluation.controllers import ControllerSpec, load_controller
 from training.evaluation.evaluation import interval
 
-BETAFLIGHT = "betaflight"
 COMPARED = ("mae", "mse")  # figures of which the lowest wins
 
 
@@ -60,22 +61,11 @@ class Contender:
     facts: dict[str, str]  # what a stored result records of it
 
 
-def load_contender(name: str, aircraft: Aircraft, betaflight: Betaflight | None) -> Contender:
-    """A policy file, `pid`, `pid:NAME`, or `betaflight`, which is built.
+def load_contender(name: str, aircraft: Aircraft) -> Contender:
+    """A policy file, `pid` or `pid:NAME`.
 
     Raises AircraftError or PolicyError where it does not exist or cannot fly the aircraft behind a port.
     """
-    if name == BETAFLIGHT:
-        if betaflight is None:
-            raise ValueError("Betaflight is to fly, but is not built")
-        built, settings = betaflight, aircraft_settings(aircraft)
-        return Contender(
-            name=name,
-            label="Betaflight 4.6",
-            open=lambda: BetaflightPort(built, GYRO_RATE_DEFAULT_HZ, settings),
-            idle=IDLE,
-            facts={BETAFLIGHT: VERSION},
-        )
     spec = load_controller(name, aircraft)
     controller = spec.build(1)
     if isinstance(controller, PolicyController) and controller.senses:
@@ -84,6 +74,18 @@ def load_contender(name: str, aircraft: Aircraft, betaflight: Betaflight | None)
             f"evaluate`"
         )
     return Contender(name, spec.label, lambda: _port(spec, aircraft), spec.idle, spec.facts)
+
+
+def betaflight_contender(name: str, aircraft: Aircraft, built: Betaflight, tune: Tune | None) -> Contender:
+    """Betaflight, with its defaults or a pilot's settings. Raises AircraftError if it cannot fly it."""
+    settings = aircraft_settings(aircraft)
+    return Contender(
+        name=name,
+        label=betaflight_label(tune),
+        open=lambda: BetaflightPort(built, GYRO_RATE_DEFAULT_HZ, settings, tune),
+        idle=betaflight_idle(tune),
+        facts=betaflight_facts(tune),
+    )
 
 
 def _port(spec: ControllerSpec, aircraft: Aircraft) -> ControllerPort:

@@ -187,8 +187,8 @@ class Trials:
         change = effort(pulsed.motors, flights.step_s).change if limits.of_motors else outputs.change
         excess = max(0.0, outputs.output / (MARGIN * limits.output) - 1.0)
         excess += max(0.0, change / (MARGIN * limits.change) - 1.0)
-        missed = _missed(held.flights)
-        return Trial(settings, mae, outputs.output, change, missed, mae + PENALTY * (excess + missed))
+        beyond = missed(held.flights)
+        return Trial(settings, mae, outputs.output, change, beyond, mae + PENALTY * (excess + beyond))
 
 
 @dataclass(frozen=True, eq=False)
@@ -221,7 +221,7 @@ class _Motors:
         return self._idle + above * throttle_mix(y, self._throttle, self._mix)
 
 
-def _missed(held: Flights) -> float:
+def missed(held: Flights) -> float:
     """Mean excess over the band at the end of held commands; each excess counts at most 1."""
     end = round(HELD_END_S / held.step_s)
     error = np.rad2deg(np.abs(held.setpoint - held.rate)[:, -end:].max(axis=1))

@@ -106,7 +106,8 @@ def controller_label(stored: Stored) -> str:
     """Label of a controller: Betaflight, a PID's name or a policy's folder, and the idle unless 0."""
     name = stored.text("controller")
     if stored.has("betaflight"):
-        label = "Betaflight 4.6, its defaults"
+        own = stored.text("betaflight_settings") if stored.has("betaflight_settings") else None
+        label = "Betaflight 4.6, its defaults" if own is None else f"Betaflight 4.6, `{own}`"
     else:
         label = f"PID `{stored.text('pid')}`" if stored.has("pid") else _policy_label(name)
     idle = stored.number("idle") if stored.has("idle") else 0.0

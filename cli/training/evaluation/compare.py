@@ -22,6 +22,7 @@ from cli.training.evaluation.conditions import (
     throttle_words,
 )
 from cli.training.evaluation.contenders import (
+    CONTENDER,
     add_contender_arguments,
     all_names,
     check_thrusts,
@@ -81,7 +82,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "controllers",
         nargs="+",
-        metavar="POLICY.onnx|pid[:NAME]|betaflight",
+        metavar=CONTENDER,
         help="policies, PIDs of the aircraft file, Betaflight; differences are to the first",
     )
     add_condition_arguments(parser, episodes=1000)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
@@ -13,9 +14,13 @@ from cli.training.evaluation.conditions import THROTTLES_MAX
 from cli.training.evaluation.ranges import check_ranges
 
 if TYPE_CHECKING:
+    from sim.aircraft.model import Aircraft
+    from sim.ports.betaflight.tune import Tune
+    from training.evaluation.betaflight import BetaflightSpec
     from training.evaluation.controllers import Conditions, Contender
 
 BETAFLIGHT = "betaflight"
+CONTENDER = "POLICY.onnx|pid[:NAME]|betaflight[:tuned|:DIFF]"
 THRUST_MAX = 20.0  # of the weight
 
 
@@ -60,11 +65,12 @@ def open_contenders(
     with ExitStack() as ends:
         contenders: list[Contender] = []
         for name in all_names(args, names):
-            if name == BETAFLIGHT:
-                contenders.append(_betaflight(args, flown, ends))
+            if is_betaflight(name):
+                contenders.append(armed_betaflight(args, name, flown.aircraft, ends))
             else:
                 contenders.append(load_controller(name, flown.aircraft, args.idle))
-        yield contenders, _at_gyro_rate(flown, contenders, thrusts or BETAFLIGHT in all_names(args, names))
+        sticks = thrusts or any(map(is_betaflight, all_names(args, names)))
+        yield contenders, _at_gyro_rate(flown, contenders, sticks)
 
 
 def all_names(args: argparse.Namespace, names: Sequence[str]) -> list[str]:
@@ -94,11 +100,39 @@ def _at_gyro_rate(flown: Conditions, contenders: Sequence[Contender], sticks: bo
     return flown
 
 
-def _betaflight(args: argparse.Namespace, flown: Conditions, ends: ExitStack) -> Contender:
-    """Betaflight, built if need be, armed and at rest; it ends with `ends`."""
+def is_betaflight(name: str) -> bool:
+    """Whether a contender is Betaflight: `betaflight`, or with a pilot's settings `betaflight:FILE`."""
+    return name.partition(":")[0] == BETAFLIGHT
+
+
+def betaflight_tune(name: str, aircraft: str) -> Tune | None:
+    """The settings in the name of a Betaflight; None: its defaults. aircraft: as the user wrote it.
+
+    Settings that the simulator cannot obey are told on stderr. Raises LinkError.
+    """
+    from sim.ports.betaflight.tune import TUNED, read_tune, tune_path
+
+    _, colon, which = name.partition(":")
+    if not colon:
+        return None
+    tune = read_tune(tune_path(which, aircraft), TUNED if which == TUNED else None)
+    if tune.without_effect:
+        print(
+            f"{name}: without effect in Betaflight's simulator, which has no DShot, dynamic notch or "
+            f"voltage: {', '.join(tune.without_effect)}",
+            file=sys.stderr,
+        )
+    return tune
+
+
+def armed_betaflight(
+    args: argparse.Namespace, name: str, aircraft: Aircraft, ends: ExitStack
+) -> BetaflightSpec:
+    """The Betaflight called `name`, built if need be, armed and at rest; it ends with `ends`."""
     from cli.sim.fly_ports import built_betaflight
     from sim.ports.betaflight.fleet import ArmedBetaflight
     from training.evaluation.betaflight import BetaflightSpec
 
-    built = built_betaflight(args, flown.aircraft)
-    return BetaflightSpec(ends.enter_context(ArmedBetaflight(built, flown.aircraft)))
+    tune = betaflight_tune(name, args.aircraft)
+    built = built_betaflight(args, aircraft)
+    return BetaflightSpec(ends.enter_context(ArmedBetaflight(built, aircraft, tune)), name)

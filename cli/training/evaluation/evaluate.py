@@ -18,7 +18,12 @@ from cli.training.evaluation.conditions import (
     flight_document,
     progress_bars,
 )
-from cli.training.evaluation.contenders import add_contender_arguments, check_thrusts, open_contenders
+from cli.training.evaluation.contenders import (
+    CONTENDER,
+    add_contender_arguments,
+    check_thrusts,
+    open_contenders,
+)
 from cli.training.evaluation.ranges import check_ranges
 from cli.training.evaluation.task_arguments import drawn_as_flown, flight_note, flown_words
 
@@ -61,7 +66,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "controller",
         nargs="?",
-        metavar="POLICY.onnx|pid[:NAME]|betaflight",
+        metavar=CONTENDER,
         help="a policy, a PID of the aircraft file, or Betaflight; none with --on betaflight",
     )
     add_condition_arguments(parser, episodes=100)

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cli.training.evaluation.conditions import check_controllers, progress_bars
+from cli.training.evaluation.contenders import CONTENDER, armed_betaflight, is_betaflight
 from cli.training.evaluation.ranges import check_ranges
 
 if TYPE_CHECKING:
@@ -17,7 +18,6 @@ if TYPE_CHECKING:
     from training.evaluation.controllers import Contender
     from training.evaluation.failure import Case, Failure, Plan
 
-BETAFLIGHT = "betaflight"
 EPISODES, AT_S, AFTER_S, THROTTLE, LIMIT = 50, 1.0, 2.0, 0.4, 200.0
 CASES_MAX = 12
 MOTOR_CASES = (0.25, 0.5, 1.0)  # of motor 1, unless cases are given
@@ -28,8 +28,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "controllers",
         nargs="+",
-        metavar="POLICY.onnx|pid[:NAME]|betaflight",
-        help="policies, PIDs of the aircraft file, Betaflight with its defaults",
+        metavar=CONTENDER,
+        help="policies, PIDs of the aircraft file, Betaflight with its defaults or a pilot's settings",
     )
     parser.add_argument("--aircraft", default="nf1", metavar="NAME|FILE", help="shipped name or a .toml file")
     parser.add_argument(
@@ -141,7 +141,7 @@ def _check(args: argparse.Namespace) -> None:
     )
     if args.seed < 0:
         raise TrainingError(f"--seed {args.seed}, expected 0 or more")
-    if args.give_up_yaw and BETAFLIGHT in args.controllers:
+    if args.give_up_yaw and any(map(is_betaflight, args.controllers)):
         raise TrainingError("--give-up-yaw: Betaflight cannot be told to; fly policies and PIDs")
 
 
@@ -208,16 +208,13 @@ def _loss(text: str, aircraft: Aircraft) -> tuple[int, float]:
 
 def _controller(args: argparse.Namespace, name: str, aircraft: Aircraft, ends: ExitStack) -> Contender:
     """A controller by its name; Betaflight ends with `ends`."""
-    from training.evaluation.betaflight import BetaflightSpec
     from training.evaluation.controllers import load_controller
 
-    if name != BETAFLIGHT:
-        return load_controller(name, aircraft)
-    from cli.sim.fly_ports import built_betaflight
-    from sim.ports.betaflight.fleet import ArmedBetaflight
-
-    built = built_betaflight(args, aircraft)
-    return BetaflightSpec(ends.enter_context(ArmedBetaflight(built, aircraft)))
+    return (
+        armed_betaflight(args, name, aircraft, ends)
+        if is_betaflight(name)
+        else load_controller(name, aircraft)
+    )
 
 
 def _document(

@@ -13,14 +13,14 @@ from typing import TYPE_CHECKING, TypeVar
 
 from cli.sim.fly_jobs import Crew, Show, usable_cores
 from cli.training.evaluation.conditions import check_controllers
+from cli.training.evaluation.contenders import CONTENDER, betaflight_tune, is_betaflight
 from cli.training.evaluation.ranges import check_ranges
 
 if TYPE_CHECKING:
     from sim.aircraft.model import Aircraft
     from sim.analysis.confidence import Mean
     from sim.analysis.manoeuvre import ManoeuvreFigures
-    from sim.ports.betaflight.build import Betaflight
-    from training.evaluation.manoeuvres import Air, Flown
+    from training.evaluation.manoeuvres import Air, Contender, Flown
 
 T = TypeVar("T")
 SEEDS_MAX, DESCENTS = 100, 3
@@ -49,7 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "contenders",
         nargs="+",
-        metavar="POLICY.onnx|pid[:NAME]|betaflight",
+        metavar=CONTENDER,
         help="policies, PIDs of the aircraft file, or Betaflight, fetched and built at first use; "
         "differences are to the first",
     )
@@ -135,10 +135,9 @@ def run(args: argparse.Namespace) -> int:
 def _fly(args: argparse.Namespace, aircraft: Aircraft, air: Air) -> list[Flown]:
     """The curves of all, then all flights, in processes of their own."""
     from sim.flight.manoeuvres import MANOEUVRES
-    from training.evaluation.manoeuvres import Flown, fly_descent, fly_manoeuvre, load_contender, thrust_curve
+    from training.evaluation.manoeuvres import Flown, fly_descent, fly_manoeuvre, thrust_curve
 
-    betaflight = _betaflight(args)
-    contenders = [load_contender(name, aircraft, betaflight) for name in args.contenders]
+    contenders = _contenders(args, aircraft)
     seeds = range(args.seed, args.seed + args.seeds)
     curves = _all(
         args, "thrust at rest", [partial(thrust_curve, one, aircraft, air, args.seed) for one in contenders]
@@ -207,17 +206,23 @@ def _descents(args: argparse.Namespace) -> int:
     return min(int(args.seeds), DESCENTS)
 
 
-def _betaflight(args: argparse.Namespace) -> Betaflight | None:
-    """Betaflight, built if it is to fly and is not there; stages of the build go to stderr."""
+def _contenders(args: argparse.Namespace, aircraft: Aircraft) -> list[Contender]:
+    """All of them; Betaflight is built if it is not there, whose stages go to stderr."""
     from cli.sim.fly_ports import BETAFLIGHT as FOLDER
     from sim.ports.betaflight.build import build_betaflight
-    from training.evaluation.manoeuvres import BETAFLIGHT
+    from training.evaluation.manoeuvres import betaflight_contender, load_contender
 
-    if BETAFLIGHT not in args.contenders:
-        return None
-    return build_betaflight(
-        FOLDER, lambda stage: print(f"Betaflight is not built yet, once: {stage}", file=sys.stderr)
-    )
+    found = []
+    for name in args.contenders:
+        if is_betaflight(name):
+            tune = betaflight_tune(name, args.aircraft)
+            built = build_betaflight(
+                FOLDER, lambda stage: print(f"Betaflight is not built yet, once: {stage}", file=sys.stderr)
+            )
+            found.append(betaflight_contender(name, aircraft, built, tune))
+        else:
+            found.append(load_contender(name, aircraft))
+    return found
 
 
 def _all(args: argparse.Namespace, title: str, tasks: Sequence[Callable[[Show], T]]) -> list[T]:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 from cli.training.evaluation.conditions import IDLE_MAX, THROTTLES_MAX, check_controllers, progress_bars
 from cli.training.evaluation.contenders import (
+    CONTENDER,
     THRUST_MAX,
     add_betaflight_arguments,
     all_names,
@@ -35,7 +36,7 @@ NOTE = (
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
-    parser.add_argument("controllers", nargs="*", metavar="POLICY.onnx|pid[:NAME]|betaflight")
+    parser.add_argument("controllers", nargs="*", metavar=CONTENDER)
     parser.add_argument("--aircraft", default="nf1", metavar="NAME|FILE", help="shipped name or a .toml file")
     add_betaflight_arguments(parser)
     parser.add_argument(

@@ -13,6 +13,7 @@ from __future__ import annotations
 import array
 import math
 import resource
+from collections.abc import Sequence
 from contextlib import ExitStack
 from types import TracebackType
 from typing import Any
@@ -35,6 +36,7 @@ from sim.ports.betaflight.port import (
     aircraft_settings,
 )
 from sim.ports.betaflight.process import ANSWER_S, BetaflightProcess
+from sim.ports.betaflight.tune import Tune
 from sim.ports.port import Sample
 from sim.ports.simulator_link import load_link
 from toolchain.contract import (
@@ -62,13 +64,19 @@ class ArmedBetaflight:
     """A Betaflight that stands armed at rest, to be copied; use it in a `with`, or close it."""
 
     def __init__(
-        self, betaflight: Betaflight, aircraft: Aircraft, gyro_rate_hz: int = GYRO_RATE_DEFAULT_HZ
+        self,
+        betaflight: Betaflight,
+        aircraft: Aircraft,
+        tune: Tune | None = None,
+        gyro_rate_hz: int = GYRO_RATE_DEFAULT_HZ,
     ) -> None:
-        """Boot and arm it with a gyro that stands still.
+        """Boot and arm it with a gyro that stands still; tune: laid over its defaults.
 
-        Raises AircraftError if it cannot fly the aircraft, LinkError if it does not start or arm.
+        Raises AircraftError if it cannot fly the aircraft, LinkError if it refuses a setting, does not start
+        or arm.
         """
-        self.port = BetaflightPort(betaflight, gyro_rate_hz, aircraft_settings(aircraft))
+        self.tune = tune
+        self.port = BetaflightPort(betaflight, gyro_rate_hz, aircraft_settings(aircraft), tune)
         try:
             self.samples = self._arm()
         except BaseException:
@@ -112,22 +120,30 @@ class ArmedBetaflight:
 
 
 class BetaflightFleet:
-    """Copies of an armed Betaflight, one for each aircraft of a twin; use it in a `with`."""
+    """Copies of armed Betaflights, one for each aircraft of a twin; use it in a `with`."""
 
-    def __init__(self, armed: ArmedBetaflight, live: Live) -> None:
-        """live: of the twin. Raises LinkError if the system does not give as many processes."""
-        self._live = live
+    def __init__(self, armed: Sequence[ArmedBetaflight], live: Live) -> None:
+        """live: of the twin, whose aircraft get copies of each of `armed` in turn, equally many.
+
+        Raises LinkError if the system does not give as many processes, or they did not arm at the same time.
+        """
         count = len(live.rate)
-        self._process, self._rate = armed.process, armed.gyro_rate_hz
+        each, rest = divmod(count, len(armed))
+        first = armed[0]
+        if rest:
+            raise ValueError(f"{count} aircraft for {len(armed)} Betaflights")
+        if any((one.samples, one.process.now_ns) != (first.samples, first.process.now_ns) for one in armed):
+            raise LinkError("Betaflight: settings that make it arm at another time fly alone only")
+        self._rate = first.gyro_rate_hz
         self._period_ns = 1_000_000_000 // self._rate
-        self._samples = armed.samples
+        self._samples = first.samples
         self._widths = np.full((count, MOTOR_COUNT), STOP_US, np.float32)
         self._rates = np.zeros((count, 3))
         self._channels = np.zeros((count, CHANNEL_COUNT), np.uint16)
         self._heard = np.zeros(count, np.bool_)
         _allow_files(count)
         with ExitStack() as undo:
-            copies = [undo.enter_context(self._process.copy()) for _ in range(count)]
+            copies = [undo.enter_context(one.process.copy()) for one in armed for _ in range(each)]
             self._sockets = array.array("i", [copy.fileno() for copy in copies])
             self._end = undo.pop_all()
         self._link = load_link()
@@ -143,7 +159,7 @@ class BetaflightFleet:
         }
         for name, pointer in self._kept.items():
             setattr(self._state, name, pointer)
-        self._state.limit_ns = self._process.now_ns
+        self._state.limit_ns = first.process.now_ns
 
     def __enter__(self) -> BetaflightFleet:
         return self

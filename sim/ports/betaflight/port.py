@@ -1,10 +1,11 @@
 """Betaflight behind the port: its SITL over the simulator link, in lockstep with the twin.
 
-What flies is Betaflight 4.6 with its default PID and filters. SETTINGS says what differs from its defaults:
-linear sticks without smoothing, so that its setpoint follows the sticks at once, as for every other
-controller; and what flights on a rig need. Airmode is on from the first armed step, so that it flies
-scenarios at zero throttle with the full authority of its PID. Feedforward has no effect: it needs the
-spacing of receiver frames, and the SITL sees a new one in each loop; with its gains at 0 it flies the same.
+What flies is Betaflight 4.6 with its default PID and filters, or a pilot's (see tune.py). SETTINGS says what
+differs from its defaults: linear sticks without smoothing, so that its setpoint follows the sticks at once,
+as for every other controller; and what flights on a rig need. Airmode is on from the first armed step, so
+that it flies scenarios at zero throttle with the full authority of its PID. Feedforward has no effect: it
+needs the spacing of receiver frames, and the SITL sees a new one in each loop; with its gains at 0 it flies
+the same.
 
 Its gyro loop and PID run at 8 kHz of its own time and hold a slower gyro's sample; it answers each state
 packet with the motor values of its first loop after it. They act on the twin from the next sample on. The
@@ -33,6 +34,7 @@ from sim.control import sticks
 from sim.physics.imu import RATE_PER_COUNT, counts
 from sim.ports.betaflight.build import Betaflight
 from sim.ports.betaflight.process import BetaflightProcess
+from sim.ports.betaflight.tune import RELEASE_TEXT, Tune
 from sim.ports.port import Reply, Sample, control_divider
 from sim.ports.simulator_link import RECEIVER, SEA_LEVEL_PA, SERVO
 from sim.ports.simulator_link import state_packet as link_packet
@@ -91,10 +93,11 @@ class BetaflightPort:
         betaflight: Betaflight,
         gyro_rate_hz: int = GYRO_RATE_DEFAULT_HZ,
         settings: Sequence[str] = SETTINGS,
+        tune: Tune | None = None,
     ) -> None:
         """Start it, set it up over its command line and restart it. Raises LinkError.
 
-        settings: lines of its command line, laid over its defaults.
+        settings: lines of its command line, laid over its defaults; tune: a pilot's, laid over them.
         """
         self.motor_count = MOTOR_COUNT
         self.gyro_rate_hz = gyro_rate_hz
@@ -102,7 +105,7 @@ class BetaflightPort:
         self._divider = control_divider(gyro_rate_hz, ROW_RATE_HZ)
         self._period_ns = 1_000_000_000 // gyro_rate_hz
         with BetaflightProcess(betaflight) as blank:
-            eeprom = configured(blank, settings)
+            eeprom = configured(blank, settings, tune)
         self._process = BetaflightProcess(betaflight, eeprom)
         self._samples = 0
         self._calibration = CALIBRATION_MS * gyro_rate_hz // 1000  # samples
@@ -177,8 +180,8 @@ def aircraft_settings(aircraft: Aircraft) -> tuple[str, ...]:
     return SETTINGS if spins @ SPINS > 0 else (*SETTINGS, YAW_REVERSED)
 
 
-def configured(process: BetaflightProcess, settings: Sequence[str]) -> bytes:
-    """EEPROM file of a freshly started Betaflight after `settings`, lines of its command line.
+def configured(process: BetaflightProcess, settings: Sequence[str], tune: Tune | None = None) -> bytes:
+    """EEPROM file of a freshly started Betaflight after `settings`, lines of its command line, and a pilot's.
 
     The process has ended afterwards. Raises LinkError naming the line that it refuses.
     """
@@ -186,6 +189,8 @@ def configured(process: BetaflightProcess, settings: Sequence[str]) -> bytes:
         _enter(line, b"#")
         for setting in settings:
             _enter(line, setting.encode() + b"\n")
+        for place, setting in () if tune is None else zip(tune.places, tune.lines, strict=True):
+            _enter(line, setting.encode() + b"\n", place)
         line.write(b"save\n")
         return process.restarted()
 
@@ -224,13 +229,29 @@ def _dshot_value(width_us: float) -> int:
     return int(DSHOT_MIN + math.floor(DSHOT_SPAN * fraction + 0.5)) if fraction > 0 else DSHOT_STOP
 
 
-def _enter(line: Transport, text: bytes) -> None:
-    """Send text to the command line and await its prompt. Raises LinkError on an error or a time-out."""
+def _enter(line: Transport, text: bytes, place: str = "") -> None:
+    """Send text to the command line and await its prompt. Raises LinkError on an error or a time-out.
+
+    place: where a pilot's file has the text.
+    """
     line.write(text)
     heard = b""
     deadline = time.monotonic() + CLI_ANSWER_S
     while not heard.endswith(PROMPT) and len(heard) < CLI_BYTES_MAX and time.monotonic() < deadline:
         heard += line.read(CLI_ANSWER_S)
-    if CLI_ERROR in heard or not heard.endswith(PROMPT):
-        said, answer = (" ".join(part.decode(errors="replace").split()) for part in (text, heard))
+    said, answer = (" ".join(part.decode(errors="replace").split()) for part in (text, heard))
+    if place and heard.endswith(PROMPT):
+        _check_taken(place, said, answer)
+    elif CLI_ERROR in heard or not heard.endswith(PROMPT):
         raise LinkError(f"Betaflight: its command line answers {answer!r} to {said!r}, expected a prompt")
+
+
+def _check_taken(place: str, said: str, answer: str) -> None:
+    """Raise LinkError unless a pilot's line got the value in it: what is no number is 0 for Betaflight."""
+    name, value = said.removeprefix("set ").split(" = ")
+    _, error, words = answer.partition(CLI_ERROR.decode())
+    _, _, taken = answer.partition(f"{name} set to ")
+    taken = taken.removesuffix("#").strip()
+    if error or taken.lower() != value.lower():
+        reason = words.strip("# ") if error else f"it takes it as {taken or 'nothing'}"
+        raise LinkError(f"{place}: Betaflight {RELEASE_TEXT} refuses `{said}` ({reason})")

@@ -1,0 +1,283 @@
+"""Betaflight's settings by the search that finds a PID's, on the same commands, thrusts, noise and cost.
+
+What is searched is what pilots tune: P, I and D of each axis, how far D rises in quick moves, the sliders of
+gyro and D-term filters, TPA, thrust linearisation and I-term relax. Left as they are: feedforward, which has
+no effect in the simulator (see sim/ports/betaflight/port.py); anti-gravity, which acts while the throttle
+moves; the idle, which is the PID's too. RPM filter, dynamic notch and dynamic idle are not in the simulator's
+build: it has no DShot, whose telemetry tells rotor speeds.
+
+A Betaflight takes a processor 40 ms a second of flight, so candidates fly shorter pulses than a PID's do, and
+a third of the large commands. The last generation flies the best of them again, in full, which decides.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.aircraft.model import Aircraft
+from sim.analysis.metrics import effort, tracking
+from sim.ports.betaflight.build import Betaflight
+from sim.ports.betaflight.fleet import ArmedBetaflight
+from sim.ports.betaflight.tune import Tune
+from training.evaluation.betaflight import record_betaflight
+from training.evaluation.evaluation import Flights
+from training.pid_tuning.cma_es import CmaEs
+from training.pid_tuning.trial import (
+    MARGIN,
+    PENALTY,
+    held_commands,
+    missed,
+    throttles,
+    training_commands,
+)
+from training.tasks.task import EpisodicTask, PulseTask, Setpoints, held
+
+Array = NDArray[np.float64]
+Array32 = NDArray[np.float32]
+Settings = Mapping[str, int]
+
+POPULATION = (
+    24  # candidates of a generation, twice a PID's: their flights wait for each other at every sample
+)
+SHORT = PulseTask(idle_s=0.05, command_s=0.6, rest_s=0.6)  # of candidates
+SPREAD = 0.3  # standard deviation of the search's first points
+HUNDRED = 100.0  # a point's 1, of knobs that are searched as they are
+
+
+@dataclass(frozen=True)
+class Knob:
+    """A setting that is searched, or a factor of several."""
+
+    default: float  # of Betaflight 4.6, as its `dump` says
+    low: float
+    high: float
+    logarithmic: bool = True
+
+
+GAINS = {  # Betaflight 4.6's, and its limit PID_GAIN_MAX
+    **{f"p_{axis}": Knob(p, 1, 250) for axis, p in (("roll", 45), ("pitch", 47), ("yaw", 45))},
+    **{f"i_{axis}": Knob(i, 1, 250) for axis, i in (("roll", 80), ("pitch", 84), ("yaw", 80))},
+    **{f"d_{axis}": Knob(d, 1, 250) for axis, d in (("roll", 30), ("pitch", 34))},
+}
+# The filters' corners [Hz] at 1 of their slider, which moves all of them. At 2 the highest of the gyro's
+# reaches Betaflight's limit of 1 kHz.
+GYRO_FILTER = {
+    "gyro_lpf1_static_hz": 250,
+    "gyro_lpf1_dyn_min_hz": 250,
+    "gyro_lpf1_dyn_max_hz": 500,
+    "gyro_lpf2_static_hz": 500,
+}
+DTERM_FILTER = {
+    "dterm_lpf1_static_hz": 75,
+    "dterm_lpf1_dyn_min_hz": 75,
+    "dterm_lpf1_dyn_max_hz": 150,
+    "dterm_lpf2_static_hz": 150,
+}
+D_MAX, GYRO, DTERM = "d_max", "gyro filter", "D-term filter"
+KNOBS = {
+    **GAINS,
+    D_MAX: Knob(4 / 3, 1.0, 2.0),  # D in quick moves over D
+    GYRO: Knob(1.0, 0.25, 2.0),
+    DTERM: Knob(1.0, 0.25, 2.0),
+    "iterm_relax_cutoff": Knob(15, 1, 50),
+    "tpa_rate": Knob(65, 0, 100, logarithmic=False),
+    "thrust_linear": Knob(0, 0, 150, logarithmic=False),
+}
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What a candidate flies under."""
+
+    change: float  # mean |change| of a motor value in 1 ms, fraction
+    throttle_max: float  # the pilot's greatest thrust; that of a command is between 0 and this
+
+
+@dataclass(frozen=True)
+class Trial:
+    """Settings and their figures on the training commands; none: Betaflight's defaults."""
+
+    settings: Settings
+    mae: float  # [deg/s], mean of the axes
+    change: float  # of the motor values in 1 ms
+    held: float  # mean excess over the band at the end of large commands, 0..1
+    cost: float  # [deg/s], as a PID's: see training/pid_tuning/trial.py
+
+
+@dataclass(frozen=True)
+class Tuning:
+    """The course and result of a search."""
+
+    defaults: Trial
+    trials: tuple[Trial, ...]  # of the search, in the order flown
+    best: Trial
+    interrupted: bool
+
+
+Progress = Callable[[int, Trial], None]  # candidates flown so far, and the best of them
+
+
+def tune_betaflight(
+    built: Betaflight,
+    aircraft: Aircraft,
+    limits: Limits,
+    *,
+    seed: int,
+    commands: int,
+    budget: int,
+    progress: Progress,
+) -> Tuning:
+    """Settings of least cost after about `budget` candidates (whole generations) of `commands` pulses each.
+
+    The same arguments give the same settings. An interruption (KeyboardInterrupt) ends the search and keeps
+    the best so far. Raises AircraftError if Betaflight cannot fly the aircraft, LinkError when one fails.
+    """
+    draw, search, thrust = (np.random.default_rng(s) for s in np.random.SeedSequence([seed, 1]).spawn(3))
+    unbiased = replace(aircraft, gyro=replace(aircraft.gyro, bias=0.0))
+    pulses, levels = training_commands(commands, draw), throttles(commands, limits.throttle_max, thrust)
+    large = held_commands()
+    whole = _Flights(built, unbiased, limits, seed, pulses, levels, large, PulseTask())
+    short = replace(whole, large=large[::3], pulse=SHORT)  # one of each axis, and another
+    cma_es = CmaEs(start(), np.full(len(KNOBS), SPREAD), POPULATION, search)
+    (best,) = short.fly([{}])
+    trials: list[Trial] = []
+    interrupted = False
+    try:
+        for _ in range(max(1, round(budget / POPULATION) - 1)):
+            points = cma_es.ask()
+            generation = short.fly([decoded(point) for point in points])
+            cma_es.tell(points, np.array([trial.cost for trial in generation]))
+            trials += generation
+            best = min([best, *generation], key=lambda trial: trial.cost)
+            progress(len(trials), best)
+    except KeyboardInterrupt:
+        interrupted = True
+    ranked = sorted(trials, key=lambda trial: trial.cost)[: POPULATION - 1]
+    finals = whole.fly([{}, *(trial.settings for trial in ranked)])
+    return Tuning(finals[0], tuple(trials), min(finals, key=lambda trial: trial.cost), interrupted)
+
+
+def start() -> Array:
+    """The point of Betaflight's defaults."""
+    return np.array(
+        [math.log(knob.default) if knob.logarithmic else knob.default / HUNDRED for knob in KNOBS.values()]
+    )
+
+
+def decoded(point: Array) -> dict[str, int]:
+    """The settings at a point of the search."""
+    values = {
+        name: min(max(math.exp(x) if knob.logarithmic else HUNDRED * x, knob.low), knob.high)
+        for (name, knob), x in zip(KNOBS.items(), point.tolist(), strict=True)
+    }
+    rise, gyro, dterm = (values.pop(name) for name in (D_MAX, GYRO, DTERM))
+    found = {name: round(value) for name, value in values.items()}
+    for axis in ("roll", "pitch"):
+        d = GAINS[f"d_{axis}"]
+        found[f"d_max_{axis}"] = min(round(values[f"d_{axis}"] * rise), round(d.high))
+    found |= {name: round(hertz * gyro) for name, hertz in GYRO_FILTER.items()}
+    found |= {name: round(hertz * dterm) for name, hertz in DTERM_FILTER.items()}
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class _Flights:
+    """The flights that every candidate makes."""
+
+    built: Betaflight
+    aircraft: Aircraft
+    limits: Limits
+    seed: int  # of the gyro's noise
+    commands: Array  # (n, 3) [rad/s], of the pulses
+    throttle: Array32  # (n,), 0..1
+    large: Array  # (m, 3) [rad/s], held
+    pulse: PulseTask
+
+    def fly(self, candidates: Sequence[Settings]) -> list[Trial]:
+        """Figures of each of the candidates. Large commands are flown at half of the greatest throttle."""
+        half = np.full(len(self.large), self.limits.throttle_max / 2, np.float32)
+        throttle = np.concatenate([self.throttle, half])
+        with self._armed(candidates) as armed:
+            flown = record_betaflight(
+                armed,
+                self.aircraft,
+                _Commands(self.commands, self.large, self.pulse),
+                episodes=len(armed) * len(throttle),
+                seed=self.seed,
+                throttle=np.tile(throttle, len(armed)),
+            )
+        firsts = range(0, len(flown.rate), len(throttle))
+        return [
+            self._trial(settings, _rows(flown, first, len(throttle)))
+            for settings, first in zip(candidates, firsts, strict=True)
+        ]
+
+    @contextmanager
+    def _armed(self, candidates: Sequence[Settings]) -> Iterator[list[ArmedBetaflight]]:
+        """A Betaflight with each of the settings. They boot side by side: each waits more than it works."""
+        with ExitStack() as ends, ThreadPoolExecutor(len(candidates)) as pool:
+            booting = [pool.submit(self._arm, settings) for settings in candidates]
+            for future in booting:
+                ends.callback(lambda future=future: None if future.exception() else future.result().close())
+            yield [future.result() for future in booting]
+
+    def _arm(self, settings: Settings) -> ArmedBetaflight:
+        return ArmedBetaflight(self.built, self.aircraft, as_tune(settings) if settings else None)
+
+    def _trial(self, settings: Settings, flown: Flights) -> Trial:
+        pulses = len(self.commands)
+        pulsed, large = _rows(flown, 0, pulses), _rows(flown, pulses, len(self.large))
+        assert pulsed.motors is not None
+        mae = float(tracking(pulsed.setpoint, pulsed.rate, pulsed.step_s).mae.mean())
+        change = effort(pulsed.motors, pulsed.step_s).change
+        excess = max(0.0, change / (MARGIN * self.limits.change) - 1.0)
+        end = round(EpisodicTask().hold_s / large.step_s)
+        beyond = missed(replace(large, setpoint=large.setpoint[:, :end], rate=large.rate[:, :end]))
+        return Trial(settings, mae, change, beyond, mae + PENALTY * (excess + beyond))
+
+
+@dataclass(frozen=True, eq=False)
+class _Commands:
+    """Pulses, and large commands that are held meanwhile, again for each candidate: they fly at a time."""
+
+    name: ClassVar[str] = "pulses and large commands"
+    commands: Array  # (n, 3) [rad/s], of the pulses
+    large: Array  # (m, 3) [rad/s]
+    pulse: PulseTask
+
+    @property
+    def duration_s(self) -> float:
+        """See Task."""
+        return self.pulse.duration_s
+
+    def episodes(self, count: int, rng: np.random.Generator, rate_hz: int) -> Setpoints:
+        """See Task."""
+        pulses = self.pulse.of(self.commands, rate_hz)
+        each = np.concatenate([pulses, held(self.large, self.duration_s, rate_hz)])
+        return np.tile(each, (count // len(each), 1, 1))
+
+
+def _rows(flown: Flights, first: int, count: int) -> Flights:
+    """These episodes of `flown`."""
+    rows = slice(first, first + count)
+    assert flown.motors is not None
+    return Flights(
+        flown.setpoint[rows], flown.rate[rows], flown.output[rows], flown.step_s, motors=flown.motors[rows]
+    )
+
+
+def as_tune(settings: Settings, name: str = "candidate") -> Tune:
+    """Settings as a pilot's file would hold them."""
+    return Tune(
+        name,
+        tuple((key, str(value)) for key, value in settings.items()),
+        tuple(f"{name}:{number}" for number in range(1, len(settings) + 1)),
+    )
