@@ -1,4 +1,4 @@
-"""Drag of the body, and wind with the Dryden model's gusts, of N aircraft. Computed by air.c."""
+"""Drag of the body, wind with the Dryden model's gusts, and prop wash, of N aircraft. Computed by air.c."""
 
 from __future__ import annotations
 
@@ -7,12 +7,32 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from sim.aircraft.model import Aircraft
 from sim.physics.library import library, pointer, random_source, struct
+from toolchain.contract import GRAVITY
 
 Array = NDArray[np.float64]
 
 AIR_DENSITY = 1.225  # [kg/m^3], ISO 2533 standard atmosphere at sea level
 FOOT = 0.3048  # [m]
+# Prop wash: a rotor that sinks about as fast as the air that it drives down is in the vortex ring state,
+# where its thrust fluctuates. v_i = sqrt(T / (2 rho A)) is the velocity that it would induce in hover with
+# its thrust T. How much: up to 95 % of the mean from peak to peak in hundreds of revolutions (Stack,
+# Caradonna, Savas 2004, "Flow Visualizations and Extended Thrust Time Histories of Rotor Vortex Wakes in
+# Descent"): six standard deviations of 0.16. Where: growing up to sink rates of 1.2 to 1.3 v_i with rotors
+# of 4 to 6 inches (Veismann, Dougherty, Gharib 2023, "Effects of rotor separation on the axial descent
+# performance of dual-rotor configurations"), over at 2 v_i (momentum theory: there the flow through the
+# disk is steady again). Held against one public log, of a 5-inch with barometer and Betaflight 4.3.1: the
+# part of its angular acceleration that its motors do not explain is between 20 and 80 Hz, in the worst
+# tenth of windows of 0.25 s, 0.10 of the thrust at sink rates of 0.8 to 1.2 v_i, 0.07 at 0.4 and at 1.7,
+# 0.02 in climbs, and its density is flat from 20 to 110 Hz where v_i / D is 59 Hz (its weight assumed, 0.72
+# kg). Below 20 Hz that log cannot tell. The band's growth with v_i / D is the eddies' and rests on that log
+# alone; that sideways motion at 0.95 v_i leaves the wake behind is from memory of the boundary in Johnson
+# 2005, NASA/TP-2005-213477.
+WASH_SHARE = 0.15  # standard deviation over the thrust, in the worst descent
+WASH_SINK = (0.1, 2.0)  # over v_i, beyond which it ends; a parabola between
+WASH_SIDEWAYS = 0.95  # over v_i, where it ends
+WASH_BAND = (0.45, 1.8)  # frequencies of half power, over v_i / D of the hover
 ALTITUDE_MIN, ALTITUDE_MAX = 10 * FOOT, 1000 * FOOT  # [m], where MIL-F-8785C's low-altitude model holds
 
 
@@ -105,6 +125,75 @@ class Wind:
         """Advance the gusts by `dt` around aircraft that move through the air at `airspeed` [m/s], (N,)."""
         speeds = np.ascontiguousarray(airspeed, np.float64)
         library().lib.wind_step(self.state, self._count, pointer(speeds))
+
+
+class Wash:
+    """Prop wash around the rotors of N aircraft: noise of their thrust, each rotor's own, while they sink.
+
+    It is white noise behind a band-pass of second order, whose half-power frequencies are `wash_band`'s, and
+    stepped exactly. All random numbers come from `rng`.
+
+    noise: of each rotor as it is, variance 1, (N, M).
+    """
+
+    def __init__(self, aircraft: Aircraft, count: int, dt: float, rng: np.random.Generator) -> None:
+        """Noise of each rotor as after `reset`; the aircraft's propellers have a diameter."""
+        diameter = aircraft.propulsion.propeller_diameter
+        assert diameter is not None
+        shape = (count, aircraft.motor_count)
+        self._rng = rng
+        self._lag, self.noise = np.zeros(shape), np.zeros(shape)
+        self._draws = np.zeros((2, *shape))
+        turn, gain = _band_pass(wash_band(aircraft), dt)
+        self.state = struct(
+            "wash",
+            random=random_source(rng),
+            turn=turn.ravel().tolist(),
+            gain=(gain[0, 0], gain[1, 0], gain[1, 1]),
+            root=_induced_velocity(1.0, diameter),
+            share=WASH_SHARE,
+            begin=WASH_SINK[0],
+            end=WASH_SINK[1],
+            sideways=WASH_SIDEWAYS,
+            draws=self._draws,
+            lag=self._lag,
+            noise=self.noise,
+        )
+        self.reset(np.arange(count))
+
+    def reset(self, index: NDArray[np.intp]) -> None:
+        """New noise for the rotors of the aircraft of `index`, drawn from its own distribution."""
+        self._lag[index], self.noise[index] = self._rng.standard_normal((2, len(index), self._lag.shape[1]))
+
+
+def wash_band(aircraft: Aircraft) -> tuple[float, float]:
+    """Half-power frequencies of an aircraft's prop wash [Hz]; its propellers have a diameter."""
+    diameter = aircraft.propulsion.propeller_diameter
+    assert diameter is not None
+    thrust = aircraft.mass_properties.mass * GRAVITY / aircraft.motor_count
+    eddies = _induced_velocity(thrust, diameter) / diameter
+    return WASH_BAND[0] * eddies, WASH_BAND[1] * eddies
+
+
+def _induced_velocity(thrust: float, diameter: float) -> float:
+    """Velocity [m/s] that a hovering rotor of `diameter` [m] induces with `thrust` [N]: momentum theory."""
+    return math.sqrt(thrust / (2.0 * AIR_DENSITY * math.pi * (diameter / 2.0) ** 2))
+
+
+def _band_pass(band: tuple[float, float], dt: float) -> tuple[Array, Array]:
+    """Matrices (2, 2) of s' = turn s + gain n for white noise n: s[1] is the band-pass's output, variance 1.
+
+    dp/dt = w v, dv/dt = -w p - 2 z w v + noise, over `dt` [s]: `turn` is the exponential without the noise,
+    which adds what `turn` takes from the stationary covariance, the unit matrix.
+    """
+    low, high = band
+    w = 2.0 * math.pi * math.sqrt(low * high)
+    z = (high - low) / (2.0 * math.sqrt(low * high))  # below 1 for bands narrower than a factor of 5.8
+    damped = w * math.sqrt(1.0 - z * z)
+    kept, angle = math.exp(-z * w * dt), damped * dt
+    c, s = math.cos(angle), math.sin(angle) * w / damped
+    turn = kept * np.array([[c + z * s, s], [-s, c - z * s]])
+    return turn, np.linalg.cholesky(np.eye(2) - turn @ turn.T)
 
 
 def _feet(altitude: float) -> float:

@@ -2,12 +2,12 @@
 
 A step runs its stages in order:
 
-    commands -> delay -> rotor speed -> wind -> wrench of rotors and drag -> supply -> world -> sensors
+    commands -> delay -> rotor speed -> wind, wash -> wrench of rotors and drag -> supply -> world -> sensors
 
 It runs in C (twin.c), in one call. Each stage is a module beside this one, and a C file of the same name: the
-module makes the arrays and fills in a struct that points to them. What keeps a state between samples is an
-object: command delay, supply, wind, sensors, and the world, whose bodies live in a pybullet client. The twin
-keeps rotor speeds and angles and the last readings.
+module makes the arrays and fills in a struct that points to them; air.py has wind and wash. What keeps a
+state between samples is an object: command delay, supply, wind, wash, sensors, and the world, whose bodies
+live in a pybullet client. The twin keeps rotor speeds and angles and the last readings.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from sim.aircraft.mass import Vector
 from sim.aircraft.model import Aircraft
-from sim.physics.air import AIR_DENSITY, Wind
+from sim.physics.air import AIR_DENSITY, Wash, Wind
 from sim.physics.battery import BatteryState
 from sim.physics.delay import CommandDelay, bad_command
 from sim.physics.esc import Telemetry
@@ -53,7 +53,9 @@ class Live:
     velocity: Array
     position: Array
     rotor_speed: Array
-    thrust_factor: Array  # (N, M), of each rotor's thrust at its advance ratio; 1 where that is not modelled
+    thrust_factor: (
+        Array  # (N, M), of each rotor's thrust by its advance ratio and its wash; 1 where neither acts
+    )
     specific_force: Array
     gyro: Array
     accelerometer: Array
@@ -81,6 +83,7 @@ class Twin:
         wind: Vector = CALM,
         gust: float = 0.0,
         ground: bool = False,
+        wash: bool = True,
         variation: Variation | None = None,
         rng: np.random.Generator,
     ) -> None:
@@ -89,8 +92,10 @@ class Twin:
         gravity: on in free flight unless given. noise: of gyro and accelerometer; without it they are ideal.
         charge: the battery's state of charge at the start, 0..1; None: the bench supply that the speed curve
         was measured with. wind: [m/s], world axes; gust: wind speed 20 feet above the ground that sets the
-        Dryden turbulence [m/s]. ground: the plane z = 0, free flight only. variation: how each aircraft
-        differs from its file, the charge of its battery included; None: not at all, and `vary` is refused.
+        Dryden turbulence [m/s]. ground: the plane z = 0, free flight only. wash: free aircraft whose
+        propellers have a diameter are shaken by their own wake while they sink into it. variation: how each
+        aircraft differs from its file, the charge of its battery included; None: not at all, and `vary` is
+        refused.
         Raises AircraftError if the aircraft lacks what is asked for, ValueError on numbers out of range.
         """
         if variation is not None and len(variation) != count:
@@ -129,6 +134,9 @@ class Twin:
         sensors = [sensor for sensor in (self._gyro, self._accelerometer) if sensor is not None]
         self._phase = np.zeros(shape) if any(sensor.vibrates for sensor in sensors) else None  # [rad]
         self._phase_rng = rng.spawn(1)[0]
+        self._wash = None
+        if wash and mount is Mount.FREE and aircraft.propulsion.propeller_diameter is not None:
+            self._wash = Wash(aircraft, count, self._dt, rng.spawn(1)[0])
         self.live = Live(
             rate=self._world.rate,
             rotation=self._world.rotation,
@@ -183,11 +191,16 @@ class Twin:
             acceleration=self.live.accelerometer,
             **self._scratch,
         )
-        if propulsion.advance is not None:
+        if propulsion.advance is not None or self._wash is not None:
             assign(state, thrust_factor=self.live.thrust_factor, torque_factor=self._supply.advance)
         if self._phase is not None:
             assign(state, phase=self._phase)
-        parts = {"wind": self._wind, "gyroscope": self._gyro, "accelerometer": self._accelerometer}
+        parts = {
+            "wind": self._wind,
+            "wash": self._wash,
+            "gyroscope": self._gyro,
+            "accelerometer": self._accelerometer,
+        }
         assign(state, **{name: part.state for name, part in parts.items() if part is not None})
         return state
 
@@ -340,6 +353,8 @@ class Twin:
             self._heat.reset(index)
         if self._wind is not None:
             self._wind.reset(index)
+        if self._wash is not None:
+            self._wash.reset(index)
         for sensor in (self._gyro, self._accelerometer):
             if sensor is not None:
                 sensor.reset(index)

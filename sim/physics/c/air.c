@@ -1,5 +1,6 @@
 #include "air.h"
 #include "random.h"
+#include "rotor.h"
 
 /* Drag force on the body: -1/2 rho |v| (C_D A) v, each axis with its own C_D A. */
 void air_body_drag(double density, const double *air_velocity, const double *drag_area, double *force)
@@ -59,4 +60,50 @@ void wind_step(struct wind *w, size_t count, const double *airspeed)
 		wind_step_axis(airspeed[i / 3u] * w->decay[i % 3u], w->draws[i], w->draws[3u * count + i], w->first + i,
 			       w->second + i);
 	wind_blow(w, count);
+}
+
+/* Advances every rotor's noise by a sample. It goes on in level flight too, so that it is as the seed says wherever a
+ * descent begins. */
+void wash_step(struct wash *w, size_t count, uint32_t motors)
+{
+	const size_t all = count * motors;
+
+	random_standard_normal_fill(w->random, (ptrdiff_t)(2u * all), w->draws);
+	for (size_t i = 0; i < all; ++i) {
+		const double lag = w->lag[i], noise = w->noise[i], draw = w->draws[i], other = w->draws[all + i];
+
+		w->lag[i] = w->turn[0] * lag + w->turn[1] * noise + w->gain[0] * draw;
+		w->noise[i] = w->turn[2] * lag + w->turn[3] * noise + w->gain[1] * draw + w->gain[2] * other;
+	}
+}
+
+/* Standard deviation of a rotor's thrust over its thrust [N], at `sink` along its axis and `sideways` across it [m/s]. */
+static double wash_share(const struct wash *w, double thrust, double sink, double sideways)
+{
+	const double induced = thrust > 0.0 ? w->root * sqrt(thrust) : 0.0;
+
+	if (!(sink > w->begin * induced && sink < w->end * induced && sideways < w->sideways * induced))
+		return 0.0;
+	const double deep = (sink / induced - w->begin) / (w->end - w->begin);
+	const double away = sideways / (w->sideways * induced);
+
+	return w->share * 4.0 * deep * (1.0 - deep) * (1.0 - away * away);
+}
+
+/* Multiplies thrust_factor (count, M) of rotors that turn at `speed` (count, M) on aircraft that move at `velocity` through
+ * the air (count, 3), body axes, by the fluctuation of their own wash. */
+void wash_shake(const struct wash *w, const struct propulsion *p, size_t count, uint32_t motors, const double *speed,
+		const double *velocity, const double *load_factor, double *thrust_factor)
+{
+	for (size_t i = 0; i < count; ++i) {
+		const double *const v = velocity + 3u * i;
+		const double sideways = sqrt(v[0] * v[0] + v[1] * v[1]);
+
+		for (size_t m = i * motors; v[2] < 0.0 && m < (i + 1u) * motors; ++m) {
+			const double thrust = rotor_thrust(p, speed[m]) * thrust_factor[m] * load_factor[6u * i + 2u];
+			const double factor = 1.0 + wash_share(w, thrust, -v[2], sideways) * w->noise[m];
+
+			thrust_factor[m] *= factor > 0.0 ? factor : 0.0;
+		}
+	}
 }

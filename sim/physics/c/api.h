@@ -125,6 +125,22 @@ void air_drag(size_t count, double density, const double *air_velocity, const do
 void wind_step(struct wind *w, size_t count, const double *airspeed);
 void wind_blow(struct wind *w, size_t count);
 
+struct wash {
+	void *random;         /* numpy's bitgen_t */
+	double turn[4];       /* rows: a step of the band-pass's two states */
+	double gain[3];       /* what a step's draws add: the first to both states, the other to the second */
+	double root;          /* [(m/s)/sqrt(N)], induced velocity in hover over the root of a rotor's thrust */
+	double share;         /* standard deviation of a rotor's thrust over it, in its worst descent */
+	double begin, end;    /* sink over induced velocity between which the thrust fluctuates */
+	double sideways;      /* velocity across the rotor's axis over the induced one at which it stops */
+	double *draws;        /* (2, N, M) */
+	double *lag, *noise;  /* (N, M), the band-pass's states; the second, of variance 1, is its output */
+};
+
+void wash_step(struct wash *w, size_t count, uint32_t motors);
+void wash_shake(const struct wash *w, const struct propulsion *p, size_t count, uint32_t motors, const double *speed,
+		const double *velocity, const double *load_factor, double *thrust_factor);
+
 /* ---- sensor.c ---- */
 
 struct sensor {
@@ -201,13 +217,14 @@ struct twin {
 	struct delay *delay;
 	struct supply *supply;
 	struct wind *wind;          /* NULL: calm */
+	struct wash *wash;          /* NULL: rotors' thrust does not fluctuate */
 	struct world *world;
 	struct sensor *gyroscope;   /* NULL: ideal */
 	struct sensor *accelerometer; /* NULL: ideal */
 	const double *response;     /* (N, 3), of rotor_next_speed */
 	const double *speed_factor; /* (N, M) */
 	const double *load_factor;  /* (N, 6) */
-	double *thrust_factor, *torque_factor; /* (N, M), of rotor_advance; NULL: rotors have no advance ratio */
+	double *thrust_factor, *torque_factor; /* (N, M), of rotor_advance and wash_shake; NULL: neither is modelled */
 	const double *mass;         /* (N) [kg] */
 	const double *command;      /* (N, M), given in this sample */
 	double *acting, *before, *target; /* (N, M) */

@@ -1,4 +1,4 @@
-/* One sample of N aircraft: command -> delay -> rotor speed -> wind -> wrench -> supply -> bodies -> sensors. */
+/* One sample of N aircraft: command -> delay -> rotor speed -> wind, wash -> wrench -> supply -> bodies -> sensors. */
 #include <string.h>
 
 #include "air.h"
@@ -42,6 +42,11 @@ static void twin_find_wrenches(struct twin *t)
 	if (t->thrust_factor != NULL)
 		rotor_advance(t->propulsion, t->rotors, t->count, t->rotor_speed, velocity, t->world->rate,
 			      t->thrust_factor, t->torque_factor);
+	if (t->wash != NULL) {
+		wash_shake(t->wash, t->propulsion, t->count, t->rotors->motors, t->rotor_speed, velocity,
+			   t->load_factor, t->thrust_factor);
+		wash_step(t->wash, t->count, t->rotors->motors);
+	}
 	rotor_wrenches(t->propulsion, t->rotors, t->count, t->dt, t->before, t->rotor_speed, velocity, t->world->rate,
 		       t->thrust_factor, t->torque_factor, t->load_factor, t->wrench);
 	for (size_t i = 0; t->world->mount == MOUNT_FREE && i < t->count; ++i) {

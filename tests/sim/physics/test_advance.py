@@ -120,7 +120,7 @@ def test_zeros_give_the_bits_of_no_table_and_other_numbers_do_not(mount: Mount, 
 
 def test_the_twin_moves_by_the_thrust_and_pays_for_the_torque_that_it_tells() -> None:
     of = replace(REAL, body=None)
-    twin = Twin(of, mount=Mount.FREE, noise=False, rng=np.random.default_rng(1))
+    twin = Twin(of, mount=Mount.FREE, noise=False, wash=False, rng=np.random.default_rng(1))
     motion = Motion(twin)
     for _ in range(1000):
         twin.step(np.full((1, 4), 0.6))

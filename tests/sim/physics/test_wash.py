@@ -1,0 +1,129 @@
+"""Prop wash against its sources: where it acts, how much, in which band; and where it must not act.
+
+Statistical bounds are five standard errors: a right model fails one of them in about two million seeds.
+"""
+
+from __future__ import annotations
+
+import math
+from contextlib import closing
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from sim.aircraft.model import Aircraft, load_aircraft
+from sim.physics.air import Wash, wash_band
+from sim.physics.library import library, pointer
+from sim.physics.rotor import propulsion_struct, target_speed, thrust_and_torque
+from sim.physics.twin import Twin
+from sim.physics.world import Mount
+
+Array = NDArray[np.float64]
+NF1 = load_aircraft("nf1")
+COUNT = 500
+THRUST = 1.2  # [N] of each rotor
+INDUCED = math.sqrt(THRUST / (2 * 1.225 * math.pi / 4 * 0.12954**2))  # [m/s], by hand
+SIGMAS = 5.0
+
+
+def noise(count: int, steps: int, rate_hz: int, aircraft: Aircraft = NF1) -> tuple[Wash, Array]:
+    """A wash, and its noise (steps, rotors) of a share of 1."""
+    wash = Wash(aircraft, count, 1 / rate_hz, np.random.default_rng(3))
+    rows = np.empty((steps, count * aircraft.motor_count))
+    for row in rows:
+        row[:] = wash.noise.ravel()
+        library().lib.wash_step(wash.state, count, aircraft.motor_count)
+    return wash, rows
+
+
+def shaken(wash: Wash, velocity: Array, thrust: float = THRUST) -> Array:
+    """Factors (COUNT, 4) of the thrust of rotors that give `thrust` [N] and move at `velocity` (3,) [m/s]."""
+    speed = np.full((COUNT, 4), math.sqrt(thrust / NF1.propulsion.thrust_coefficient[0]))
+    assert thrust_and_torque(speed, NF1.propulsion)[0] == pytest.approx(thrust)
+    moving, loads, factor = np.tile(velocity, (COUNT, 1)), np.ones((COUNT, 6)), np.ones((COUNT, 4))
+    given: list[Any] = [pointer(rows) for rows in (speed, moving, loads, factor)]
+    library().lib.wash_shake(wash.state, propulsion_struct(NF1.propulsion), COUNT, 4, *given)
+    return factor
+
+
+@pytest.mark.parametrize("rate_hz", [1000, 4000])
+def test_the_noise_has_unit_variance_and_half_its_density_at_the_ends_of_the_band(rate_hz: int) -> None:
+    _, rows = noise(100, rate_hz, rate_hz)
+    density = (np.abs(np.fft.rfft(rows * np.hanning(len(rows))[:, None], axis=0)) ** 2).mean(axis=1)
+    low, high = wash_band(NF1)
+    assert (low, high) == pytest.approx((19.0, 76.0), rel=0.02), "by hand: 42.1 Hz times 0.45 and 1.8"
+    peak = density[round(math.sqrt(low * high))]
+    for frequency, part in ((low, 0.5), (high, 0.5), (low / 4, 0.047), (4 * high, 0.047)):
+        at = round(frequency)
+        # 400 rotors: five standard errors are a quarter, of three lines together less.
+        assert density[at - 1 : at + 2].mean() / peak == pytest.approx(part, rel=0.3)
+    # Variance of independent values in a second: some 2 (f2 - f1) of each rotor.
+    free = 400 * 2 * (high - low)
+    assert rows.var() == pytest.approx(1.0, abs=SIGMAS * math.sqrt(2 / free))
+
+
+def test_rotors_shake_each_for_itself() -> None:
+    wash, _ = noise(COUNT, 1, 1000)
+    together = np.corrcoef(shaken(wash, np.array([0.0, 0.0, -INDUCED])).T)
+    assert np.abs(together[np.triu_indices(4, 1)]).max() < SIGMAS / math.sqrt(COUNT)
+
+
+@pytest.mark.parametrize(
+    ("sink", "share"),
+    [(0.3, 0.056), (0.6, 0.116), (1.05, 0.15), (1.5, 0.116), (1.9, 0.030)],
+)
+def test_the_thrust_fluctuates_as_the_sink_rate_over_the_induced_velocity_says(
+    sink: float, share: float
+) -> None:
+    wash, _ = noise(COUNT, 1, 1000)
+    factor = shaken(wash, np.array([0.0, 0.0, -sink * INDUCED]))
+    assert factor.std() == pytest.approx(share, rel=SIGMAS / math.sqrt(2 * 4 * COUNT))
+    assert factor.mean() == pytest.approx(1.0, abs=SIGMAS * share / math.sqrt(4 * COUNT))
+    # Four times the thrust induces twice the velocity.
+    deeper = shaken(wash, np.array([0.0, 0.0, -2 * sink * INDUCED]), 4 * THRUST)
+    assert deeper == pytest.approx(factor, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    "velocity",
+    [(0, 0, 0), (0, 0, 9), (0, 0, -0.1), (0, 0, -2.001), (0.68, 0.68, -1.05), (9, 0, -1)],
+    ids=["hover", "climb", "hardly sinking", "windmill brake", "sideways", "fast"],
+)
+def test_the_thrust_is_steady_outside_the_vortex_ring_state(velocity: tuple[float, ...]) -> None:
+    wash, _ = noise(COUNT, 1, 1000)
+    assert (shaken(wash, np.array(velocity) * INDUCED) == 1.0).all()
+    assert (shaken(wash, np.array([0.0, 0.0, -1.0]), thrust=0.0) == 1.0).all()
+
+
+def flown(seed: int = 1, mount: Mount = Mount.FREE, *, wash: bool, gravity: bool, command: float) -> Array:
+    """Rates and speed (6,) after a second at one motor command, without noise."""
+    rng = np.random.default_rng(seed)
+    twin = Twin(NF1, mount=mount, gravity=gravity, noise=False, wash=wash, rng=rng)
+    with closing(twin):
+        for _ in range(1000):
+            twin.step(np.full((1, 4), command))
+        return np.concatenate([twin.rate[0], twin.velocity[0]])
+
+
+def test_a_climb_and_a_held_aircraft_fly_as_without_wash_to_the_bit() -> None:
+    climb = [flown(wash=wash, gravity=False, command=0.4) for wash in (False, True)]
+    assert climb[0][5] > 10.0
+    assert climb[0].tobytes() == climb[1].tobytes()
+    held = [flown(mount=Mount.CENTRE, wash=wash, gravity=True, command=0.2) for wash in (False, True)]
+    assert held[0].tobytes() == held[1].tobytes()
+
+
+def test_a_descent_is_shaken_as_the_seed_says() -> None:
+    # Thrust of 0.8 of the weight.
+    command = next(
+        u
+        for u in np.arange(0.0, 1.0, 0.001)
+        if 4 * thrust_and_torque(target_speed(u, NF1.propulsion), NF1.propulsion)[0] > 0.8 * 0.391 * 9.81
+    )
+    first, same, other = (flown(seed, wash=True, gravity=True, command=command) for seed in (1, 1, 2))
+    calm = flown(wash=False, gravity=True, command=command)
+    assert first.tobytes() == same.tobytes()
+    assert np.abs(first - other).max() > 0.01
+    assert np.abs(calm[:2]).max() < 1e-3 < 0.02 < np.abs(first[:2]).max()
