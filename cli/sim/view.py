@@ -144,7 +144,7 @@ def _fly(args: argparse.Namespace, aircraft: Aircraft) -> Scene:
         raise NeuroflightError(f"--seed: got {args.seed}, expected 0 or more")
     mount = None if args.mount is None else Mount(args.mount)
     scenario = load_scenario(args.scenario, args.seed, mount=mount)
-    contender = load_contender(args.flight, aircraft, None)
+    contender = load_contender(args.flight, aircraft)
     with closing(contender.open()) as port:
         rng = np.random.default_rng((args.seed, 1))
         with closing(Twin(aircraft, rate_hz=port.gyro_rate_hz, mount=scenario.mount, rng=rng)) as twin:
