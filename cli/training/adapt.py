@@ -39,7 +39,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--steps", type=int, default=STEPS, metavar="N", help=f"default: {STEPS:,}")
     parser.add_argument("--seed", type=int, default=1, metavar="S", help="of the refinement; default: 1")
     parser.add_argument(
-        "--episodes", type=int, default=EPISODES, metavar="N", help=f"of the proof; default: {EPISODES}"
+        "--episodes",
+        type=int,
+        default=EPISODES,
+        metavar="N",
+        help=f"commands of the proof, five in a flight; default: {EPISODES}",
     )
     parser.add_argument(
         "--dry-run", action="store_true", help="only say what the log tells; nothing is trained or written"
@@ -55,7 +59,7 @@ def run(args: argparse.Namespace) -> int:
     from toolchain.files import write_bytes, write_text
     from training.adaptation.adapt import prove, refine, warm_config
 
-    check_ranges(("--steps", args.steps, 1, STEPS_MAX), ("--episodes", args.episodes, 2, 4096))
+    check_ranges(("--steps", args.steps, 1, STEPS_MAX), ("--episodes", args.episodes, 6, 4096))
     if args.seed < 0:
         raise TrainingError(f"--seed {args.seed}, expected 0 or more")
     if args.out.exists():
@@ -154,8 +158,13 @@ def _proof(proof: Proof, aircraft: Aircraft) -> dict[str, Any]:
         return {"mae": interval(one.mae), "motor_change": one.change}
 
     return {
-        "episodes": len(proof.old.scores.output),
-        "adapted": {"old": figures(proof.old), "new": figures(proof.new), "gain": interval(proof.gain)},
+        "flights": len(proof.old.scores.output),
+        "adapted": {
+            "old": figures(proof.old),
+            "new": figures(proof.new),
+            "gain": interval(proof.gain),
+            "drift": interval(proof.drift),
+        },
         "original": {
             "aircraft_sha256": aircraft.sha256,
             "old": figures(proof.old_original),

@@ -27,7 +27,7 @@ from training.tasks.task import PulseTask
 Capture = pytest.CaptureFixture[str]
 POLICY = Path("training/policies/nf1")
 HEAVIER = np.array([1.9, 1.6, 1.4])  # times the file's moments
-SMALL, FEW = ["--steps", "2000", "--episodes", "2"], ["--steps", "2000", "--episodes", "4"]
+SMALL, FEW = ["--steps", "2000", "--episodes", "6"], ["--steps", "2000", "--episodes", "20"]
 PULL = 0.05  # of a motor's full command
 
 
@@ -141,7 +141,7 @@ def test_a_policy_whose_proof_holds_lies_in_the_new_folder(
     for other in (POLICY, pulling):
         assert kept["policy.onnx"] != (other / "policy.onnx").read_bytes()
     document = json.loads(kept["adaptation.json"])
-    assert document["refused"] is None and document["proof"]["episodes"] == 4
+    assert document["refused"] is None and document["proof"]["flights"] == 4
     assert document["verification"] == "holds"
     assert document["proof"]["adapted"]["gain"]["low"] > 0.0
     assert document["proof"]["original"]["aircraft_sha256"] == NF1.sha256
@@ -198,7 +198,7 @@ def test_mistake_is_one_line_and_nothing_is_written(
             Path(name).write_text("no log\n")
         Path("broken.npz").write_text("no trace\n")
     before = {path: path.read_bytes() for path in Path().iterdir()}
-    given = {"--policy": str(policy), "--out": "adapted", "--steps": "2000", "--episodes": "2", **options}
+    given = {"--policy": str(policy), "--out": "adapted", "--steps": "2000", "--episodes": "6", **options}
     assert main(["adapt", log_name, *(word for pair in given.items() for word in pair)]) == 1
     told = capsys.readouterr()
     assert message in told.err and told.err.count("\n") == 1 and told.out == ""

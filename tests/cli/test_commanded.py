@@ -57,6 +57,27 @@ def test_continuous_commands_are_as_long_and_as_large_as_asked_for(tmp_path: Pat
     assert np.mean(wide["mae"]) > 2 * np.mean(first["mae"])
 
 
+def test_flights_are_flown_unless_the_user_says_and_tell_rest_and_drift(
+    tmp_path: Path, capsys: Capture
+) -> None:
+    plot = tmp_path / "flights.png"
+    document = told(capsys, "compare", TUNED, PUBLISHED, "--episodes", "2", "--plot", str(plot))
+    assert (document["task"], document["flights"], document["episodes"]) == ("flight", 1, 2)
+    assert document["length_s"] == 24.0  # [s], two pulses of 4.5 s and a hover of 15 s
+    assert "--task flight --episodes 2 --seed 0 --throttle 0.3" in document["command"]
+    first, other = document["comparison"]
+    assert np.mean(first["holding"]["mae"]["value"]) == pytest.approx(np.mean(first["mae"]))
+    assert first["response"]["success"]["count"] == [2, 2, 2]
+    drift = np.mean(other["holding"]["drift"]["value"]) - np.mean(first["holding"]["drift"]["value"])
+    assert other["difference"]["drift"]["value"] == pytest.approx(drift)
+    assert plot.read_bytes().startswith(b"\x89PNG")
+    assert told(capsys, *document["command"].split()[1:])["comparison"] == document["comparison"]
+    assert main(["evaluate", TUNED, "--episodes", "21", "--length", "20", "--throttle", "0.2"]) == 0
+    table = capsys.readouterr().out
+    assert "21 flights of a command and a hover, 20 s" in table
+    assert "rest, fifth 5" in table and "drift, °" in table
+
+
 def test_agents_are_averaged_and_the_best_has_the_lowest_error(
     shipped_policy: Path, tmp_path: Path, capsys: Capture
 ) -> None:
@@ -84,8 +105,11 @@ def test_agents_are_averaged_and_the_best_has_the_lowest_error(
         (["--command", "0", "0", "0"], "expected a rate other than 0"),
         (["--task", "continuous", "--command", "1", "2", "3"], "got continuous"),
         (["--task", "episodic", "--limit", "9", "--command", "1", "2", "3"], "--limit: of random commands"),
-        (["--length", "5"], "--length: of the continuous task, got pulse"),
-        (["--limit", "50"], "--limit: of the episodic and the continuous task, got pulse"),
+        (["--length", "15"], "--length 15.0, expected 20 to 600"),
+        (["--task", "pulse", "--length", "5"], "--length: of the flight and the continuous task, got pulse"),
+        (["--limit", "50"], "--limit: of the episodic and the continuous task, got flight"),
+        (["--task", "flight", "--command", "1", "2", "3"], "got flight"),
+        (["--episodes", "1700"], "170 episodes of 60 s, expected at most 10000 s together"),
         (["--task", "continuous", "--length", "0"], "--length 0.0, expected 0.1 to 600"),
         (["--task", "continuous", "--length", "600", "--episodes", "17"], "17 episodes of 600 s"),
         (["--average"], "--average: 0 policies, expected at least 2"),

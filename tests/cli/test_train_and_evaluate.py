@@ -34,7 +34,7 @@ def test_evaluate_prints_figures_as_table_and_as_json(
     controller: str, shipped_policy: Path, capsys: Capture
 ) -> None:
     name = "pid" if controller == "pid" else str(shipped_policy)
-    arguments = ["evaluate", name, "--episodes", "3", "--seed", "8"]
+    arguments = ["evaluate", name, "--task", "pulse", "--episodes", "3", "--seed", "8"]
     assert main([*arguments, "--json"]) == 0
     document = json.loads(capsys.readouterr().out)
     assert document["episodes"] == 3

@@ -171,7 +171,19 @@ def test_compare_adds_betaflight_to_its_table_and_data(capsys: pytest.CaptureFix
 
 @pytest.mark.slow
 def test_equal_thrust_is_found_for_betaflight_too(capsys: pytest.CaptureFixture[str]) -> None:
-    arguments = ["compare", "betaflight", "pid", "--build", str(FOLDER), "--episodes", "4", "--seed", "3"]
+    arguments = [
+        "compare",
+        "betaflight",
+        "pid",
+        "--build",
+        str(FOLDER),
+        "--task",
+        "pulse",
+        "--episodes",
+        "4",
+        "--seed",
+        "3",
+    ]
     assert main([*arguments, "--thrust", "0", "1", "2", "--json"]) == 0
     document = json.loads(capsys.readouterr().out)
     closed, hover, two = document["equal_thrust"]

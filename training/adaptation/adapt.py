@@ -8,23 +8,27 @@ from pathlib import Path
 
 from sim.aircraft.model import Aircraft
 from sim.analysis.confidence import Mean, paired
+from sim.analysis.holding import DRIFT_S
 from toolchain.errors import TrainingError
 from training.config.config_file import load_config
 from training.config.pathwise_config import PathwiseConfig
 from training.config.training_config import TrainingConfig
+from training.evaluation.comparison import values
 from training.evaluation.controllers import Conditions, load_controller
 from training.evaluation.evaluation import Scores, mean_over, scores
 from training.runs.checkpoint import Learned, load_learned
 from training.runs.train import CHECKPOINT, POLICY, RECORD, Callback, train
-from training.tasks.task import PulseTask
+from training.tasks.flight import HOVER_THROTTLE, FlightTask
 
 LEARNING_RATE = 5e-4  # a tenth of a fresh run's: the policy flies already
 WARM_UP = 20
 WITHIN = 0.05  # the adapted aircraft's own uncertainty of inertia and thrust
 TRIES = 3  # trainings at most, each with a lower limit of the motors' change
-CALIBRATION, CALIBRATION_SEED = 40, 1000  # episodes that find that limit; what is added to their seed
+FLIGHT = FlightTask(pulses=5, hover_s=DRIFT_S)  # of the proof: a policy that drifts shows it by then
+CALIBRATION, CALIBRATION_SEED = 40, 1000  # commands that find that limit; what is added to their seed
 CHANGE_AIMED = 1.05  # |change| of the old policy's with which a training is good enough
 CHANGE_MORE = 1.1  # most |change| of a motor in 1 ms, of the old policy's
+DRIFT_MORE_DEG = 1.0  # most drift in DRIFT_S of hover beyond the old policy's, mean of the axes
 ORIGINAL_MORE = (
     1.5  # most MAE on the aircraft of the unadapted file, of the old policy's: the log may be wrong
 )
@@ -45,7 +49,8 @@ class Proof:
 
     old: Bench  # on the adapted aircraft
     new: Bench
-    gain: Mean  # MAE of the old less that of the new [deg/s], command by command
+    gain: Mean  # MAE of the old less that of the new [deg/s], flight by flight
+    drift: Mean  # of the new less that of the old [deg], likewise
     old_original: Bench  # on the aircraft of the file
     new_original: Bench
 
@@ -58,6 +63,12 @@ class Proof:
                 f"is no better on the adapted aircraft: MAE {new:.3f} after {old:.3f} deg/s, a gain of "
                 f"{float(self.gain.value):.3f} "
                 f"({float(self.gain.low):.3f} to {float(self.gain.high):.3f}, 95 %)"
+            )
+        if float(self.drift.low) > DRIFT_MORE_DEG:
+            return (
+                f"drifts: {float(self.drift.value):.1f} deg "
+                f"({float(self.drift.low):.1f} to {float(self.drift.high):.1f}, 95 %) more in {DRIFT_S:g} s "
+                f"of centred sticks, expected at most {DRIFT_MORE_DEG:g}"
             )
         if self.new.change > CHANGE_MORE * self.old.change:
             return (
@@ -135,25 +146,25 @@ def refine(
         out.mkdir()
 
 
-def prove(old: Path, new: Path, original: Aircraft, adapted: Aircraft, episodes: int, seed: int) -> Proof:
-    """Fly both policies on the same unseen pulses, on both aircraft."""
-    first, second = bench(old, adapted, episodes, seed), bench(new, adapted, episodes, seed)
-    each = (one.scores.tracking.mae.mean(axis=1) for one in (first, second))
-    before, after = each
+def prove(old: Path, new: Path, original: Aircraft, adapted: Aircraft, commands: int, seed: int) -> Proof:
+    """Fly both policies in the same unseen flights, on both aircraft."""
+    first, second = bench(old, adapted, commands, seed), bench(new, adapted, commands, seed)
+    before, after = (values(one.scores) for one in (first, second))
     return Proof(
         old=first,
         new=second,
-        gain=paired(after, before),
-        old_original=bench(old, original, episodes, seed),
-        new_original=bench(new, original, episodes, seed),
+        gain=paired(after["mae"], before["mae"]),
+        drift=paired(before["drift"], after["drift"]),
+        old_original=bench(old, original, commands, seed),
+        new_original=bench(new, original, commands, seed),
     )
 
 
-def bench(policy: Path, aircraft: Aircraft, episodes: int, seed: int) -> Bench:
-    """A policy on unseen pulses."""
+def bench(policy: Path, aircraft: Aircraft, commands: int, seed: int) -> Bench:
+    """A policy in unseen flights."""
     controller = load_controller(str(policy), aircraft)
-    flown = Conditions(aircraft, PulseTask(), episodes, seed)
-    found = scores(flown.fly(controller, 0.3))
+    task, flights = FLIGHT.of_commands(commands)
+    found = scores(Conditions(aircraft, task, flights, seed).fly(controller, HOVER_THROTTLE))
     assert found.motor_change is not None
     return Bench(
         mae=mean_over(found.tracking.mae.mean(axis=1)), change=float(found.motor_change.mean()), scores=found

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.aircraft.model import Aircraft
+from sim.analysis.holding import DRIFT_S
 from sim.analysis.metrics import effort, tracking
 from toolchain.ir.interpreter import advance, clear_state
 from toolchain.passes import optimize
@@ -23,25 +24,30 @@ from training.config.algorithms import PpoConfig
 from training.config.randomization import Randomization
 from training.config.training_config import TrainingConfig
 from training.envs.simulation import AttitudeSimulation
-from training.tasks.task import EnvelopeTask, EpisodicTask, PulseTask
+from training.tasks.flight import FlightTask
+from training.tasks.task import ContinuousTask, EnvelopeTask, EpisodicTask, PulseTask
 
 EPISODES = 5
 SEED = 1_000_003  # of the monitor's episodes; results are measured on others
-OWN_TASKS = (PulseTask.name, EpisodicTask.name, EnvelopeTask.name)  # in which a command is held
+OWN_TASKS = (PulseTask.name, EpisodicTask.name, EnvelopeTask.name, FlightTask.name)
+# What a policy that will fly for minutes is chosen by: long enough for a memory that winds up to show.
+FLIGHT = FlightTask(pulses=4, hover_s=DRIFT_S)
 
 Weights = Mapping[str, NDArray[np.float32]]  # by the names that `toolchain.policy.freeze` knows
 
 
 def flown(config: TrainingConfig) -> TrainingConfig:
-    """The configuration that the monitor flies: the run's task if it is one of OWN_TASKS, else pulses.
+    """The configuration that the monitor flies: the run's task if it is one of OWN_TASKS, else FLIGHT.
 
+    Continuous commands are the dissertation's: they fly pulses.
     The world is the run's with the gyro's noise, without randomization, and with a throttle that stays.
     """
     world = replace(config.world, noise=True, randomization=Randomization(), throttle_steps=0.0)
     if config.task.name in OWN_TASKS:
         return replace(config, world=world)
     # Nothing is learned here, and the run's own hyperparameters may not fit the length of other episodes.
-    return replace(config, world=world, task=PulseTask(), algorithm=PpoConfig(), recurrent="none")
+    task = PulseTask() if isinstance(config.task, ContinuousTask) else FLIGHT
+    return replace(config, world=world, task=task, algorithm=PpoConfig(), recurrent="none")
 
 
 def fly(aircraft: Aircraft, config: TrainingConfig, steps: int, policy: Weights) -> CheckpointMetrics:

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.analysis.confidence import Mean, mean_of, paired, share_of
+from sim.analysis.holding import settled
 from sim.analysis.response import Hold, large, mean_figures, progress, together
 from training.evaluation.controllers import Conditions, Contender
 from training.evaluation.evaluation import Evaluation, Flights, Scores, interval, scores, summary
@@ -22,6 +23,7 @@ Array = NDArray[np.float64]
 CHUNK = 128  # episodes whose errors are computed at a time
 PERCENTILES = (5, 50, 95)  # over commands, of the drawn curves
 STEP_S = 0.6  # drawn part of a held command
+REST_S = 0.5  # a point of the curve of rests
 SUMS = ("mae", "mse", "iae", "ise", "itae", "itse")
 ERRORS = (*SUMS, "error")
 SHARES = ("steady", "steady_bare", "steady_750", "steady_750_bare")  # shares of episodes, each 0 or 1
@@ -40,8 +42,9 @@ class Example:
 class Curves:
     """The drawn curves of an entry: percentiles over its commands, and the first of them."""
 
-    t: Array  # (T,) [s]
-    error: Array  # (3, T) [deg/s], of |error|, mean of the axes
+    t: Array  # (T,) [s], of the example
+    error_t: Array  # (B,) [s]
+    error: Array  # (3, B) [deg/s], of |error|, mean of the axes; of flights of a minute, at rest by age
     step_t: Array  # (L,) [s] since the command; empty where none is held
     step: Array  # (3, 3, L) percentile, axis: rate in % of the command, NaN where none is above the floor
     example: Example
@@ -56,7 +59,7 @@ class Entry:
     scores: Scores
     evaluation: Evaluation
     curves: Curves
-    commands: Array | None = None  # (E, 3) [deg/s], held; None where the task holds none for a second
+    commands: Array | None = None  # (E, 3) [deg/s], held, one an episode; None where the task has no such
 
 
 def enter(
@@ -69,7 +72,9 @@ def enter(
     flights = conditions.fly(controller, throttle, on_step)
     each = scores(flights)
     held = flights.hold()
-    asked = None if held is None else np.asarray(np.rad2deg(held.error[:, 0] + held.rate[:, 0]))
+    asked = None
+    if held is not None and flights.course is None:
+        asked = np.asarray(np.rad2deg(held.error[:, 0] + held.rate[:, 0]))
     return Entry(controller, throttle, each, summary(each), curves(flights), asked)
 
 
@@ -223,21 +228,33 @@ def document(entry: Entry, first: Entry | None) -> dict[str, object]:
 
 
 def curves(flights: Flights) -> Curves:
-    """Percentiles over the commands."""
+    """Percentiles over the commands; of flights of a minute, over the flights and at rest."""
+    held = flights.hold()
+    step_t, step = (np.empty(0), np.empty((3, 3, 0))) if held is None else _steps(held)
+    t, example = as_flown(flights)
+    error_t, error = _errors(flights) if flights.course is None else _rests(flights)
+    return Curves(t, error_t, np.percentile(error, PERCENTILES, axis=0), step_t, step, example)
+
+
+def _errors(flights: Flights) -> tuple[Array, NDArray[np.floating]]:
+    """Times [s], (T,), and |error| [deg/s], mean of the axes, (E, T)."""
     episodes, steps = flights.rate.shape[:2]
     error = np.empty((episodes, steps), np.float32)
     for start in range(0, episodes, CHUNK):
         part = slice(start, start + CHUNK)
         error[part] = np.abs(flights.setpoint[part] - flights.rate[part]).mean(axis=2)
-    held = flights.hold()
-    step_t, step = (np.empty(0), np.empty((3, 3, 0))) if held is None else _steps(held)
-    return Curves(
-        t=np.asarray(np.arange(steps) * flights.step_s, np.float64),
-        error=np.rad2deg(np.percentile(error, PERCENTILES, axis=0)),
-        step_t=step_t,
-        step=step,
-        example=as_flown(flights)[1],
-    )
+    return np.asarray(np.arange(steps) * flights.step_s, np.float64), np.rad2deg(error)
+
+
+def _rests(flights: Flights) -> tuple[Array, NDArray[np.floating]]:
+    """Middles of the pieces of REST_S in which no flight's sticks move, (B,), and |rate| there, (E, B)."""
+    length = round(REST_S / flights.step_s)
+    pieces = flights.rate.shape[1] // length
+    resting = np.all([settled(one, flights.step_s) for one in flights.setpoint], axis=0)
+    whole = np.flatnonzero(resting[: pieces * length].reshape(pieces, length).all(axis=1))
+    rate = np.abs(flights.rate[:, : pieces * length]).reshape(len(flights.rate), pieces, -1)
+    found = np.rad2deg(rate.mean(axis=2, dtype=np.float64)[:, whole])
+    return (whole + 0.5) * length * flights.step_s, found
 
 
 def as_flown(flights: Flights) -> tuple[Array, Example]:

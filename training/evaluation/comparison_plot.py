@@ -116,18 +116,21 @@ def _draw_steps(panels: Sequence[Axes], entries: Sequence[Entry]) -> None:
 
 
 def _draw_errors(panel: Axes, entries: Sequence[Entry]) -> None:
+    """|Error| over an episode; over a flight of a minute, that of its rests, a mark each."""
+    flights = entries[0].scores.holding is not None
     for number, entry in enumerate(entries):
         low, median, high = np.maximum(entry.curves.error, ERROR_MIN_DEG_S)
         front, colour = len(entries) - number, MOTOR_COLOURS[number % len(MOTOR_COLOURS)]
-        panel.fill_between(entry.curves.t, low, high, color=colour, alpha=0.14, lw=0, zorder=2)
-        panel.plot(
-            entry.curves.t, median, color=colour, lw=1.3, label=entry.controller.label, zorder=2 + front
-        )
+        t, label = entry.curves.error_t, entry.controller.label
+        panel.fill_between(t, low, high, color=colour, alpha=0.14, lw=0, zorder=2)
+        mark = "o-" if flights else "-"
+        panel.plot(t, median, mark, ms=3, color=colour, lw=1.3, label=label, zorder=2 + front)
     panel.set_yscale("log")
     plain_numbers(panel.yaxis)
     panel.set_ylim(bottom=ERROR_MIN_DEG_S)
     panel.set_xlim(0, float(entries[0].curves.t[-1]))
-    panel.set_xlabel("time of the episode, s", color=INK)
+    panel.set_xlabel("age of the flight, s" if flights else "time of the episode, s", color=INK)
     panel.set_ylabel("deg/s", color=INK)
-    dress(panel, "error, mean of the axes: median and 90 % of the commands")
-    panel.legend(loc="upper right", frameon=False, fontsize=9, handlelength=1.6)
+    what = "at rest, mean of the axes: median and 90 % of the flights"
+    dress(panel, what if flights else "error, mean of the axes: median and 90 % of the commands")
+    panel.legend(loc="upper left" if flights else "upper right", frameon=False, fontsize=9, handlelength=1.6)

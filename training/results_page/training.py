@@ -43,6 +43,6 @@ def training_section(runs: Sequence[Stored]) -> str:
 
 
 ABOUT_TRAINING = """Seconds are from the first step to the last file, on at most two cores of the machine that
-made the policies. A monitor flies each checkpoint on five commands that are not part of any figure above. The
+made the policies. A monitor flies each checkpoint in five episodes that are not part of any figure above. The
 last columns say when the mean error on them was first below 5 deg/s, at the run's mean speed, which
 checkpoint the selection rule chose, and its error on them."""

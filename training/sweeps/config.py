@@ -48,6 +48,7 @@ from toolchain.files import file_size
 from training.config.config_file import load_config, recipes
 from training.config.training_config import SEED_MAX, TrainingConfig
 from training.sweeps.axes import VARIANT, Range, Varied, combinations, flat, read_axes, read_variants
+from training.tasks.flight import HOVER_THROTTLE, FlightTask
 from training.tasks.registry import TASKS
 from training.tasks.task import Task
 
@@ -64,10 +65,10 @@ CYCLES_MAX = 1_000_000
 class Validation:
     """The flights of every trained policy, about the centre of mass and with noise."""
 
-    task: str = "pulse"
-    episodes: int = 100
+    task: str = FlightTask.name
+    episodes: int = 100  # commands, in flights ten each
     seed: int = 10_000
-    throttle: float = 0.0
+    throttle: float = HOVER_THROTTLE  # 0 with another task, unless the file says
     thrust: tuple[float, ...] = ()  # at rest, times the weight: each in place of `throttle`, and throttle 0
 
 
@@ -189,13 +190,14 @@ def _beside(path: Path, name: str, known: Sequence[str]) -> str:
 
 def _validation(table: StrictTable) -> Validation:
     usual = Validation()
+    flights = table.text("task", usual.task) == usual.task
     # Only tasks without required fields: `recorded`, say, needs a file.
     tasks = {name: name for name, task in TASKS.items() if _complete(task)}
     validation = Validation(
         task=table.choice("task", tasks, usual.task),
         episodes=table.integer("episodes", 2, COUNT_MAX, usual.episodes),
         seed=table.integer("seed", 0, SEED_MAX, usual.seed),
-        throttle=table.number("throttle", 0.0, 1.0, usual.throttle),
+        throttle=table.number("throttle", 0.0, 1.0, usual.throttle if flights else 0.0),
         thrust=table.numbers("thrust", 1, THRUSTS_MAX, THRUST_MIN, THRUST_MAX) if table.has("thrust") else (),
     )
     if validation.thrust and table.has("throttle"):

@@ -27,15 +27,16 @@ from training.checkpoints.monitor_process import Monitor
 from training.evaluation.comparison import values
 from training.evaluation.controllers import Conditions, ControllerSpec, load_controller
 from training.evaluation.equal_thrust import equal_thrust
-from training.evaluation.evaluation import mean_over, scores
+from training.evaluation.evaluation import Scores, mean_over, scores
 from training.runs.train import CHECKPOINT, POLICY, Callback, read_record, train
 from training.sweeps.config import Trial, Validation
+from training.tasks.flight import FlightTask
 from training.tasks.registry import TASKS
 
 RESULT = "result.json"
 RESULT_BYTES_MAX = 1 << 20
 CLOSED = 0.0  # the thrust that stands for a closed throttle
-AT_THRUST = ("mae", "mse", "change", "power", "current")
+AT_THRUST = ("mae", "mse", "change", "power", "current", "drift")
 FIGURES = ("mae", "mse", "output", "change")
 TIMED_OBSERVATIONS = 30  # generated code has no branches that depend on them; every third one is extreme
 
@@ -66,6 +67,7 @@ class AtThrust:
     change: Figure  # |Δ| of a motor fraction in 1 ms
     power: Figure | None = None  # [W], electric, motors and electronics; None: of an older sweep
     current: Figure | None = None  # [A]; None also on a supply of unknown voltage
+    drift: Figure | None = None  # [deg], as in Outcome
 
 
 @dataclass(frozen=True)
@@ -88,6 +90,8 @@ class Outcome:
     training_seconds: float
     steps: int  # control steps trained
     policy_sha256: str
+    # [deg] in 10 s of centred sticks, at the worst of the thrusts; None where no flights were flown.
+    drift: Figure | None = None
 
 
 def run_trial(
@@ -147,7 +151,7 @@ def _outcome(values: Mapping[str, Any]) -> Outcome:
         AtThrust(**{**each, **{name: Figure(**each[name]) for name in AT_THRUST if each.get(name)}})
         for each in values["thrusts"]
     )
-    figures = {name: Figure(**values[name]) for name in FIGURES}
+    figures = {name: Figure(**values[name]) for name in (*FIGURES, "drift") if values.get(name)}
     return Outcome(**{**values, **figures, "thrusts": thrusts})
 
 
@@ -163,7 +167,10 @@ def _trained(folder: Path, document: dict[str, Any]) -> bool:
 def _flown(path: Path, aircraft: Aircraft, validation: Validation) -> dict[str, Any]:
     """The figures of the policy on the validation's commands, by their names in Outcome."""
     controller = load_controller(str(path), aircraft)
-    conditions = Conditions(aircraft, TASKS[validation.task](), validation.episodes, validation.seed)
+    task, episodes = TASKS[validation.task](), validation.episodes
+    if isinstance(task, FlightTask):
+        task, episodes = task.of_commands(episodes)
+    conditions = Conditions(aircraft, task, episodes, validation.seed)
     if validation.thrust:
         return _at_thrusts(controller, conditions, validation.thrust)
     flown = scores(conditions.fly(controller, validation.throttle))
@@ -172,8 +179,14 @@ def _flown(path: Path, aircraft: Aircraft, validation: Validation) -> dict[str, 
         "mse": Figure.of(flown.tracking.mse.mean(axis=1)),
         "output": Figure.of(flown.output),
         "change": Figure.of(flown.change),
+        "drift": _drift(flown),
         "thrusts": (),
     }
+
+
+def _drift(flown: Scores) -> Figure | None:
+    """The size of the drift in the hover, mean of the axes [deg]; None where there was none."""
+    return None if flown.holding is None else Figure.of(np.abs(flown.holding.drift).mean(axis=1))
 
 
 def _at_thrusts(
@@ -198,12 +211,16 @@ def _at_thrusts(
             for name, by_command in {**figures, **drawn}.items()
             if by_command is not None and np.isfinite(by_command).all()
         }
+        means["drift"] = _drift(entry.scores)
         asked = None if level.wanted == CLOSED else level.wanted
         found.append(AtThrust(asked, trim.rest.throttle, float(trim.rest.thrust.value), **means))
         if asked is not None:
             for name, by_command in {**figures, "output": own["output"]}.items():
                 each[name].append(by_command)
-    return {name: Figure.of(np.mean(rows, axis=0)) for name, rows in each.items()} | {"thrusts": tuple(found)}
+    drifts = [level.drift for level in found if level.asked is not None and level.drift is not None]
+    worst = max(drifts, key=lambda drift: drift.mean) if drifts else None
+    means = {name: Figure.of(np.mean(rows, axis=0)) for name, rows in each.items()}
+    return {**means, "drift": worst, "thrusts": tuple(found)}
 
 
 def _counted(path: Path) -> dict[str, Any]:

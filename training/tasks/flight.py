@@ -13,6 +13,7 @@ from training.tasks.sticks import OnSticks
 from training.tasks.task import LENGTH_MAX_S, PulseTask, RandomCommands, Setpoints, Task
 
 PULSES_MAX = 1000
+HOVER_THROTTLE = 0.3  # flown where nobody says: about a hover of the shipped aircraft
 
 
 @dataclass(frozen=True)
@@ -65,6 +66,11 @@ class FlightTask(RandomCommands):
         """The same for a flight of that length: as many pulses as fit, and the rest of it to the hover."""
         pulses = int((length_s - self.hover_s) / self._pulse.duration_s * (1 + 1e-9))
         return replace(self, pulses=pulses, hover_s=length_s - pulses * self._pulse.duration_s)
+
+    def of_commands(self, count: int) -> tuple[FlightTask, int]:
+        """Flights for that many commands, and their number; fewer than fill one are flown in a shorter one."""
+        task = replace(self, pulses=min(self.pulses, count))
+        return task, -(-count // task.pulses)
 
     def episodes(self, count: int, rng: np.random.Generator, rate_hz: int) -> Setpoints:
         """See Task."""

@@ -20,6 +20,7 @@ from cli.training.evaluation.conditions import (
     flight_document,
     progress_bars,
     throttle_words,
+    told_throttle,
 )
 from cli.training.evaluation.contenders import (
     CONTENDER,
@@ -29,7 +30,12 @@ from cli.training.evaluation.contenders import (
     open_contenders,
 )
 from cli.training.evaluation.ranges import check_ranges
-from cli.training.evaluation.task_arguments import drawn_as_flown, flight_note, flown_words
+from cli.training.evaluation.task_arguments import (
+    default_throttle,
+    drawn_as_flown,
+    flight_note,
+    flown_words,
+)
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -91,8 +97,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=float,
         nargs="+",
         metavar="T",
-        help="pilot's thrust, 0..1; one comparison each, the first is drawn; default: 0, or as recorded "
-        "with --commands",
+        help="pilot's thrust, 0..1; one comparison each, the first is drawn; default: 0.3 in flights, "
+        "as recorded with --commands, else 0",
     )
     add_contender_arguments(parser)
     parser.add_argument(
@@ -120,8 +126,9 @@ def run(args: argparse.Namespace) -> int:
     check_thrusts(args)
     check_average(args)
     _check_envelope(args)
-    throttles = _throttles(args)
-    with open_contenders(args, args.controllers, conditions(args)) as (contenders, flown):
+    given = conditions(args)
+    throttles = _throttles(args, given)
+    with open_contenders(args, args.controllers, given) as (contenders, flown):
         if args.thrust is not None:
             return _at_thrusts(args, contenders, flown)
         return _at_throttles(args, contenders, flown, throttles)
@@ -213,30 +220,26 @@ def _at_thrusts(args: argparse.Namespace, contenders: Sequence[Contender], flown
     if args.json:
         _print_json(args, flown, documents(found))
     else:
-        print_equal_thrust(Console(), title, found)
+        print_equal_thrust(Console(), title, found, flight_note(flown))
     return 0
 
 
 def _print_json(args: argparse.Namespace, flown: Conditions, found: dict[str, object]) -> None:
-    told = command("compare", args, flown, *args.controllers, throttle=_told(args))
+    throttles = None if args.thrust is not None else told_throttle(flown, _throttles(args, flown))
+    told = command("compare", args, flown, *args.controllers, throttle=throttles)
     print(json.dumps({"command": told, **conditions_document(args, flown), **found}, indent=2))
 
 
-def _throttles(args: argparse.Namespace) -> list[float | None]:
+def _throttles(args: argparse.Namespace, flown: Conditions) -> list[float | None]:
     """The throttles to fly at, checked; None: as recorded."""
     from toolchain.errors import TrainingError
 
     if args.throttle is None:
-        return [0.0 if args.commands is None else None]
+        return [default_throttle(flown)]
     if len(args.throttle) > THROTTLES_MAX:
         raise TrainingError(f"--throttle: {len(args.throttle)} values, expected 1 to {THROTTLES_MAX}")
     check_ranges(*(("--throttle", throttle, 0.0, 1.0) for throttle in args.throttle))
     return list(args.throttle)
-
-
-def _told(args: argparse.Namespace) -> Sequence[float] | None:
-    """The throttles of the stored command; None for the default."""
-    return None if args.throttle == [0.0] and args.commands is None else args.throttle
 
 
 def _documents(entries: Sequence[Entry]) -> list[dict[str, object]]:

@@ -11,7 +11,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cli.training.evaluation.ranges import check_ranges
-from cli.training.evaluation.task_arguments import add_task_arguments, task_document, task_name, task_of
+from cli.training.evaluation.task_arguments import (
+    add_task_arguments,
+    commands_flown,
+    default_throttle,
+    task_document,
+    task_name,
+    task_of,
+)
 
 if TYPE_CHECKING:
     from training.evaluation.controllers import Conditions, Contender
@@ -70,6 +77,12 @@ def conditions(args: argparse.Namespace) -> Conditions:
     )
 
 
+def told_throttle(flown: Conditions, throttles: Sequence[float | None]) -> Sequence[float | None] | None:
+    """The throttles of a stored command; None where they go without saying."""
+    default = default_throttle(flown)
+    return None if list(throttles) == [default] and not default else throttles
+
+
 def throttle_words(throttle: float | None) -> str:
     """The pilot's thrust, for titles, after a comma; nothing for none."""
     if throttle is None:
@@ -114,7 +127,7 @@ def command(name: str, args: argparse.Namespace, flown: Conditions, *words: str,
         *words,
         aircraft=args.aircraft,
         task=task_name(flown.task) if args.commands is None else None,
-        episodes=flown.episodes if args.commands is None else None,
+        episodes=commands_flown(flown) if args.commands is None else None,
         command=args.named_command,
         limit=args.limit,
         length=args.length,
@@ -140,7 +153,7 @@ def conditions_document(args: argparse.Namespace, flown: Conditions) -> dict[str
         "aircraft": flown.aircraft.name,
         "aircraft_sha256": flown.aircraft.sha256,
         **task_document(flown),
-        "episodes": flown.episodes,
+        "episodes": commands_flown(flown),
         "seed": flown.seed,
         "mount": args.mount,
         "noise": flown.noise,

@@ -17,6 +17,7 @@ from cli.training.evaluation.conditions import (
     conditions_document,
     flight_document,
     progress_bars,
+    told_throttle,
 )
 from cli.training.evaluation.contenders import (
     CONTENDER,
@@ -25,7 +26,13 @@ from cli.training.evaluation.contenders import (
     open_contenders,
 )
 from cli.training.evaluation.ranges import check_ranges
-from cli.training.evaluation.task_arguments import drawn_as_flown, flight_note, flown_words
+from cli.training.evaluation.task_arguments import (
+    commands_flown,
+    default_throttle,
+    drawn_as_flown,
+    flight_note,
+    flown_words,
+)
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -74,7 +81,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--throttle",
         type=float,
         metavar="T",
-        help="pilot's thrust, 0..1; default: 0, or as recorded with --commands",
+        help="pilot's thrust, 0..1; default: 0.3 in flights, as recorded with --commands, else 0",
     )
     parser.add_argument(
         "--battery",
@@ -118,7 +125,9 @@ def _at_thrusts(args: argparse.Namespace, contenders: Sequence[Contender], flown
         document = {"command": told, **conditions_document(args, flown), **documents(found)}
         print(json.dumps(document, indent=2))
     else:
-        print_equal_thrust(Console(), f"{flown.aircraft.name}: {flown_words(flown)}", found)
+        print_equal_thrust(
+            Console(), f"{flown.aircraft.name}: {flown_words(flown)}", found, flight_note(flown)
+        )
     return 0
 
 
@@ -134,9 +143,9 @@ def _at_throttle(args: argparse.Namespace, controller: Contender, flown: Conditi
     from training.evaluation.evaluation import figures
     from training.evaluation.tracking_plot import Tracked, draw_long, draw_step
 
-    throttle = 0.0 if args.throttle is None and args.commands is None else args.throttle
+    throttle = default_throttle(flown) if args.throttle is None else args.throttle
     with progress_bars(args) as bar:
-        flights = flown.fly(controller, throttle, bar(f"{flown.episodes} commands"))
+        flights = flown.fly(controller, throttle, bar(f"{commands_flown(flown)} commands"))
     result = figures(flights)
     title = f"{controller.name} on {flown.aircraft.name}: {flown_words(flown)}"
     held = flights.hold()
@@ -150,7 +159,9 @@ def _at_throttle(args: argparse.Namespace, controller: Contender, flown: Conditi
         print(f"--plot: {args.plot} is not drawn: no command is held for a second", file=sys.stderr)
     if args.json:
         document = {
-            "command": command("evaluate", args, flown, *_words(args), throttle=_told(args)),
+            "command": command(
+                "evaluate", args, flown, *_words(args), throttle=told_throttle(flown, [throttle])
+            ),
             **conditions_document(args, flown),
             **flight_document(controller, throttle, result),
         }
@@ -158,11 +169,6 @@ def _at_throttle(args: argparse.Namespace, controller: Contender, flown: Conditi
     else:
         _print(title, result, flight_note(flown))
     return 0
-
-
-def _told(args: argparse.Namespace) -> float | None:
-    """The throttle of the stored command; None for the default."""
-    return args.throttle if args.commands is not None else args.throttle or None
 
 
 def _print(title: str, result: Evaluation, more: str) -> None:

@@ -16,8 +16,9 @@ if TYPE_CHECKING:
     from training.tasks.pieces import RecordedPieces
     from training.tasks.task import Task
 
-TASKS = ("pulse", "flight", "episodic", "envelope", "continuous")
-LONG_EPISODES = {"flight": 20, "continuous": 10}  # unless the user says: each holds many commands
+TASKS = ("flight", "pulse", "episodic", "envelope", "continuous")  # the first unless the user says
+FLIGHT_COMMANDS = 200  # at most, unless the user says: 20 flights
+CONTINUOUS_EPISODES = 10  # unless the user says: each holds many commands
 LONG_MAX_S = 10_000.0  # of all such episodes together; all are kept in memory, a gigabyte for this long
 LENGTH_MIN_S, LENGTH_MAX_S = 0.1, 600.0
 FLIGHT_MIN_S = 20.0
@@ -33,14 +34,18 @@ FLIGHT_NOTE = (
 
 def add_task_arguments(parser: argparse.ArgumentParser, episodes: int) -> None:
     """The arguments; `episodes` is the default number of random commands."""
-    parser.add_argument("--task", choices=TASKS, help=f"what is commanded; default: {TASKS[0]}")
+    parser.add_argument(
+        "--task",
+        choices=TASKS,
+        help="what is commanded; default: flight, ten commands one after another and a hover, a minute in "
+        "all; with --command: pulse",
+    )
     parser.add_argument(
         "--episodes",
         type=int,
         metavar="N",
-        help=f"commands, one aircraft each; flights of the flight task, whose default is "
-        f"{LONG_EPISODES['flight']}, and of the continuous task, {LONG_EPISODES['continuous']}; else "
-        f"{episodes}",
+        help=f"commands; one aircraft each, or for ten in a flight; default: {episodes}, in flights "
+        f"{min(episodes, FLIGHT_COMMANDS)}; of the continuous task episodes, {CONTINUOUS_EPISODES}",
     )
     parser.set_defaults(episodes_default=episodes)
     parser.add_argument(
@@ -85,6 +90,8 @@ def task_of(args: argparse.Namespace) -> tuple[Task, int]:
     """What is commanded, and its number of episodes."""
     from sim.physics.world import COUNT_MAX
     from toolchain.errors import TrainingError
+    from training.tasks.flight import FlightTask
+    from training.tasks.task import ContinuousTask
 
     if args.commands is None:
         if args.piece is not None:
@@ -94,15 +101,12 @@ def task_of(args: argparse.Namespace) -> tuple[Task, int]:
                 "--from, --to, --header, --cut-rates: of recorded commands; give them with --commands"
             )
         task = _commanded(args)
-        episodes = args.episodes_default
-        if args.named_command is not None:
-            episodes = 1
-        elif task.name in LONG_EPISODES:
-            episodes = min(episodes, LONG_EPISODES[task.name])
-        if args.episodes is not None:
-            episodes = args.episodes
+        episodes = args.episodes if args.episodes is not None else _default_episodes(args, task)
         check_ranges(("--episodes", episodes, 1, COUNT_MAX))
-        if task.name in LONG_EPISODES and episodes * task.duration_s > LONG_MAX_S:
+        if isinstance(task, FlightTask):
+            short, flights = task.of_commands(episodes)
+            task, episodes = (short if args.length is None else task), flights
+        if isinstance(task, (FlightTask, ContinuousTask)) and episodes * task.duration_s > LONG_MAX_S:
             raise TrainingError(
                 f"{episodes} episodes of {task.duration_s:g} s, expected at most {LONG_MAX_S:g} s "
                 f"together; ask for fewer, or for shorter ones with --length"
@@ -119,6 +123,19 @@ def task_of(args: argparse.Namespace) -> tuple[Task, int]:
     return pieces, pieces.count
 
 
+def _default_episodes(args: argparse.Namespace, task: Task) -> int:
+    """The number of episodes, or of commands in flights."""
+    from training.tasks.flight import FlightTask
+    from training.tasks.task import ContinuousTask
+
+    default: int = args.episodes_default
+    if args.named_command is not None:
+        return 1
+    if isinstance(task, FlightTask):
+        return min(default, FLIGHT_COMMANDS)
+    return min(default, CONTINUOUS_EPISODES) if isinstance(task, ContinuousTask) else default
+
+
 def _commanded(args: argparse.Namespace) -> Task:
     """The task of the arguments, with their limit, length or command."""
     from toolchain.contract import RATE_FULL_STICK_DEG_S
@@ -129,7 +146,7 @@ def _commanded(args: argparse.Namespace) -> Task:
     from training.tasks.task import ContinuousTask, EpisodicTask, PulseTask, RandomCommands
 
     full = float(RATE_FULL_STICK_DEG_S)
-    task = BUILDERS[args.task or TASKS[0]]()
+    task = BUILDERS[args.task or (TASKS[0] if args.named_command is None else PulseTask.name)]()
     if args.length is not None:
         if isinstance(task, FlightTask):
             check_ranges(("--length", args.length, FLIGHT_MIN_S, LENGTH_MAX_S))
@@ -192,11 +209,29 @@ def flown_words(flown: Conditions) -> str:
         return f"{task.task.name} command of ({rates}) deg/s{times}, seed {flown.seed}"
     if isinstance(task, FlightTask):
         flights = f"{flown.episodes} flights" if flown.episodes > 1 else "a flight"
-        return f"{flights} of {task.pulses} commands and a hover, {task.duration_s:g} s, seed {flown.seed}"
+        commands = f"{task.pulses} commands" if task.pulses > 1 else "a command"
+        return f"{flights} of {commands} and a hover, {task.duration_s:g} s, seed {flown.seed}"
     if isinstance(task, ContinuousTask):
         episodes = f"{flown.episodes} episodes" if flown.episodes > 1 else "an episode"
         return f"{episodes} of {task.name}, {task.length_s:g} s, seed {flown.seed}"
     return f"{flown.episodes} commands of {task.name}, seed {flown.seed}"
+
+
+def commands_flown(flown: Conditions) -> int:
+    """How many commands, one by one or in flights: what --episodes asks for."""
+    from training.tasks.flight import FlightTask
+
+    return flown.episodes * (flown.task.pulses if isinstance(flown.task, FlightTask) else 1)
+
+
+def default_throttle(flown: Conditions) -> float | None:
+    """The pilot's thrust where he does not say: about a hover in flights; None: as recorded."""
+    from training.tasks.flight import HOVER_THROTTLE, course_of
+    from training.tasks.pieces import RecordedPieces
+
+    if isinstance(flown.task, RecordedPieces):
+        return None
+    return HOVER_THROTTLE if course_of(flown.task) else 0.0
 
 
 def flight_note(flown: Conditions) -> str:
@@ -231,7 +266,7 @@ def task_document(flown: Conditions) -> dict[str, Any]:
     if isinstance(task, NamedCommand):
         return {**found, "command_deg_s": list(task.command_deg_s)}
     if isinstance(task, FlightTask):
-        return {**found, "length_s": task.duration_s, "commands_of_a_flight": task.pulses}
+        return {**found, "length_s": task.duration_s, "flights": flown.episodes}
     if isinstance(task, ContinuousTask):
         return {**found, "length_s": task.length_s, "limit_deg_s": task.limit_deg_s}
     return found

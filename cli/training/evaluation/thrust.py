@@ -20,7 +20,14 @@ FIGURES = (  # heading, figure, digits
     ("MSE mean", "mse", 1),
     ("motors |Δ|, 1 ms", "motor_change", 5),
     ("outputs |Δu|, 1 ms", "change", 5),
+    ("peak, %", "peak", 1),
+    ("rest early", "rest_early", 2),
+    ("rest late", "rest_late", 2),
+    ("hover", "hover", 2),
+    ("drift, °", "drift", 1),
 )
+AXIS_FIGURES = (("MAE", "mae", 2), ("rest late", "rest_late", 2), ("drift, °", "drift", 1))
+MEAN_FIGURES = ("mae", "mse", "motor_change", "rest_late", "drift")  # over all thrusts
 NOTE = (
     "Each controller flies at the throttle that gives this thrust at rest, of the aircraft's weight; (*) "
     "marks the nearest that it can. Motors: their fractions after mix and idle; s.d. at rest: how far they "
@@ -56,15 +63,18 @@ def rest_documents(rests: Sequence[Transparency]) -> dict[str, object]:
     return {"transparency": [transparency_document(each) for each in rests]}
 
 
-def print_equal_thrust(console: Console, title: str, found: EqualThrust) -> None:
-    """A table for each thrust, one of their mean, and one of the thrust against the throttle."""
+def print_equal_thrust(console: Console, title: str, found: EqualThrust, more: str) -> None:
+    """A table for each thrust, one of their mean, and one of the thrust against the throttle.
+
+    more: words about the task, for the note.
+    """
     for level in found.levels:
         closed = ", throttle closed" if level.wanted == 0.0 else f", thrust {level.wanted:g} at rest"
         _print_level(console, title + closed, level)
     lifted = [level for level in found.levels if level.wanted > 0.0]
     if len(lifted) > 1:
         _print_mean(console, lifted)
-    console.print(NOTE, style="dim")
+    console.print(NOTE + more, style="dim")
     print_transparency(console, found.transparency)
 
 
@@ -96,7 +106,7 @@ def print_transparency(console: Console, rests: Sequence[Transparency]) -> None:
 
 def _print_level(console: Console, title: str, level: Level) -> None:
     from toolchain.contract import AXES
-    from training.evaluation.comparison import differences, means
+    from training.evaluation.comparison import by_axis, differences, means
 
     entries = level.entries
     table = _table(title, "", [f"{each.controller.label}\nidle {each.controller.idle:g}" for each in entries])
@@ -106,31 +116,37 @@ def _print_level(console: Console, title: str, level: Level) -> None:
     reached = [_interval(rest.thrust, 3) for rest in rests]
     table.add_row("thrust at rest", *(text + mark for text, mark in zip(reached, marks, strict=True)))
     table.add_row("motors at rest, s.d.", *(f"{rest.deviation:.5f}" for rest in rests))
-    for axis, word in enumerate(AXES):
-        errors = [each.evaluation for each in entries]
-        cells = [f"{e.tracking.mae[axis]:.2f} ± {e.tracking_margin.mae[axis]:.2f}" for e in errors]
-        table.add_row(f"MAE {word}", *cells)
+    each_axis = [by_axis(each.scores) for each in entries]
+    for heading, name, digits in AXIS_FIGURES:
+        if all(name in found for found in each_axis):
+            for axis, word in enumerate(AXES):
+                table.add_row(
+                    f"{heading} {word}", *(_interval(found[name], digits, axis) for found in each_axis)
+                )
     averages = [means(each.scores) for each in entries]
-    for heading, name, digits in FIGURES:
+    told = [row for row in FIGURES if all(row[1] in each for each in averages)]
+    for heading, name, digits in told:
         table.add_row(heading, *(_interval(each[name], digits) for each in averages))
     if len(entries) > 1:
         first = entries[0]
         less = [differences(first.scores, each.scores) for each in entries[1:]]
         table.add_row(f"less {first.controller.label}")
-        for heading, name, digits in FIGURES:
+        for heading, name, digits in told:
             table.add_row(f"  {heading}", "", *(_difference(each[name], digits) for each in less))
     console.print(table)
 
 
 def _print_mean(console: Console, levels: Sequence[Level]) -> None:
     """The means of all thrusts, and their ratios to the first controller's."""
+    from training.evaluation.comparison import values
     from training.evaluation.equal_thrust import over_levels
 
     entries = levels[0].entries
     told = ", ".join(f"{level.wanted:g}" for level in levels)
     table = _table(f"mean over the thrusts {told}", "", [each.controller.label for each in entries])
     numbers = range(len(entries))
-    for heading, name, digits in FIGURES[:3]:
+    known = values(entries[0].scores)
+    for heading, name, digits in (row for row in FIGURES if row[1] in MEAN_FIGURES and row[1] in known):
         found = [over_levels(levels, number, name) for number in numbers]
         table.add_row(heading, *(_interval(mean, digits) for mean, _ in found))
         if len(entries) > 1:
@@ -152,8 +168,11 @@ def _table(title: str, corner: str, headings: Sequence[str]) -> Table:
     return table
 
 
-def _interval(mean: Mean, digits: int) -> str:
-    return f"{float(mean.value):,.{digits}f} ± {float(mean.high - mean.low) / 2:,.{digits}f}"
+def _interval(mean: Mean, digits: int, axis: int | tuple[()] = ()) -> str:
+    """A mean and its margin; axis: the one of three."""
+    if not mean.count[axis]:
+        return "none"
+    return f"{float(mean.value[axis]):,.{digits}f} ± {float((mean.high - mean.low)[axis]) / 2:,.{digits}f}"
 
 
 def _difference(mean: Mean, digits: int) -> str:

@@ -8,13 +8,13 @@ import torch
 
 from sim.aircraft.model import load_aircraft
 from toolchain.errors import PolicyError
-from training.checkpoints.monitor import flown, fly
+from training.checkpoints.monitor import FLIGHT, flown, fly
 from training.checkpoints.monitor_process import Monitor
 from training.config.algorithms import PpoConfig
 from training.config.randomization import Randomization
 from training.config.training_config import TrainingConfig, WorldConfig
 from training.tasks.random_steps import RandomStepsTask
-from training.tasks.task import EpisodicTask, PulseTask
+from training.tasks.task import ContinuousTask, EpisodicTask, PulseTask
 
 NF1 = load_aircraft("nf1")
 PPO = PpoConfig(aircraft=8, horizon=16, minibatch=64)
@@ -88,7 +88,10 @@ def test_the_policy_flies_with_its_idle() -> None:
     assert fly(NF1, replace(CONFIG, idle=0.2), 1, policy).mae != fly(NF1, CONFIG, 1, policy).mae
 
 
-def test_a_run_on_a_task_of_training_alone_is_monitored_on_pulses() -> None:
-    config = TrainingConfig(task=RandomStepsTask())
-    assert flown(config).task == PulseTask()
+def test_a_run_on_a_task_of_training_alone_is_monitored_in_flights() -> None:
+    config = flown(TrainingConfig(task=RandomStepsTask()))
+    assert config.task == FLIGHT
+    assert FLIGHT.duration_s == pytest.approx(28.0)  # four pulses of 4.5 s and a hover of 10 s
+    config.document(NF1)
+    assert flown(TrainingConfig(task=ContinuousTask())).task == PulseTask()
     assert flown(CONFIG).task == CONFIG.task

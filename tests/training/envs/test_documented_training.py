@@ -51,7 +51,10 @@ def test_the_lines_learn_to_fly(seed: int, tmp_path: Path, capsys: pytest.Captur
     assert "seed=1" in snippet()
     run(snippet().replace("seed=1", f"seed={seed}"), tmp_path)
     capsys.readouterr()
-    assert main(["evaluate", str(tmp_path / "policy.onnx"), "--episodes", "1000", "--json"]) == 0
+    assert (
+        main(["evaluate", str(tmp_path / "policy.onnx"), "--task", "pulse", "--episodes", "1000", "--json"])
+        == 0
+    )
     errors = json.loads(capsys.readouterr().out)["mae"]
     print(f"seed {seed}: MAE {errors} deg/s")
     assert sum(errors) / len(errors) < MAE_MAX_DEG_S

@@ -582,7 +582,7 @@ def test_command_rejects_in_one_line_when_there_is_nothing_to_show(tmp_path: Pat
 
 def test_page_is_made_from_the_output_of_the_commands(tmp_path: Path, capsys: Capture) -> None:
     commands = {
-        "a": ["evaluate", "pid:published", "--episodes", "2", "--no-noise"],
+        "a": ["evaluate", "pid:published", "--task", "pulse", "--episodes", "2", "--no-noise"],
         "b": ["evaluate", "pid:published", "--task", "episodic", "--episodes", "2"],
         "c": ["compare", "pid:tuned", "pid:published", "--task", "envelope", "--episodes", "2"],
         "d": ["stability", "--steps-ms", "2"],
