@@ -172,7 +172,7 @@ def _print(
 
 def _runs(runs: Sequence[Run]) -> Table:
     keys = list(runs[0].trial.varied)
-    table = _table("Runs", ("run", *keys))
+    table = _table("Runs", ("run", *keys, "drift, °"))
     for run in runs:
         head = [f"{run.trial.number}", *_cells(run.trial.varied, keys)]
         done = run.outcome
@@ -181,6 +181,7 @@ def _runs(runs: Sequence[Run]) -> Table:
             continue
         table.add_row(
             *head,
+            f"{done.drift.mean:.1f}" if done.drift else "-",
             *_figures(done.mae, done.mse, done.output, done.change),
             _count(done.instructions),
             _count(done.predicted_cycles),

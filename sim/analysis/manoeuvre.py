@@ -1,4 +1,4 @@
-"""Figures of a manoeuvre: errors, overshoot behind each change of a command, stray of axes left alone."""
+"""Figures of a manoeuvre: errors, overshoot behind each change of a command, stray, the hover behind it."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from sim.analysis.holding import SETTLED_S
 from sim.analysis.metrics import CHANGE_S, tracking
 from sim.flight.trace import Trace
 
@@ -16,7 +17,7 @@ STEP_MIN_DEG_S = 20.0  # a smaller change of a command has no overshoot to speak
 
 @dataclass(frozen=True)
 class ManoeuvreFigures:
-    """Of one flight, without its first hover; errors are against the true rate."""
+    """Of one flight, without the hovers before and behind it; errors are against the true rate."""
 
     mae: float  # [deg/s], mean of the axes
     mse: float  # [(deg/s)^2], likewise
@@ -25,22 +26,32 @@ class ManoeuvreFigures:
     stray_peak: float  # [deg/s], and the largest
     thrust: float  # mean over weight
     change: float  # mean |change| of a motor's fraction in 1 ms
+    rest: float  # [deg/s], mean |rate| of the axes in the hover behind, from SETTLED_S on
+    rest_worst: float  # [deg/s], of the axis with the most
+    drift: float  # [deg], turned in that time about the axis with the most
 
 
 def manoeuvre_figures(
-    trace: Trace, thrust: Array, commanded: tuple[bool, bool, bool], settle_s: float
+    trace: Trace, thrust: Array, commanded: tuple[bool, bool, bool], settle_s: float, hover_s: float
 ) -> ManoeuvreFigures:
-    """Figures of a flight from `settle_s` [s] on.
+    """Figures of a flight from `settle_s` [s] on, whose last `hover_s` are a hover.
 
     thrust: of all rotors over weight at each row of the trace, (N,). commanded: axes that have a command at
-    some time, and not all of them. Raises ValueError if nothing is left of the flight.
+    some time, and not all of them. Raises ValueError if nothing is left of the flight, or of the hover.
     """
     step_s = 1.0 / trace.control_rate_hz
     begin = round(settle_s * trace.control_rate_hz)
-    if begin >= len(trace.t):
-        raise ValueError(f"a flight of {len(trace.t)} rows, {begin} of them before the figures")
-    setpoint, rate = np.rad2deg(trace.setpoint[begin:].astype(np.float64)), np.rad2deg(trace.rate[begin:])
-    errors = tracking(trace.setpoint[begin:], trace.rate[begin:], step_s)
+    end = len(trace.t) - round(hover_s * trace.control_rate_hz)
+    if begin >= end or hover_s <= SETTLED_S:
+        raise ValueError(
+            f"a flight of {len(trace.t)} rows, {begin} of them before the figures, {len(trace.t) - end} of "
+            f"them a hover"
+        )
+    flown = slice(begin, end)
+    setpoint, rate = np.rad2deg(trace.setpoint[flown].astype(np.float64)), np.rad2deg(trace.rate[flown])
+    errors = tracking(trace.setpoint[flown], trace.rate[flown], step_s)
+    still = np.rad2deg(trace.rate[end + round(SETTLED_S / step_s) :], dtype=np.float64)
+    rests = np.abs(still).mean(axis=0)
     axes = np.array(commanded)
     alone = np.abs(rate[:, ~axes])
     stride = max(1, round(CHANGE_S / step_s))
@@ -52,8 +63,11 @@ def manoeuvre_figures(
         ),
         stray=float(alone.mean()),
         stray_peak=float(alone.max()),
-        thrust=float(thrust[begin:].mean()),
-        change=float(np.abs(np.diff(trace.motors[begin::stride], axis=0)).mean()),
+        thrust=float(thrust[flown].mean()),
+        change=float(np.abs(np.diff(trace.motors[begin:end:stride], axis=0)).mean()),
+        rest=float(rests.mean()),
+        rest_worst=float(rests.max()),
+        drift=float(np.abs(still.sum(axis=0) * step_s).max()),
     )
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from sim.flight.scenario import STILL, TURN_DEG_S, Rates, Scenario, Segment
 from sim.physics.world import Mount
 
 SETTLE_S = 1.0  # from standing rotors to a hover; no figure counts it
+HOVER_S = 4.0  # behind each of the five, level or not: what a memory that wound up in it leaves
 PULL_DEG_S = 360.0
 PITCH_DEG_S = 240.0  # into the dive and out of it
 FULL = math.inf  # thrust of the open throttle, whatever it is
@@ -46,6 +47,10 @@ class Manoeuvre:
         """Which axes are commanded at some time."""
         roll, pitch, yaw = (any(leg.rates[axis] for leg in self.legs) for axis in range(3))
         return roll, pitch, yaw
+
+    def then_hover(self) -> Manoeuvre:
+        """The same, and HOVER_S of centred sticks."""
+        return replace(self, legs=(*self.legs, Leg(HOVER_S, 1.0)))
 
     def scenario(self, throttle: Callable[[float], float]) -> Scenario:
         """The sticks. throttle: that gives a thrust over weight at rest, 0..1."""

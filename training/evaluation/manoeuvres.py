@@ -22,7 +22,7 @@ from sim.analysis.manoeuvre import ManoeuvreFigures, manoeuvre_figures
 from sim.analysis.stick_flight import DescentFigures, descent_figures
 from sim.control.controller import PolicyController
 from sim.flight.loop import Progress, fly
-from sim.flight.manoeuvres import DESCENT, SETTLE_S, Manoeuvre, ThrustCurve, stairs
+from sim.flight.manoeuvres import DESCENT, HOVER_S, SETTLE_S, Manoeuvre, ThrustCurve, stairs
 from sim.flight.motion import Motion
 from sim.flight.scenario import Scenario
 from sim.flight.trace import Trace
@@ -117,10 +117,10 @@ def fly_manoeuvre(
     seed: int,
     progress: Progress | None = None,
 ) -> ManoeuvreFigures:
-    """One flight of a seed, which draws noise, bias and gusts."""
-    scenario = manoeuvre.scenario(curve.throttle_of)
+    """One flight of a seed, which draws noise, bias and gusts: the manoeuvre, then a hover."""
+    scenario = manoeuvre.then_hover().scenario(curve.throttle_of)
     trace, motion, _ = _flight(contender, aircraft, air, scenario, seed, progress)
-    return manoeuvre_figures(trace, motion.thrust, manoeuvre.commanded, SETTLE_S)
+    return manoeuvre_figures(trace, motion.thrust, manoeuvre.commanded, SETTLE_S, HOVER_S)
 
 
 def trace_manoeuvre(

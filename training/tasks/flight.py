@@ -68,7 +68,7 @@ class FlightTask(RandomCommands):
         return replace(self, pulses=pulses, hover_s=length_s - pulses * self._pulse.duration_s)
 
     def of_commands(self, count: int) -> tuple[FlightTask, int]:
-        """Flights for that many commands, and their number; fewer than fill one are flown in a shorter one."""
+        """Flights for that many commands, and their number; one that they do not fill is shorter."""
         task = replace(self, pulses=min(self.pulses, count))
         return task, -(-count // task.pulses)
 

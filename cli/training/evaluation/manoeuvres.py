@@ -34,13 +34,16 @@ COLUMNS = (  # heading, figure, digits
     ("its peak", "stray_peak", 0),
     ("thrust", "thrust", 2),
     ("|Δu|", "change", 4),
+    ("hover", "rest", 2),
+    ("drift, °", "drift", 1),
 )
 NOTE = (
     "MAE and MSE: mean of the axes against the true rate, deg/s; ± is 95 % confidence over seeds. * the "
     "lowest of the manoeuvre, ** told from every other with 95 % confidence, seed by seed. Overshoot: the "
     "most past a command, in % of its jump. Stray: |rate| of axes that are not commanded. Thrust: of all "
-    "rotors over the weight, flown; |Δu| of the motors in 1 ms. Each throttle is the one whose thrust at "
-    "rest is the same for all, or the nearest that the contender gives."
+    "rotors over the weight, flown; |Δu| of the motors in 1 ms. Hover: |rate| with the sticks centred behind "
+    "the manoeuvre, and how far the aircraft drifts in it about its worst axis. Each throttle is the one "
+    "whose thrust at rest is the same for all, or the nearest that the contender gives."
 )
 
 

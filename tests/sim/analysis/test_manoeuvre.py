@@ -52,16 +52,18 @@ def test_overshoot_is_the_most_past_any_jump_in_percent_of_it() -> None:
     )
 
 
-def test_figures_leave_out_the_first_hover_and_tell_axes_apart() -> None:
-    setpoint, rate = np.zeros((2000, 3)), np.zeros((2000, 3))
+def test_figures_leave_out_the_hovers_and_tell_axes_apart() -> None:
+    setpoint, rate = np.zeros((4000, 3)), np.zeros((4000, 3))
     rate[:1000] = 900.0  # before the figures
-    setpoint[1500:, 0] = 100.0
-    rate[1500:, 0] = 120.0
-    rate[1000:, 1], rate[1700, 2] = 3.0, -50.0
-    thrust = np.repeat([5.0, 2.0], 1000)
-    motors = np.zeros((2000, 4))
-    motors[1000::2] = 0.25
-    found = manoeuvre_figures(trace(setpoint, rate, motors), thrust, (True, False, False), 1.0)
+    setpoint[1500:2000, 0] = 100.0
+    rate[1500:2000, 0] = 120.0
+    rate[1000:2000, 1], rate[1700, 2] = 3.0, -50.0
+    rate[2000:2500] = 300.0  # of the hover behind, while it settles
+    rate[2500:, 0], rate[2500:, 2] = 6.0, np.tile([-3.0, 3.0], 750)
+    thrust = np.repeat([5.0, 2.0, 1.0], [1000, 1000, 2000])
+    motors = np.zeros((4000, 4))
+    motors[1000:2000:2] = 0.25
+    found = manoeuvre_figures(trace(setpoint, rate, motors), thrust, (True, False, False), 1.0, 2.0)
     assert found.mae == pytest.approx((10 + 3 + 0.05) / 3)
     assert found.mse == pytest.approx((200 + 9 + 2.5) / 3, rel=1e-4)
     assert found.overshoot == pytest.approx(20)
@@ -69,8 +71,12 @@ def test_figures_leave_out_the_first_hover_and_tell_axes_apart() -> None:
     assert found.stray_peak == pytest.approx(50)
     assert found.thrust == 2
     assert found.change == pytest.approx(0.25)
-    with pytest.raises(ValueError, match="2000 rows"):
-        manoeuvre_figures(trace(setpoint, rate), thrust, (True, False, False), 2.0)
+    assert found.rest == pytest.approx(3.0)
+    assert found.rest_worst == pytest.approx(6.0)
+    assert found.drift == pytest.approx(9.0)  # 6 deg/s for 1.5 s; the yaw turns to and fro
+    for settle_s, hover_s in ((2.0, 2.0), (1.0, 0.5)):
+        with pytest.raises(ValueError, match="4000 rows"):
+            manoeuvre_figures(trace(setpoint, rate), thrust, (True, False, False), settle_s, hover_s)
 
 
 def test_stick_figures_tell_height_touchdown_and_standing() -> None:
