@@ -44,6 +44,7 @@ class PathwiseConfig:
     disturbance: float = (
         0.0  # [rad/s^2], largest standard deviation of what moments from outside do to roll and pitch
     )
+    wash: float = 0.0  # [rad/s^2], likewise, with the spectrum of prop wash; half the aircraft have it
     integral: float = 0.0  # [rad]: episodes begin with integrals of the rate error drawn within +- this
     adaption: float = 0.01  # greatest relative change of such a weight in an update
     adaption_start: float = 0.1  # part of the run before adaption starts; an early policy keeps no limit
@@ -76,6 +77,7 @@ class PathwiseConfig:
             ("change", 0.0, 1e6),
             ("closed", 0.0, 1e6),
             ("disturbance", 0.0, 1e4),
+            ("wash", 0.0, 1e4),
             ("integral", 0.0, RATE_ERROR_INTEGRAL_LIMIT_RAD),
             ("outlier", 1.0, 1e6),
             ("adaption", 0.0, 1.0),

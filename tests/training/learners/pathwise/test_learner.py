@@ -121,7 +121,7 @@ def test_the_frozen_policy_does_what_the_network_did_when_it_flew(recurrent: str
     controller = PolicyController(policy, 1)
     observer = Observer(run.blocks(), 1, 4, 1000, model=policy.model, idle=policy.idle)
     shape = model._shape  # type: ignore[attr-defined]
-    network = Network(shape, model._state.parameters)  # type: ignore[attr-defined]
+    network = Network(shape, model._basis.network(model._state.parameters))  # type: ignore[attr-defined]
     scale = np.array(run.observation_scale(4), np.float32)
     rng, action, throttle = np.random.default_rng(0), np.zeros((1, 4), np.float32), np.zeros(1, np.float32)
     for _ in range(20):
