@@ -34,7 +34,6 @@ class Batch:
     throttle: Array  # (B, T), the pilot's thrust
     variation: Variation  # of the B aircraft
     seed: int  # of the noise
-    integral: Array | None = None  # (B, 3) [rad], of the rate error at the start; None: 0
     disturbance: Array | None = None  # (B, T, 3) [rad/s^2], by moments from outside at the file's inertia
 
     def shares(self) -> list[Array]:
@@ -53,7 +52,7 @@ class Batch:
 
 def draw(config: TrainingConfig, pathwise: PathwiseConfig, delay_s: float, rng: np.random.Generator) -> Batch:
     """Draw the episodes of an update. delay_s: the aircraft's own."""
-    count, integral = pathwise.aircraft, pathwise.integral
+    count = pathwise.aircraft
     task, world, rate_hz = config.task, config.world, config.control_rate_hz
     if isinstance(task, RandomStepsTask):
         setpoint, step_weights = task.batch(count, rng, rate_hz)
@@ -67,7 +66,6 @@ def draw(config: TrainingConfig, pathwise: PathwiseConfig, delay_s: float, rng: 
         variation=world.randomization.draw(count, rng, delay_s),
         seed=int(rng.integers(2**63)),
         disturbance=_moments(pathwise, setpoint.shape[1], rate_hz, rng),
-        integral=rng.uniform(-integral, integral, (count, 3)).astype(np.float32) if integral else None,
     )
 
 

@@ -155,7 +155,6 @@ def test_a_run_is_rejected_when_it_has_no_pathwise_gradient(
         ("change_of", "rotors"),
         ("closed", -1.0),
         ("outlier", 0.5),
-        ("integral", 0.7),
         ("learning_rate", 0.0),
         ("square", -1.0),
         ("output_limit", 0.0),
