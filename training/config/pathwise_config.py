@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from sim.physics.world import COUNT_MAX
-from toolchain.contract import RATE_ERROR_INTEGRAL_LIMIT_RAD
 
 BATCH_STEPS_MAX = 6_000_000  # control steps of an update
 BLOCK = 16  # aircraft that are flown side by side
@@ -44,7 +43,7 @@ class PathwiseConfig:
     disturbance: float = (
         0.0  # [rad/s^2], largest standard deviation of what moments from outside do to roll and pitch
     )
-    integral: float = 0.0  # [rad]: episodes begin with integrals of the rate error drawn within +- this
+    wash: float = 0.0  # [rad/s^2], likewise, with the spectrum of prop wash; half the aircraft have it
     adaption: float = 0.01  # greatest relative change of such a weight in an update
     adaption_start: float = 0.1  # part of the run before adaption starts; an early policy keeps no limit
     start_output: float = 0.1  # output of an untrained policy, motor fraction
@@ -76,7 +75,7 @@ class PathwiseConfig:
             ("change", 0.0, 1e6),
             ("closed", 0.0, 1e6),
             ("disturbance", 0.0, 1e4),
-            ("integral", 0.0, RATE_ERROR_INTEGRAL_LIMIT_RAD),
+            ("wash", 0.0, 1e4),
             ("outlier", 1.0, 1e6),
             ("adaption", 0.0, 1.0),
             ("adaption_start", 0.0, 1.0),

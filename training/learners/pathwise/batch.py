@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import butter, lfilter
 
 from sim.physics.variation import Variation
 from training.config.pathwise_config import PathwiseConfig
@@ -18,6 +19,10 @@ KNOT_S = 0.15  # in which the air around a tumbling aircraft changes
 CALM = 0.3  # of the aircraft
 LEAST = 0.03  # of the largest standard deviation
 YAW = 0.2  # of the standard deviation in roll and pitch: the drag of rotors above the centre of mass tilts
+WASH_HZ = (20.0, 80.0)  # of prop wash, sim/physics/air.py: half power, of propellers of 5 inches
+WASH_YAW = 0.1  # of the standard deviation in roll and pitch: drag torques have short levers
+WASHED = 0.5  # of the aircraft
+WASH_BEGUN_S = 0.1  # before the episode: some times the memory of the band-pass
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,7 +34,6 @@ class Batch:
     throttle: Array  # (B, T), the pilot's thrust
     variation: Variation  # of the B aircraft
     seed: int  # of the noise
-    integral: Array | None = None  # (B, 3) [rad], of the rate error at the start; None: 0
     disturbance: Array | None = None  # (B, T, 3) [rad/s^2], by moments from outside at the file's inertia
 
     def shares(self) -> list[Array]:
@@ -48,7 +52,7 @@ class Batch:
 
 def draw(config: TrainingConfig, pathwise: PathwiseConfig, delay_s: float, rng: np.random.Generator) -> Batch:
     """Draw the episodes of an update. delay_s: the aircraft's own."""
-    count, disturbance, integral = pathwise.aircraft, pathwise.disturbance, pathwise.integral
+    count = pathwise.aircraft
     task, world, rate_hz = config.task, config.world, config.control_rate_hz
     if isinstance(task, RandomStepsTask):
         setpoint, step_weights = task.batch(count, rng, rate_hz)
@@ -61,11 +65,19 @@ def draw(config: TrainingConfig, pathwise: PathwiseConfig, delay_s: float, rng: 
         throttle=world.draw_throttles(count, setpoint.shape[1], rate_hz, rng),
         variation=world.randomization.draw(count, rng, delay_s),
         seed=int(rng.integers(2**63)),
-        disturbance=disturbances(count, setpoint.shape[1], rate_hz, disturbance, rng)
-        if disturbance
-        else None,
-        integral=rng.uniform(-integral, integral, (count, 3)).astype(np.float32) if integral else None,
+        disturbance=_moments(pathwise, setpoint.shape[1], rate_hz, rng),
     )
+
+
+def _moments(pathwise: PathwiseConfig, steps: int, rate_hz: int, rng: np.random.Generator) -> Array | None:
+    """See Batch.disturbance."""
+    count, sums = pathwise.aircraft, None
+    if pathwise.disturbance:
+        sums = disturbances(count, steps, rate_hz, pathwise.disturbance, rng)
+    if pathwise.wash:
+        shaken = washes(count, steps, rate_hz, pathwise.wash, rng)
+        sums = shaken if sums is None else sums + shaken
+    return sums
 
 
 def disturbances(count: int, steps: int, rate_hz: int, largest: float, rng: np.random.Generator) -> Array:
@@ -76,9 +88,25 @@ def disturbances(count: int, steps: int, rate_hz: int, largest: float, rng: np.r
     """
     knots = math.ceil(steps / rate_hz / KNOT_S) + 1
     sigma = largest * LEAST ** rng.random(count) * (rng.random(count) >= CALM)
-    values = rng.standard_normal((count, knots, 3)) * sigma[:, None, None] * (1.0, 1.0, YAW)
+    values = rng.standard_normal((count, knots, 3)) + rng.standard_normal((count, 1, 3))
+    values = values * sigma[:, None, None] * (1.0, 1.0, YAW)
     at = np.arange(steps) / rate_hz / KNOT_S
     before = at.astype(np.intp)
     part = (at - before)[:, None]
     lines = (1.0 - part) * values[:, before] + part * values[:, before + 1]
     return lines.astype(np.float32)
+
+
+def washes(count: int, steps: int, rate_hz: int, largest: float, rng: np.random.Generator) -> Array:
+    """Angular accelerations (count, steps, 3) [rad/s^2] with the spectrum of an aircraft's own prop wash.
+
+    The standard deviation of WASHED of the aircraft is drawn up to `largest`; the others have none.
+    """
+    begun = round(WASH_BEGUN_S * rate_hz)
+    sigma = largest * rng.random(count) * (rng.random(count) < WASHED)
+    above, below = butter(1, WASH_HZ, "bandpass", fs=rate_hz)
+    white = rng.standard_normal((count, begun + steps, 3))
+    band = lfilter(above, below, white, axis=1)[:, begun:]
+    low, high = WASH_HZ
+    unit = math.sqrt(rate_hz / (math.pi * (high - low)))  # white noise through a band of this width
+    return (band * (unit * sigma[:, None, None] * (1.0, 1.0, WASH_YAW))).astype(np.float32)

@@ -145,8 +145,6 @@ class Flights:
             "throttle": batch.throttle[index].T,
             **dict(zip(("absolute", "squared", "effort", "closed"), weights, strict=True)),
         }
-        if batch.integral is not None:
-            rows["integral"] = batch.integral[index].T
         if batch.disturbance is not None:
             inertia = aircraft.mass_properties.inertia
             rows["disturbance"] = (batch.disturbance[index] @ inertia.T).transpose(1, 2, 0)

@@ -29,6 +29,7 @@ from toolchain.errors import TrainingError
 from training.config.pathwise_config import PathwiseConfig
 from training.config.training_config import OBSERVATION_SCALES, TrainingConfig
 from training.learners.network.shape import Shape
+from training.learners.pathwise.basis import Basis
 from training.learners.pathwise.batch import draw
 from training.learners.pathwise.descent import Good, Setback, State, adapted, descended, guarded
 from training.learners.pathwise.flights import Flights
@@ -49,6 +50,7 @@ class PathwiseLearner:
         self._delay_s, self._config, self._pathwise = aircraft.propulsion.delay, config, pathwise
         surroundings = _surroundings(aircraft, config, pathwise)
         self._shape = surroundings.shape
+        self._basis = Basis(self._shape, surroundings.terms, aircraft.motor_count)
         self._flights = Flights(surroundings)
         self._batch_steps = pathwise.aircraft * surroundings.steps
         self._updates = math.ceil(config.steps / self._batch_steps)
@@ -75,9 +77,10 @@ class PathwiseLearner:
         """Fly a batch and update the policy; returns the batch's figures."""
         state, pathwise = self._state, self._pathwise
         batch = draw(self._config, pathwise, self._delay_s, rng)
-        figures, found = self._flights.gradient(batch, state.parameters, state.weights)
+        parameters = self._basis.network(state.parameters)
+        figures, found = self._flights.gradient(batch, parameters, state.weights)
         adapting = state.updates >= pathwise.adaption_start * self._updates
-        state = descended(state, found, self._rate(), pathwise)
+        state = descended(state, self._basis.gradient(found), self._rate(), pathwise)
         self._state = guarded(adapted(state, figures, pathwise, adapting), pathwise.square)
         return figures
 
@@ -112,7 +115,8 @@ class PathwiseLearner:
 
     def policy(self) -> dict[str, torch.Tensor]:
         """See Learner."""
-        parts = [torch.from_numpy(part.copy()) for part in self._shape.split(self._state.parameters)]
+        network = self._basis.network(self._state.parameters)
+        parts = [torch.from_numpy(part.copy()) for part in self._shape.split(network)]
         memory: dict[str, torch.Tensor] = {}
         if self._shape.recurrent != "none":
             names = ("weight_ih", "bias_ih", "weight_hh", "bias_hh")
@@ -167,7 +171,7 @@ class PathwiseLearner:
         if {name: part.shape for name, part in mine.items()} != {n: p.shape for n, p in policy.items()}:
             raise TrainingError("the policy to start from has another network than the configuration")
         parts = [policy[name].numpy().astype(np.float32).ravel() for name in mine]
-        self._state = State.fresh(np.concatenate(parts), Weights(**state["weights"]))
+        self._state = State.fresh(self._basis.learned(np.concatenate(parts)), Weights(**state["weights"]))
 
     def close(self) -> None:
         """See Learner."""

@@ -45,7 +45,6 @@ class Case:
     count: int = 5
     charge: float = np.nan
     disturbance: float = 0.0
-    integral: float = 0.0
     varied: bool = True
     noise: bool = True
     rounded: bool = False
@@ -93,12 +92,7 @@ class Case:
         disturbance = None
         if self.disturbance:
             disturbance = disturbances(count, self.steps, RATE_HZ, self.disturbance, rng)
-        integral = None
-        if self.integral:
-            integral = rng.uniform(-self.integral, self.integral, (count, 3)).astype(np.float32)
-        return Batch(
-            setpoint, weights, throttle, variation, seed=7, integral=integral, disturbance=disturbance
-        )
+        return Batch(setpoint, weights, throttle, variation, seed=7, disturbance=disturbance)
 
     def variation(self, rng: np.random.Generator) -> Variation:
         """Aircraft that differ in all, if they are to."""

@@ -42,8 +42,6 @@ def flown_by_twin(case: Case) -> Record:
         rng=np.random.default_rng(0),
     )
     observer = Observer(own.terms, count, aircraft.motor_count, RATE_HZ, model=own.model, idle=own.idle)
-    if batch.integral is not None:
-        observer._integral[:] = batch.integral
     network = Network(own.shape, case.parameters())
     scale = [
         own.scales[i] for i, term in enumerate(own.terms) for _ in range(term.count(aircraft.motor_count))
@@ -107,20 +105,12 @@ def test_flight_is_the_twins_when_a_policy_flies(name: str, mix: Mix) -> None:
     "case",
     [
         Case(noise=False, samples=1, strength=0.05, steps=400),
-        Case(noise=False, integral=0.5, strength=0.05, steps=400),
         Case(noise=False, recurrent="gru", strength=0.05, steps=400),
         Case(noise=False, recurrent="lstm", strength=0.05, steps=400),
         Case(noise=False, activation="relu", squash=True, strength=0.05, steps=400),
         Case(observation="rate~15Hz,rate_error~40Hz@3,previous_motors@2,rotor_estimate~90Hz@1", noise=False),
     ],
-    ids=[
-        "a sample a control step",
-        "begun with integrals",
-        "gru",
-        "lstm",
-        "relu and squash",
-        "low-passes and ages",
-    ],
+    ids=["a sample a control step", "gru", "lstm", "relu and squash", "low-passes and ages"],
 )
 def test_flight_is_the_twins_when_the_policy_differs(case: Case) -> None:
     assert_close(case, recorded(case), flown_by_twin(case))

@@ -23,7 +23,6 @@ CASES = {
     "change of the outputs": Case(of_motors=False),
     "small errors rounded off": Case(soft=30.0),
     "disturbed": Case(disturbance=100.0),
-    "begun with integrals, some at their limit": Case(integral=0.65),
     "relu": Case(activation="relu", strength=0.05),
     "squashed": Case(squash=True),
     "a gru alone": Case(hidden=(7,), recurrent="gru"),

@@ -121,7 +121,7 @@ def test_the_frozen_policy_does_what_the_network_did_when_it_flew(recurrent: str
     controller = PolicyController(policy, 1)
     observer = Observer(run.blocks(), 1, 4, 1000, model=policy.model, idle=policy.idle)
     shape = model._shape  # type: ignore[attr-defined]
-    network = Network(shape, model._state.parameters)  # type: ignore[attr-defined]
+    network = Network(shape, model._basis.network(model._state.parameters))  # type: ignore[attr-defined]
     scale = np.array(run.observation_scale(4), np.float32)
     rng, action, throttle = np.random.default_rng(0), np.zeros((1, 4), np.float32), np.zeros(1, np.float32)
     for _ in range(20):
@@ -155,7 +155,6 @@ def test_a_run_is_rejected_when_it_has_no_pathwise_gradient(
         ("change_of", "rotors"),
         ("closed", -1.0),
         ("outlier", 0.5),
-        ("integral", 0.7),
         ("learning_rate", 0.0),
         ("square", -1.0),
         ("output_limit", 0.0),

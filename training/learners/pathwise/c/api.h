@@ -128,7 +128,6 @@ struct block {
 	const real *lift, *drag, *light;    /* factors of thrust, drag torque and all moments, over that of inertia */
 	const real *load;                   /* factor of the drag torque in the battery's power */
 	const real *charge;                 /* state of charge at the start; negative: the bench supply */
-	const real *integral;               /* (3) [rad], of the rate error at the start; NULL: 0 */
 	const int32_t *delay;               /* [samples], at least 1 */
 	const real *phase;                  /* (M) [rad], of the rotors at the start, where the gyro vibrates */
 	const real *setpoint;               /* (T, 3) [rad/s] */

@@ -139,7 +139,6 @@ static void flight_forward(const struct plan *p, const struct block *b, const st
 	if (p->pack.present)
 		supply_begin(&supply, p, b, t->ratio);
 	gyro_begin(&gyros, p, b, t->rate);
-	observe_begin(&observer, b->integral);
 	for (size_t k = 0; k < p->steps; ++k) {
 		real *const action = actions[k % 2u], *const before = actions[(k + 1u) % 2u];
 		real *const unclipped = t->unclipped + k * rows;

@@ -1,13 +1,5 @@
 #include "observation.h"
 
-/* Before the first step. integral: rows (3) [rad]; NULL: 0 */
-void observe_begin(struct observer *o, const real *integral)
-{
-	rows_clear(o->integral, 3);
-	if (integral != NULL)
-		rows_copy(o->integral, integral, 3);
-}
-
 /* Rate error, its change and its integral, of setpoint and the rate that is sensed. */
 void observe_error(struct observer *o, const struct controller *c, size_t k, const real *setpoint, struct sensed *s,
 		   real *free)
@@ -16,7 +8,7 @@ void observe_error(struct observer *o, const struct controller *c, size_t k, con
 	real *const delta = s->of[BLOCK_ERROR_DELTA], *const integral = s->of[BLOCK_ERROR_INTEGRAL];
 
 	for (size_t i = 0; i < 3u * LANES; ++i) {
-		const real now = setpoint[i] - rate[i], grown = o->integral[i] + now * c->dt;
+		const real now = setpoint[i] - rate[i], grown = (k > 0 ? o->integral[i] : R(0)) + now * c->dt;
 
 		delta[i] = k > 0 ? now - o->error[i] : R(0);
 		error[i] = o->error[i] = now;

@@ -31,7 +31,6 @@ struct observer {
 	real error[3 * LANES], integral[3 * LANES];
 };
 
-void observe_begin(struct observer *o, const real *integral);
 void observe_error(struct observer *o, const struct controller *c, size_t k, const real *setpoint, struct sensed *s,
 		   real *free);
 void observe_error_back(struct observer *by, const struct controller *c, size_t k, const real *free, struct sensed *by_s,

@@ -1,0 +1,74 @@
+"""The units of the network's inputs in which a policy is learned: differences of what is nearly the same.
+
+A low-passed or predicted rate is nearly the rate. What it tells beside it, an acceleration or a moment from
+outside, is a small difference, which a first layer makes of large weights that nearly cancel: a descent finds
+them late or never. So the learner's parameters weigh the differences, enlarged. The network that flies has
+the same inputs as ever; its first layer is converted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from toolchain.contract import ObservationTerm
+from training.learners.network.shape import Shape
+
+Array = NDArray[np.float32]
+RATE, ESTIMATE = "rate", "rate_estimate"
+LARGER = np.float32(10.0)  # brings differences to the size of the other inputs
+
+
+class Basis:
+    """Converts parameters between how they are learned and how the network has them."""
+
+    def __init__(self, shape: Shape, terms: Sequence[ObservationTerm], motors: int) -> None:
+        self._shape = shape
+        self._pairs = _pairs(terms, motors)
+
+    def network(self, learned: Array) -> Array:
+        """The network's parameters."""
+        parameters = learned.copy()
+        first = self._shape.split(parameters)[0]
+        for own, other in self._pairs:
+            first[:, other] -= LARGER * first[:, own]
+            first[:, own] *= LARGER
+        return parameters
+
+    def learned(self, network: Array) -> Array:
+        """The inverse of `network`."""
+        parameters = network.copy()
+        first = self._shape.split(parameters)[0]
+        for own, other in reversed(self._pairs):
+            first[:, own] /= LARGER
+            first[:, other] += LARGER * first[:, own]
+        return parameters
+
+    def gradient(self, found: Array) -> Array:
+        """The gradient by what is learned, of the one by the network's parameters."""
+        gradient = found.copy()
+        first = self._shape.split(gradient)[0]
+        for own, other in reversed(self._pairs):
+            first[:, own] = LARGER * (first[:, own] - first[:, other])
+        return gradient
+
+
+def _pairs(terms: Sequence[ObservationTerm], motors: int) -> list[tuple[slice, slice]]:
+    """Inputs that count as differences from others, and those; in an order in which the others come first.
+
+    `rate_estimate~f` is a difference from `rate~f` if that is observed; all else of this kind from `rate`.
+    """
+    ends = np.cumsum([0, *(term.count(motors) for term in terms)]).tolist()
+    inputs = {term.text: slice(*both) for term, both in zip(terms, pairwise(ends), strict=True)}
+    if RATE not in inputs:
+        return []
+    rates = [term for term in terms if term.name == RATE and term.text != RATE]
+    estimates = [term for term in terms if term.name == ESTIMATE]
+    pairs = [(inputs[term.text], inputs[RATE]) for term in rates]
+    for term in estimates:
+        alike = term.text.replace(ESTIMATE, RATE)
+        pairs.append((inputs[term.text], inputs.get(alike, inputs[RATE])))
+    return pairs
