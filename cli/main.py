@@ -53,7 +53,7 @@ COMMANDS = {
     "robustness": "measure controllers on aircraft whose parameters differ from their file",
     "failure": "fly controllers through a motor that fails, or a payload that comes, goes or shifts",
     "adapt": "refine a policy on what a flight told of the aircraft, and prove it",
-    "manoeuvres": "fly roll, flip, Split-S, punch-out and dive recovery freely, with drag, battery, gusts",
+    "manoeuvres": "fly roll, flip, Split-S, punch-out, dive, prop wash freely, with drag, battery, gusts",
     "power": "measure what controllers draw from the battery: disarmed, armed idling, in flight",
     "dyno": "measure a rotor on a dynamometer, simulated or real, and fit its model to the log",
     "stability": "measure how far the links of an aircraft drift apart in pybullet",

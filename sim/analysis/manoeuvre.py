@@ -12,6 +12,7 @@ from sim.analysis.metrics import CHANGE_S, tracking
 from sim.flight.trace import Trace
 
 Array = NDArray[np.float64]
+SHAKE_HZ = (20.0, 80.0)  # where prop wash shakes a 5-inch: slower a controller holds it, faster its mass does
 STEP_MIN_DEG_S = 20.0  # a smaller change of a command has no overshoot to speak of
 
 
@@ -29,6 +30,7 @@ class ManoeuvreFigures:
     rest: float  # [deg/s], mean |rate| of the axes in the hover behind, from SETTLED_S on
     rest_worst: float  # [deg/s], of the axis with the most
     drift: float  # [deg], turned in that time about the axis with the most
+    shake: float  # [deg/s], root mean square of the errors between SHAKE_HZ, of all axes
 
 
 def manoeuvre_figures(
@@ -68,7 +70,17 @@ def manoeuvre_figures(
         rest=float(rests.mean()),
         rest_worst=float(rests.max()),
         drift=float(np.abs(still.sum(axis=0) * step_s).max()),
+        shake=shake(rate - setpoint, step_s),
     )
+
+
+def shake(error: Array, step_s: float) -> float:
+    """Root mean square of errors (T, 3) between SHAKE_HZ, of all axes."""
+    parts = np.fft.rfft(error - error.mean(axis=0), axis=0)
+    frequency = np.fft.rfftfreq(len(error), step_s)
+    inside = (frequency >= SHAKE_HZ[0]) & (frequency <= SHAKE_HZ[1])
+    power = 2.0 * (np.abs(parts[inside]) ** 2).sum(axis=0) / len(error) ** 2
+    return float(np.sqrt(power.mean()))
 
 
 def overshoot(setpoint: Array, rate: Array) -> float:

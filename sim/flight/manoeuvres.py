@@ -1,4 +1,4 @@
-"""Five manoeuvres and a descent in free flight, with throttles of the thrust that a pilot wants.
+"""Six manoeuvres and a descent in free flight, with throttles of the thrust that a pilot wants.
 
 Controllers turn the same throttle into different thrusts. So a manoeuvre says thrust over weight, and is made
 into a scenario by each contender's own curve of thrust at rest against throttle, inverted: all then fly with
@@ -17,7 +17,7 @@ from sim.flight.scenario import STILL, TURN_DEG_S, Rates, Scenario, Segment
 from sim.physics.world import Mount
 
 SETTLE_S = 1.0  # from standing rotors to a hover; no figure counts it
-HOVER_S = 4.0  # behind each of the five, level or not: what a memory that wound up in it leaves
+HOVER_S = 4.0  # behind each of them, level or not: what a memory that wound up in it leaves
 PULL_DEG_S = 360.0
 PITCH_DEG_S = 240.0  # into the dive and out of it
 FULL = math.inf  # thrust of the open throttle, whatever it is
@@ -102,6 +102,11 @@ MANOEUVRES = (
             Leg(0.4, 2.0),
             Leg(0.4, 1.0),
         ),
+    ),
+    Manoeuvre(
+        "wash",
+        "level: down through its own wash at little throttle, then closed, caught with twice the weight",
+        (Leg(1.0, 0.6), Leg(0.4, CLOSED), Leg(0.7, 2.0), Leg(0.4, 1.0)),
     ),
 )
 DESCENT = Manoeuvre("descent", "level, the throttle closed from the hover", (Leg(10.0, CLOSED),))

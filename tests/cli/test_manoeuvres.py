@@ -38,7 +38,9 @@ def flown(
     error = 10.0 + seed + (0.0 if better else 1.0)
     if manoeuvre.name == "roll":
         error = 10.0 + (0.0 if better else 0.1) + (seed % 2 if better else 0)
-    return ManoeuvreFigures(error, error**2, curve.throttle_of(1.0), air.gust, 4.0, 1.5, 0.004)
+    return ManoeuvreFigures(
+        error, error**2, curve.throttle_of(1.0), air.gust, 4.0, 1.5, 0.004, 0.5, 0.9, 3.25, 2.5
+    )
 
 
 @pytest.fixture
@@ -72,7 +74,7 @@ def test_it_tells_who_wins_each_manoeuvre_and_how_surely(capsys: Capture) -> Non
     assert second["descent"]["sink_m_s"]["value"] == 17.5
     page = render([Stored("manoeuvres-1.json", document)])
     assert (
-        "Won of 5: PID `published`: 2 in MAE, 2 in MSE; PID `tuned`, idle 0.23: 3 in MAE, 3 in MSE." in page
+        "Won of 6: PID `published`: 2 in MAE, 2 in MSE; PID `tuned`, idle 0.23: 4 in MAE, 4 in MSE." in page
     )
 
 

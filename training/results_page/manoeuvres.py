@@ -14,6 +14,7 @@ TITLES = {
     "split-s": "Split-S",
     "punch-out": "punch-out with a roll",
     "dive-recovery": "dive recovery",
+    "wash": "prop wash",
 }
 COMPARED = (("mae", 2), ("mse", 0))  # figures that are won: name, digits
 OTHERS = (("overshoot", 0), ("stray", 1), ("stray_peak", 0), ("thrust", 2), ("change", 4))

@@ -1,4 +1,4 @@
-"""neuroflight manoeuvres: policies, PIDs and Betaflight in five manoeuvres and a descent, on equal terms."""
+"""neuroflight manoeuvres: policies, PIDs and Betaflight in six manoeuvres and a descent, on equal terms."""
 
 from __future__ import annotations
 
@@ -34,6 +34,7 @@ COLUMNS = (  # heading, figure, digits
     ("its peak", "stray_peak", 0),
     ("thrust", "thrust", 2),
     ("|Δu|", "change", 4),
+    ("20-80 Hz", "shake", 1),
     ("hover", "rest", 2),
     ("drift, °", "drift", 1),
 )
@@ -41,7 +42,8 @@ NOTE = (
     "MAE and MSE: mean of the axes against the true rate, deg/s; ± is 95 % confidence over seeds. * the "
     "lowest of the manoeuvre, ** told from every other with 95 % confidence, seed by seed. Overshoot: the "
     "most past a command, in % of its jump. Stray: |rate| of axes that are not commanded. Thrust: of all "
-    "rotors over the weight, flown; |Δu| of the motors in 1 ms. Hover: |rate| with the sticks centred behind "
+    "rotors over the weight, flown; |Δu| of the motors in 1 ms. 20-80 Hz: root mean square of the errors in "
+    "that band, what a pilot sees of prop wash. Hover: |rate| with the sticks centred behind "
     "the manoeuvre, and how far the aircraft drifts in it about its worst axis. Each throttle is the one "
     "whose thrust at rest is the same for all, or the nearest that the contender gives."
 )

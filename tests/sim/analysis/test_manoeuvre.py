@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from types import SimpleNamespace
 from typing import Any, cast
 
 import numpy as np
 import pytest
 
-from sim.analysis.manoeuvre import manoeuvre_figures, overshoot
+from sim.analysis.manoeuvre import manoeuvre_figures, overshoot, shake
 from sim.analysis.stick_flight import descent_figures, stick_figures
 from sim.flight.motion import Motion
 from sim.flight.scenario import Scenario, Segment
@@ -50,6 +51,15 @@ def test_overshoot_is_the_most_past_any_jump_in_percent_of_it() -> None:
     assert overshoot(np.repeat([0.0, 100.0, 50.0], 10), np.repeat([0.0, 104.0, 45.0], 10)) == pytest.approx(
         10
     )
+
+
+@pytest.mark.parametrize(
+    ("frequency", "seen"), [(10.0, 0.0), (20.0, 1.0), (40.0, 1.0), (80.0, 1.0), (90.0, 0.0)]
+)
+def test_shake_is_the_power_between_20_and_80_hz(frequency: float, seen: float) -> None:
+    t = np.arange(1500) / HZ
+    error = np.stack([4.0 * np.sin(2 * np.pi * frequency * t), 0 * t, 5.0 + 0 * t], axis=1)
+    assert shake(error, 1 / HZ) == pytest.approx(seen * math.sqrt(4.0**2 / 2 / 3), abs=1e-9)
 
 
 def test_figures_leave_out_the_hovers_and_tell_axes_apart() -> None:

@@ -29,6 +29,7 @@ TURNED = {  # degrees about roll, pitch, yaw
     "split-s": (180, -180, 0),
     "punch-out": (360, 0, 0),
     "dive-recovery": (0, 0, 0),
+    "wash": (0, 0, 0),
 }
 
 
