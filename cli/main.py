@@ -25,6 +25,7 @@ ROOMS = {  # which folder of cli/ holds the module of a command; its name is the
     "sim": ("dyno", "stability", "fly", "board", "twin", "aircraft", "view"),
     "training": (
         "train",
+        "policy",
         "learning-curves",
         "sweep",
         "tune-pid",
@@ -44,6 +45,7 @@ COMMANDS = {
     "timing": "count what a policy, or an image in flight, takes on the board: instructions, cycles",
     "freeze": "turn a checkpoint, or the model of another trainer, into policy.onnx",
     "train": "train a policy in the twin of an aircraft",
+    "policy": "check that a policy is fit to fly before it is built and flashed",
     "learning-curves": "draw the training reward of runs over their steps, averaged over seeds",
     "sweep": "train many policies at once and show those that no other beats in every figure",
     "tune-pid": "find the gains of a PID for an aircraft in its twin",

@@ -76,6 +76,7 @@ ROOMS = (
     "training/checkpoints",
     "training/runs",
     "training/evaluation",
+    "training/fitness",
     "training/adaptation",
     "training/pid_tuning",
     "training/sweeps",

@@ -89,7 +89,7 @@ class Monitor:
         context = multiprocessing.get_context("spawn")  # a fork would share torch's threads and the twin
         self._link, theirs = context.Pipe()
         self._process = context.Process(target=_work, args=(theirs,), daemon=True, name="monitor")
-        with _interrupts_ignored():  # the other process inherits it: only this one handles Ctrl-C
+        with interrupts_ignored():  # the other process inherits it: only this one handles Ctrl-C
             self._process.start()
         theirs.close()
         self._link.send((self._aircraft, self._config))
@@ -121,7 +121,8 @@ def _tried(fly: Any, *args: Any) -> CheckpointMetrics | Exception:  # noqa: ANN4
 
 
 @contextmanager
-def _interrupts_ignored() -> Iterator[None]:
+def interrupts_ignored() -> Iterator[None]:
+    """Ignore Ctrl-C in the block, and in processes that start in it."""
     if threading.current_thread() is not threading.main_thread():  # only the main thread may set handlers
         yield
         return

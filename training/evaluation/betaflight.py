@@ -23,6 +23,7 @@ from sim.aircraft.model import Aircraft
 from sim.control import sticks
 from sim.physics.imu import counts
 from sim.physics.twin import Twin
+from sim.physics.variation import Variation
 from sim.physics.world import Mount
 from sim.ports.betaflight.build import VERSION
 from sim.ports.betaflight.fleet import ArmedBetaflight, BetaflightFleet
@@ -90,6 +91,7 @@ def record_betaflight(
     noise: bool = True,
     throttle: float | NDArray[np.float32] = 0.0,
     charge: float | None = None,
+    variation: Variation | None = None,
     event: Event | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Flights:
@@ -113,6 +115,7 @@ def record_betaflight(
         ground=ground,
         noise=noise,
         charge=charge,
+        variation=variation,
         rng=noise_rng,
     )
     with closing(twin), BetaflightFleet(armed, twin.live) as fleet:

@@ -121,8 +121,6 @@ class Conditions:
         # Recorded commands are of sticks already.
         task = OnSticks(self.task) if self.sticks and not isinstance(self.task, RecordedPieces) else self.task
         if isinstance(controller, BetaflightSpec):
-            if variation is not None:
-                raise ValueError("Betaflight flies the aircraft of the file only")
             if event is not None and event.yaw_given_up:
                 raise ValueError("Betaflight cannot be told to give up yaw")
             return record_betaflight(
@@ -135,7 +133,8 @@ class Conditions:
                 ground=self.ground,
                 noise=self.noise,
                 throttle=throttle,
-                charge=self.charge,
+                charge=self.charge if variation is None else None,
+                variation=variation,
                 event=event,
                 progress=progress,
             )

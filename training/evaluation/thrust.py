@@ -99,15 +99,16 @@ def at_rest(
     conditions: Conditions,
     throttles: Sequence[float],
     progress: Progress | None = None,
+    aircraft: int = AIRCRAFT,
 ) -> list[Rest]:
-    """The controller at rest at each throttle, all at once."""
+    """The controller at rest at each throttle, all at once; aircraft: so many at each."""
     still = EpisodicTask(distribution="normal", sigma_deg_s=0.0, hold_s=REST_S)
-    count = len(throttles) * AIRCRAFT
+    count = len(throttles) * aircraft
     resting = replace(conditions, task=still, episodes=count, mount=Mount.CENTRE)
-    flights = resting.fly(controller, np.repeat(np.array(throttles, np.float32), AIRCRAFT), progress)
+    flights = resting.fly(controller, np.repeat(np.array(throttles, np.float32), aircraft), progress)
     assert flights.lift is not None and flights.motors is not None
     last = slice(-round(LAST_S / flights.step_s), None)
-    thrust = flights.lift[:, last].mean(axis=1, dtype=np.float64).reshape(-1, AIRCRAFT) / GRAVITY
+    thrust = flights.lift[:, last].mean(axis=1, dtype=np.float64).reshape(-1, aircraft) / GRAVITY
     motors = flights.motors[:, last].astype(np.float64)
     means, deviations = (
         values.reshape(len(throttles), -1).mean(axis=1)
@@ -117,6 +118,11 @@ def at_rest(
         Rest(throttle, mean_over(each), float(mean), float(deviation))
         for throttle, each, mean, deviation in zip(throttles, thrust, means, deviations, strict=True)
     ]
+
+
+def throttle_of(rests: Sequence[Rest], wanted: float) -> float:
+    """The throttle that gives about `wanted` of the weight, or the nearest to it, between known ones."""
+    return _Search.of(rests, wanted).guess()
 
 
 def trims(

@@ -25,7 +25,8 @@ class OnSticks:
 
     def episodes(self, count: int, rng: np.random.Generator, rate_hz: int) -> Setpoints:
         """See Task."""
-        wanted = np.rad2deg(self.task.episodes(count, rng, rate_hz).astype(np.float64))
+        # Rounded: full stick, as radians in float32 and back, would lie just beyond it.
+        wanted = np.rad2deg(self.task.episodes(count, rng, rate_hz).astype(np.float64)).round(3)
         said: Setpoints = np.empty(wanted.shape, np.float32)
         for episode in range(count):
             said[episode] = sticks.setpoint(sticks.channels(wanted[episode], 0.0, armed=True))

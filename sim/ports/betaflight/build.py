@@ -53,9 +53,7 @@ def build_betaflight(folder: Path, say: Say) -> Betaflight:
 
     Raises BuildError, one line, when something is missing or fails; what is there stays.
     """
-    source = CLOCK.read_bytes()
-    program = folder / f"betaflight-{VERSION}-sitl"
-    clock = folder / f"clock-{hashlib.sha256(source).hexdigest()[:12]}.so"
+    program, clock = _places(folder)
     with locked(folder):
         if not program.is_file():
             _check_tools()
@@ -64,6 +62,17 @@ def build_betaflight(folder: Path, say: Say) -> Betaflight:
             _check_tools()
             build_clock(clock)
     return Betaflight(program, clock)
+
+
+def is_built(folder: Path) -> bool:
+    """Whether `build_betaflight` has nothing to do in `folder`."""
+    return all(place.is_file() for place in _places(folder))
+
+
+def _places(folder: Path) -> tuple[Path, Path]:
+    """Where the program and the clock lie."""
+    clock = f"clock-{hashlib.sha256(CLOCK.read_bytes()).hexdigest()[:12]}.so"
+    return folder / f"betaflight-{VERSION}-sitl", folder / clock
 
 
 def build_clock(clock: Path) -> None:

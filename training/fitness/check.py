@@ -1,0 +1,116 @@
+"""Whether a policy is fit to fly an aircraft: flies it and its references, and holds the bars."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from sim.aircraft.model import Aircraft
+from sim.design.figures import aircraft_figures
+from toolchain.policy.check_stamp import stamp_document
+from training.evaluation.controllers import load_controller
+from training.fitness.bars import Bar, bars
+from training.fitness.course import SEED
+from training.fitness.flying import Flown, Progress, fly_course
+from training.fitness.references import References
+
+WORDS_MAX = 3  # reasons that one bar gives, the worst first
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """The end of a check."""
+
+    policy_sha256: str
+    aircraft: Aircraft
+    references: tuple[Flown, ...]
+    missing: tuple[str, ...]  # references that could not be flown, and why
+    bars: tuple[Bar, ...]
+
+    @property
+    def fit(self) -> bool:
+        """Whether every bar is met."""
+        return all(bar.met for bar in self.bars)
+
+    @property
+    def reasons(self) -> list[str]:
+        """What is wrong, a sentence each, the worst cases of each bar that is not met."""
+        told = []
+        for bar in self.bars:
+            failed = sorted((case for case in bar.cases if not case.met), key=lambda c: -c.share)
+            told += [case.reason for case in failed[:WORDS_MAX]]
+            if len(failed) > WORDS_MAX:
+                told.append(f"{len(failed) - WORDS_MAX} more of {len(bar.cases)} figures of: {bar.name}")
+        return told
+
+    def document(self) -> dict[str, Any]:
+        """As JSON data, sealed: the stamp."""
+        return stamp_document(
+            policy_sha256=self.policy_sha256,
+            aircraft=self.aircraft.name,
+            aircraft_sha256=self.aircraft.sha256,
+            fit=self.fit,
+            figures={
+                "seed": SEED,
+                "references": [each.label for each in self.references],
+                "missing": list(self.missing),
+                "reasons": self.reasons,
+                "bars": [_bar_document(bar) for bar in self.bars],
+            },
+        )
+
+    def cases(self) -> dict[str, list[dict[str, Any]]]:
+        """Every figure beside its limit, by bar, as JSON data."""
+        return {
+            bar.name: [
+                {
+                    "where": case.where,
+                    "seen": _number(case.seen),
+                    "limit": _number(case.limit),
+                    "met": case.met,
+                }
+                for case in bar.cases
+            ]
+            for bar in self.bars
+        }
+
+
+def check(
+    policy: Path, aircraft: Aircraft, references: References, progress: Progress | None = None
+) -> Verdict:
+    """Fly a policy file and hold its bars. references: of the same aircraft.
+
+    Raises PolicyError on a file that is no policy, or drives another number of motors, AircraftError where
+    there is no reference.
+    """
+    controller = load_controller(str(policy), aircraft)
+    references.begin()
+    flown = fly_course(controller, references.course, progress)
+    others, missing = references.flown()
+    return Verdict(
+        policy_sha256=hashlib.sha256(policy.read_bytes()).hexdigest(),
+        aircraft=aircraft,
+        references=others,
+        missing=missing,
+        bars=bars(flown, others, aircraft_figures(aircraft).thrust_to_weight),
+    )
+
+
+def _bar_document(bar: Bar) -> dict[str, Any]:
+    worst = bar.worst
+    return {
+        "name": bar.name,
+        "unit": bar.unit,
+        "met": bar.met,
+        "seen": _number(worst.seen),
+        "limit": _number(worst.limit),
+        "where": worst.where,
+        "source": bar.source,
+    }
+
+
+def _number(value: float) -> float | None:
+    """With the digits that mean something; None for NaN, which JSON does not have."""
+    return float(f"{value:.4g}") if value == value and abs(value) != float("inf") else None

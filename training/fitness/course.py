@@ -1,0 +1,159 @@
+"""What a controller flies in its check: flights of ten commands and a hover, full turns, and the ground.
+
+All controllers fly the same commands, noise and bias, each at the throttle at which it gives the thrust of a
+flight. Times are as short as showed every fault of the policies in tests/training/fitness: a drift grows
+within the first ten commands, a swing within half a second of a turn.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import product
+from typing import ClassVar
+
+import numpy as np
+
+from sim.aircraft.model import Aircraft
+from sim.physics.variation import Variation
+from toolchain.contract import RATE_FULL_STICK_DEG_S
+from training.tasks.flight import FlightTask
+from training.tasks.task import Setpoints
+
+SEED = 2_000_003  # of commands, noise and bias: neither training, monitor nor results use it
+THRUSTS = (0.35, 1.0, 2.0, 4.0)  # of the weight, in which the ten commands are flown
+LIFT_SHARE = 0.8  # of the lift at full throttle: the most that a flight asks for; the rest is to steer with
+HOVER_S = 10.0
+FLIGHT = FlightTask(pulses=10, idle_s=0.2, command_s=0.8, rest_s=1.0, hover_s=HOVER_S)  # 30 s
+TURN_RATES_DEG_S = (720.0, float(RATE_FULL_STICK_DEG_S))  # two turns a second, and full stick
+TURN_THRUSTS = (1.0, 2.5)  # of the weight
+AXES = ("roll", "pitch", "yaw")
+GROUND_S = 3.0  # on the ground, armed, the throttle closed
+GROUND_AIRCRAFT = 4  # gyro biases that are tried there
+
+
+@dataclass(frozen=True)
+class Condition:
+    """An aircraft that differs from its file, in words and figures."""
+
+    name: str
+    charge: float | None = None  # of the battery; None: the bench supply
+    lag: float = 1.0  # factor of the time that the rotors take
+    delay_s: float = 0.0  # more than the file's delay
+
+
+# The rotors' times and the delay are those of an aircraft built to the file: other propellers and ESCs, and
+# other settings of these. Every controller flies the same ones, so a bar is not harder where flying is.
+CONDITIONS = (
+    Condition("quick rotors (0.6 of their time)", lag=0.6),
+    Condition("slow rotors (1.5 times their time)", lag=1.5),
+    Condition("2 ms less delay", delay_s=-0.002),
+    Condition("2 ms more delay", delay_s=0.002),
+)
+BATTERY = (Condition("an empty battery", charge=0.0), Condition("a full battery", charge=1.0))
+
+
+@dataclass(frozen=True)
+class Leg:
+    """One of the flights of ten commands."""
+
+    name: str
+    thrust: float  # of the weight
+    condition: Condition | None = None
+
+    @property
+    def where(self) -> str:
+        """In a sentence."""
+        return f"at {self.name}" if self.condition is None else f"with {self.name}"
+
+
+@dataclass(frozen=True)
+class Turn:
+    """One of the full turns."""
+
+    axis: int
+    rate_deg_s: float  # signed
+    thrust: float  # of the weight
+
+    @property
+    def name(self) -> str:
+        """In a sentence."""
+        words = (("roll to the right", "roll to the left"), ("forward flip", "backward flip"))
+        words = (*words, ("turn to the left", "turn to the right"))
+        word = words[self.axis][self.rate_deg_s < 0]
+        return f"a {word} of {abs(self.rate_deg_s):g} deg/s at {self.thrust:g} times the weight"
+
+
+@dataclass(frozen=True)
+class TurnTask:
+    """Rest, one full turn held, rest again; one episode for each turn."""
+
+    name: ClassVar[str] = "turns"
+    turns: tuple[Turn, ...]
+    idle_s: float = 0.3
+    command_s: float = 1.1
+    rest_s: float = 0.6
+
+    @property
+    def duration_s(self) -> float:
+        """Length of an episode [s]."""
+        return self.idle_s + self.command_s + self.rest_s
+
+    def episodes(self, count: int, rng: np.random.Generator, rate_hz: int) -> Setpoints:
+        """See Task; `count` is that of the turns."""
+        setpoints = np.zeros((count, round(self.duration_s * rate_hz), 3), np.float32)
+        begin, end = (round(t * rate_hz) for t in (self.idle_s, self.idle_s + self.command_s))
+        for number, turn in enumerate(self.turns):
+            setpoints[number, begin:end, turn.axis] = np.deg2rad(turn.rate_deg_s)
+        return setpoints
+
+
+@dataclass(frozen=True)
+class Course:
+    """All that is flown of one aircraft."""
+
+    aircraft: Aircraft
+    legs: tuple[Leg, ...]
+    turns: tuple[Turn, ...]
+
+    def nominal(self) -> Course:
+        """The part of it in the file's own aircraft, and turns at the lower thrust only.
+
+        Betaflight, whose every copy is a process, flies no more than this beside a PID.
+        """
+        least = min(turn.thrust for turn in self.turns)
+        return replace(
+            self,
+            legs=tuple(leg for leg in self.legs if leg.condition is None),
+            turns=tuple(turn for turn in self.turns if turn.thrust == least),
+        )
+
+    def variation(self) -> Variation:
+        """How the aircraft of the legs differ from the file."""
+        delay = self.aircraft.propulsion.delay
+        nominal = Variation.nominal(len(self.legs), delay)
+        known = [leg.condition or Condition("") for leg in self.legs]
+        return replace(
+            nominal,
+            lag=np.array([each.lag for each in known]),
+            delay_s=np.array([max(0.0, delay + each.delay_s) for each in known]),
+            charge=np.array([np.nan if each.charge is None else each.charge for each in known]),
+        )
+
+
+def course(aircraft: Aircraft, lift: float) -> Course:
+    """The course for an aircraft that lifts at most `lift` times its weight."""
+    most = LIFT_SHARE * lift
+    thrusts = [thrust for thrust in THRUSTS if thrust < most] or [most]
+    if len(thrusts) < len(THRUSTS):
+        thrusts.append(most)
+    legs = [Leg(f"{thrust:.3g} times the weight", thrust) for thrust in dict.fromkeys(thrusts)]
+    hover = min(1.0, most)
+    battery = aircraft.battery is not None and aircraft.propulsion.supply_voltage is not None
+    for condition in (*CONDITIONS, *(BATTERY if battery else ())):
+        legs.append(Leg(condition.name, hover, condition))
+    turn_thrusts = dict.fromkeys(min(thrust, most) for thrust in TURN_THRUSTS)
+    turns = [
+        Turn(axis, sign * rate, round(thrust, 2))
+        for thrust, rate, axis, sign in product(turn_thrusts, TURN_RATES_DEG_S, range(3), (1, -1))
+    ]
+    return Course(aircraft, tuple(legs), tuple(turns))

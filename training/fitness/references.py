@@ -1,0 +1,126 @@
+"""The references of a check, the aircraft's PID and Betaflight, flown once in a process of their own.
+
+The policy flies in the caller's process meanwhile, and the check of a second policy of the same aircraft
+waits for them no more.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import sys
+from multiprocessing.connection import Connection
+from typing import TYPE_CHECKING
+
+from sim.aircraft.model import Aircraft
+from sim.design.figures import aircraft_figures
+from toolchain.errors import AircraftError, NeuroflightError, TrainingError
+from training.checkpoints.monitor_process import interrupts_ignored
+from training.fitness.course import Course, course
+
+if TYPE_CHECKING:
+    from sim.ports.betaflight.build import Betaflight
+    from training.fitness.flying import Flown
+
+
+class References:
+    """Flies the references of one aircraft; a context manager, whose end stops what still flies."""
+
+    def __init__(self, aircraft: Aircraft, betaflight: Betaflight | None, missing: str = "") -> None:
+        """betaflight: None: it does not fly, because of `missing`.
+
+        Raises AircraftError where there is no reference at all.
+        """
+        self.aircraft, self._betaflight = aircraft, betaflight
+        self.course: Course = course(aircraft, aircraft_figures(aircraft).thrust_to_weight)
+        self._missing = [missing] if missing else []
+        if not aircraft.pids:
+            tune = f"neuroflight tune-pid --aircraft {aircraft.name} --write"
+            if betaflight is None:
+                raise AircraftError(
+                    f"aircraft {aircraft.name} has no PID to check a policy against, nor flies Betaflight "
+                    f"({missing}); run: {tune}"
+                )
+            self._missing.append(f"the aircraft has no PID; {tune} finds one")
+        self._process: multiprocessing.process.BaseProcess | None = None
+        self._link: Connection | None = None
+        self._flown: tuple[Flown, ...] | None = None
+
+    def __enter__(self) -> References:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def begin(self) -> None:
+        """Start to fly them, unless that was done."""
+        if self._process is not None or self._flown is not None:
+            return
+        context = multiprocessing.get_context("spawn")  # a fork would share torch's threads and the twin
+        self._link, theirs = context.Pipe()
+        arguments = (theirs, self.aircraft, self._betaflight, self.course)
+        self._process = context.Process(target=_work, args=arguments, daemon=True, name="references")
+        with interrupts_ignored():  # the other process inherits it: only this one handles Ctrl-C
+            self._process.start()
+        theirs.close()
+
+    def flown(self) -> tuple[tuple[Flown, ...], tuple[str, ...]]:
+        """Figures of the references, and why one of them is missing. Waits for them."""
+        self.begin()
+        if self._flown is None:
+            assert self._link is not None
+            try:
+                answer = self._link.recv()
+            except (EOFError, ConnectionError) as error:
+                raise TrainingError("the process of the references ended early; is memory short?") from error
+            if isinstance(answer, Exception):
+                raise answer
+            self._flown, failed = answer
+            self._missing += failed
+            self.close()
+        if not self._flown:
+            raise AircraftError(f"no reference flew: {'; '.join(self._missing)}")
+        return self._flown, tuple(self._missing)
+
+    def close(self) -> None:
+        """End the other process."""
+        if self._process is not None:
+            self._process.terminate()  # not killed: Betaflight's processes end with it
+            self._process.join()
+            self._process = None
+        if self._link is not None:
+            self._link.close()
+            self._link = None
+
+
+def _work(link: Connection, aircraft: Aircraft, betaflight: Betaflight | None, way: Course) -> None:
+    """Fly the references and send their figures."""
+    # The physics client prints a greeting on stderr; errors go back by the link.
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # through the end of Betaflight's processes
+    try:
+        link.send(fly_references(aircraft, betaflight, way))
+    except NeuroflightError as error:
+        link.send(error)
+
+
+def fly_references(
+    aircraft: Aircraft, betaflight: Betaflight | None, way: Course
+) -> tuple[tuple[Flown, ...], list[str]]:
+    """Figures of the PID, where the aircraft has one, and of Betaflight; and why that is missing."""
+    from sim.ports.betaflight.fleet import ArmedBetaflight
+    from training.evaluation.betaflight import BetaflightSpec
+    from training.evaluation.controllers import PID, load_controller
+    from training.fitness.flying import fly_course
+
+    flown, missing = [], []
+    if betaflight is not None:
+        try:
+            with ArmedBetaflight(betaflight, aircraft) as armed:
+                flown.append(fly_course(BetaflightSpec(armed), way.nominal() if aircraft.pids else way))
+        except NeuroflightError as error:
+            missing.append(f"Betaflight: {error}")
+    if aircraft.pids:
+        flown.insert(0, fly_course(load_controller(PID, aircraft), way))
+    return tuple(flown), missing
