@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from cli.training.evaluation.conditions import THROTTLES_MAX
+from cli.training.evaluation.foreign import say_foreign
 from cli.training.evaluation.ranges import check_ranges
 
 if TYPE_CHECKING:
@@ -64,6 +65,7 @@ def open_contenders(
                 contenders.append(_betaflight(args, flown, ends))
             else:
                 contenders.append(load_controller(name, flown.aircraft, args.idle))
+        say_foreign(contenders)
         yield contenders, _at_gyro_rate(flown, contenders, thrusts or BETAFLIGHT in all_names(args, names))
 
 

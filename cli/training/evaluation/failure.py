@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cli.training.evaluation.conditions import check_controllers, progress_bars
+from cli.training.evaluation.foreign import say_foreign
 from cli.training.evaluation.ranges import check_ranges
 
 if TYPE_CHECKING:
@@ -212,7 +213,9 @@ def _controller(args: argparse.Namespace, name: str, aircraft: Aircraft, ends: E
     from training.evaluation.controllers import load_controller
 
     if name != BETAFLIGHT:
-        return load_controller(name, aircraft)
+        controller = load_controller(name, aircraft)
+        say_foreign([controller])
+        return controller
     from cli.sim.fly_ports import built_betaflight
     from sim.ports.betaflight.fleet import ArmedBetaflight
 
