@@ -1,19 +1,21 @@
 # Neuroflight's front door. Every target works first on a fresh machine; each is one call into a room.
 # Each brings the packages that it needs and no others: EXTRA is what the largest of the targets asked for needs.
 TARGET   ?= MATEKF722
-POLICY   ?= training/policies/nf1/policy.onnx
 AIRCRAFT ?= nf1
 ALGORITHM ?=
 CONFIG   ?=
 STEPS    ?=
 SEED     ?= 1
-OUT      ?= runs/$(basename $(notdir $(AIRCRAFT)))-$(SEED)
+OUT      ?= runs/$(subst :,-,$(subst .toml,,$(notdir $(AIRCRAFT))))-$(SEED)
+SHIPPED   = training/policies/$(AIRCRAFT)/policy.onnx
+POLICY   ?= $(if $(wildcard $(SHIPPED)),$(SHIPPED),$(OUT)/policy.onnx)
 SCENARIO ?= pulses
 COUNT    ?= 10
 ON       ?= host
 JOBS     ?= auto
 PORT     ?=
 ARGS     ?=
+BUILD    ?=
 
 # Whatever the caller says: a run has many processes, each of which would compile all that it imports.
 export PYTHONDONTWRITEBYTECODE :=
@@ -54,6 +56,13 @@ ifneq ($(call asked,flash),)
   endif
 endif
 
+# What an image is built of: as the caller says. Who says nothing and wants to fly or flash gets what was built last,
+# not the NF1's network on another aircraft; the first time, and of `make firmware`, the NF1's.
+said      = $(filter-out file undefined default,$(origin $(1)))
+OF       := $(if $(call said,AIRCRAFT),--aircraft "$(AIRCRAFT)")
+OF       += $(if $(OF)$(call said,POLICY),--policy "$(POLICY)",$(if $(call asked,flash fly emulate),--again))
+TWIN     := $(if $(call said,AIRCRAFT),--aircraft "$(AIRCRAFT)")
+
 .PHONY: coverage help setup arm chromium clang cppcheck peers firmware flash host train fly emulate test prove bench lint clean
 
 help: ## this list
@@ -67,24 +76,24 @@ $(READY): setup.sh pyproject.toml setup.py constraints.txt
 arm: # the ARM compiler and llvm-mca, from the system's packages where that is allowed; it goes without llvm-mca
 	$(call bring,arm-none-eabi-gcc,llvm-mca,$(ARM_PACKAGES))
 
-firmware: $(READY) arm ## the flash image: TARGET=MATEKF722 [POLICY=path.onnx]
-	@$(RUN) build --target $(TARGET) --policy "$(POLICY)"
+firmware: $(READY) arm ## the flash image: TARGET=MATEKF722 [AIRCRAFT=nf1|mine.toml] [POLICY=path.onnx] [BUILD="--no-pid"]
+	@$(RUN) build --target $(TARGET) $(OF) $(BUILD)
 
-flash: firmware ## the image onto a board that runs Neuroflight: PORT=/dev/ttyUSB0 [ARGS="--dry-run"]
+flash: firmware ## the image, as built last, onto a board that runs Neuroflight: PORT=/dev/ttyUSB0 [ARGS="--dry-run"]
 	@$(RUN) flash build/$(TARGET)/neuroflight.nfi --port "$(PORT)" $(ARGS)
 
 host: $(READY) ## the same firmware as a program of this machine
-	@$(RUN) build --target HOST --policy "$(POLICY)"
+	@$(RUN) build --target HOST $(OF) $(BUILD)
 
 train: $(READY) ## a policy from the twin: AIRCRAFT=nf1 [ALGORITHM=ppo] [CONFIG=] [STEPS=] [SEED=] [OUT=]
 	@$(RUN) train --aircraft "$(AIRCRAFT)" $(CONFIG:%=--config %) $(ALGORITHM:%=--algorithm %) $(STEPS:%=--steps %) \
 	  --seed $(SEED) --out "$(OUT)" $(ARGS)
 
 fly: host ## a firmware against the twin: [ON=host] [SCENARIO=pulses] [COUNT=10] [SEED=] [ARGS="--trace FILE.npz"]
-	@$(RUN) fly --on $(ON) --aircraft "$(AIRCRAFT)" --scenario $(SCENARIO) --count $(COUNT) --seed $(SEED) $(ARGS)
+	@$(RUN) fly --on $(ON) $(TWIN) --scenario $(SCENARIO) --count $(COUNT) --seed $(SEED) $(ARGS)
 
 emulate: firmware ## the image to be flashed flies on an emulated board: roll, flip, Split-S, 60 s of commands
-	@$(RUN) fly --on emulator --build build/$(TARGET) --aircraft "$(AIRCRAFT)" --seed $(SEED) \
+	@$(RUN) fly --on emulator --build build/$(TARGET) $(TWIN) --seed $(SEED) \
 	  --scenario roll flip sim/scenarios/split_s.toml pulses --count 14 $(ARGS)
 
 test: firmware host peers ## the tests, on all cores: [JOBS=4] [ARGS=tests/sim]

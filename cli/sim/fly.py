@@ -21,7 +21,16 @@ from cli.sim.fly_emulator import (
 )
 from cli.sim.fly_jobs import Crew, Show, usable_cores
 from cli.sim.fly_output import Flown, conditions, document, print_flight, print_several
-from cli.sim.fly_ports import RECEIVERS, Entry, open_firmware, open_pid, prepare, quiet
+from cli.sim.fly_ports import (
+    RECEIVERS,
+    Entry,
+    built_firmware,
+    foreign_note,
+    open_firmware,
+    open_pid,
+    prepare,
+    quiet,
+)
 from cli.sim.fly_telemetry import add_telemetry_arguments, asks_telemetry, check_telemetry, save_telemetry
 from toolchain.contract import GYRO_RATE_DEFAULT_HZ, GYRO_RATES_HZ
 from toolchain.errors import NeuroflightError
@@ -36,6 +45,7 @@ if TYPE_CHECKING:
 MOUNTS = ("centre", "rig", "free")
 FIRMWARES = ("reference", "host", "emulator", "betaflight")
 CONTROLLERS = ("policy", "pid")
+DEFAULT_AIRCRAFT = "nf1"
 COUNT, COUNT_BETAFLIGHT = 100, 10  # commands of `pulses`
 # Options that belong to one flight.
 OUTPUTS = ("trace", "plot", "telemetry", "telemetry_plot", "report", "blackbox")
@@ -83,7 +93,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         help=f"commands of `pulses`; default: {COUNT}, with betaflight {COUNT_BETAFLIGHT}",
     )
-    parser.add_argument("--aircraft", default="nf1", metavar="NAME|FILE", help="whose twin is flown")
+    parser.add_argument(
+        "--aircraft",
+        metavar="NAME|FILE",
+        help="whose twin is flown; default: the one that the firmware was built for",
+    )
     parser.add_argument("--gyro-hz", type=int, choices=GYRO_RATES_HZ, default=GYRO_RATE_DEFAULT_HZ)
     parser.add_argument(
         "--set",
@@ -143,7 +157,11 @@ def run(args: argparse.Namespace) -> int:
     from sim.flight.trace import save_trace
 
     _check(args)
-    aircraft = load_aircraft(args.aircraft)
+    firmware = built_firmware(args)
+    known = None if firmware is None else firmware.aircraft
+    aircraft = load_aircraft(args.aircraft or (DEFAULT_AIRCRAFT if known is None else known.file))
+    if (note := foreign_note(args, firmware, aircraft)) is not None:
+        say(note)
     scenarios = _scenarios(args)
     prepare(args, aircraft)
     if len(scenarios) > 1:
@@ -152,7 +170,7 @@ def run(args: argparse.Namespace) -> int:
     flown = _fly_all(args, aircraft, scenario)
     flights = [one.flight for one in flown]
     title = f"{aircraft.name}: {scenario.name}, seed {args.seed}"
-    note = ", ".join(conditions(args, scenario))
+    note = ", ".join(conditions(args, scenario, flown[0].refused))
     try:
         if args.trace:
             save_trace(args.trace, flights[0].trace)
@@ -368,10 +386,12 @@ def _fly(
                 raise
         log = None if entry.log is None else entry.log.report()
         report = None if entry.report is None else entry.report(scenario.duration_s)
+        refused = None if entry.refused is None else entry.refused()
     progress(1.0)
     flight = Flight(entry.name, trace, figures(trace, scenario.episodes(), entry.idle, entry.mix))
     by_eye = stick_figures(scenario, motion, entry.port.control_rate_hz) if scenario.by_eye else None
-    return Flown(flight, report, log, by_eye, esc.topics if asks_telemetry(args) else None)
+    topics = esc.topics if asks_telemetry(args) else None
+    return Flown(flight, report, log, by_eye, topics, refused.name if refused else None)
 
 
 def _check_air(args: argparse.Namespace) -> None:

@@ -38,10 +38,11 @@ class Flown:
     log: LogReport | None = None
     sticks: StickFigures | None = None
     esc: Topics | None = None  # what its ESCs told, by topic, if that was asked for
+    refused: str | None = None  # why the policy had to leave the flight to the PID
 
 
-def conditions(args: argparse.Namespace, scenario: Scenario) -> list[str]:
-    """The conditions of the flight, in words."""
+def conditions(args: argparse.Namespace, scenario: Scenario, refused: str | None = None) -> list[str]:
+    """The conditions of the flight, in words. refused: why the policy was, if it was."""
     words = [f"{scenario.duration_s:g} s", f"mount {scenario.mount.value}", f"gyro {args.gyro_hz} Hz"]
     if args.battery is not None:
         words.append(f"battery charged to {100 * args.battery:g} %")
@@ -54,7 +55,14 @@ def conditions(args: argparse.Namespace, scenario: Scenario) -> list[str]:
     if args.on == "betaflight":
         return [*words, "Betaflight 4.6 with its default PID, airmode and idle"]
     flown = "its PID" if args.controller == "pid" else "its policy"
+    if refused is not None:
+        flown = refusal(refused)
     return [*words, f"firmware on {args.on}, {flown}"]
+
+
+def refusal(cause: str) -> str:
+    """What flew where the policy was refused for that cause, in words."""
+    return f"its policy until that was REFUSED ({cause.lower().replace('_', ' ')}), then its PID"
 
 
 def document(
@@ -67,6 +75,7 @@ def document(
     return {
         "on": args.on,
         "controller": args.controller,
+        "policy_refused": flown[0].refused,
         "scenario": scenario.name,
         "seed": args.seed,
         "episodes": scenario.episodes(),
@@ -131,6 +140,9 @@ def print_several(
         told = armed if one.report is None else emulator_cells(one.report)
         rows.append((scenario.name, f"{scenario.duration_s:g} s", mae, *told))
     words = ", ".join(conditions(args, scenarios[0])[2:])
+    for scenario, one in zip(scenarios, flown, strict=True):
+        if one.refused is not None:
+            words += f"\n{scenario.name}: {refusal(one.refused)}"
     if report is not None:
         words += f"\nflown was the file to be flashed, {report.image}\nsha256 {report.sha256}"
     print_table(title, rows, words)

@@ -21,7 +21,8 @@ if TYPE_CHECKING:
     from sim.ports.betaflight.build import Betaflight
     from sim.ports.emulator_report import EmulatedReport
     from sim.ports.port import FirmwarePort
-    from toolchain.contract import Mix
+    from toolchain.contract import FallbackCause, Mix
+    from toolchain.image.report import Built
 
 BUILD = Path(__file__).resolve().parents[2] / "build" / "HOST"
 RECEIVERS = ("sbus", "crsf")  # in the order of the setting's choices
@@ -42,6 +43,7 @@ class Entry:
     kept: bool = True  # its trace is what --trace asks for
     ends: ExitStack = field(default_factory=ExitStack)  # what is attached to its port
     log: FlightLog | None = None  # of its flight, which is kept
+    refused: Callable[[], FallbackCause] | None = None  # why its policy was; None: it has none
 
     def close(self) -> None:
         """End it."""
@@ -49,6 +51,41 @@ class Entry:
         self.port.close()
         if self.log is not None:
             self.log.close()
+
+
+def _product(args: argparse.Namespace) -> Path:
+    """The file of the build that is flown."""
+    if args.on == "emulator":
+        return Path(args.build or BOARD) / "neuroflight.bin"
+    return Path(args.build or BUILD) / ("neuroflight" if args.on == "host" else "libneuroflight.so")
+
+
+def built_firmware(args: argparse.Namespace) -> Built | None:
+    """What the firmware that is to fly was built of; None: not known, or Betaflight."""
+    from toolchain.errors import BuildError
+    from toolchain.image.report import built
+
+    if args.on == "betaflight":
+        return None
+    try:
+        return built(_product(args))
+    except BuildError:
+        return None  # to open it tells what is wrong
+
+
+def foreign_note(args: argparse.Namespace, firmware: Built | None, aircraft: Aircraft) -> str | None:
+    """One line where the firmware's controller is another aircraft's than the one that is flown."""
+    from sim.aircraft.identity import other_aircraft_note
+
+    if firmware is None:
+        return None
+    if args.controller == "policy":
+        what, name, sha256 = "the policy", firmware.trained_on, firmware.trained_on_sha256
+    elif firmware.aircraft is not None:
+        what, name, sha256 = "the PID", firmware.aircraft.name, firmware.aircraft.sha256
+    else:
+        return None
+    return other_aircraft_note(what, name, sha256, aircraft)
 
 
 def open_firmware(args: argparse.Namespace, aircraft: Aircraft) -> Entry:
@@ -82,7 +119,7 @@ def _open_firmware(args: argparse.Namespace, aircraft: Aircraft, log: FlightLog 
     check_known(flight_settings(settings))
     if args.on == "emulator":
         return _open_emulator(args, {**settings, **emulated_settings(args)}, log)
-    product = (args.build or BUILD) / ("neuroflight" if args.on == "host" else "libneuroflight.so")
+    product = _product(args)
     port: HostPort | ReferencePort
     if args.on == "host":
         port = HostPort(product, args.gyro_hz, settings, None if log is None else log.aside)
@@ -94,7 +131,7 @@ def _open_firmware(args: argparse.Namespace, aircraft: Aircraft, log: FlightLog 
             log.source = port.reference.blackbox
     try:
         motors = built_motors(product, pid=args.controller == "pid")
-        return Entry("firmware", port, motors.idle, motors.mix, log=log)
+        return Entry("firmware", port, motors.idle, motors.mix, log=log, refused=port.refused)
     except NeuroflightError:
         port.close()
         raise
@@ -128,7 +165,7 @@ def _open_emulator(args: argparse.Namespace, settings: dict[str, float], log: Fl
     from sim.ports.emulator_report import emulated_report
     from toolchain.image.report import built_motors
 
-    image = (args.build or BOARD) / "neuroflight.bin"
+    image = _product(args)
     with ExitStack() as undo:
         began = time.perf_counter()
         ends = undo.enter_context(ExitStack())
@@ -147,7 +184,15 @@ def _open_emulator(args: argparse.Namespace, settings: dict[str, float], log: Fl
             log.told = port.logged
         told = partial(keep_profile, args, port.board)
         return Entry(
-            "firmware", port, motors.idle, motors.mix, report=report, on_error=told, ends=ends, log=log
+            "firmware",
+            port,
+            motors.idle,
+            motors.mix,
+            report=report,
+            on_error=told,
+            ends=ends,
+            log=log,
+            refused=port.refused,
         )
 
 

@@ -133,6 +133,7 @@ def _fly(args: argparse.Namespace, aircraft: Aircraft) -> Scene:
 
     import numpy as np
 
+    from cli.training.evaluation.foreign import say_foreign
     from sim.flight.loop import fly
     from sim.flight.scenario import load_scenario
     from sim.physics.twin import Twin
@@ -145,6 +146,7 @@ def _fly(args: argparse.Namespace, aircraft: Aircraft) -> Scene:
     mount = None if args.mount is None else Mount(args.mount)
     scenario = load_scenario(args.scenario, args.seed, mount=mount)
     contender = load_contender(args.flight, aircraft)
+    say_foreign([contender])
     with closing(contender.open()) as port:
         rng = np.random.default_rng((args.seed, 1))
         with closing(Twin(aircraft, rate_hz=port.gyro_rate_hz, mount=scenario.mount, rng=rng)) as twin:

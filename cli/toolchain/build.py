@@ -1,4 +1,4 @@
-"""`neuroflight build --target MATEKF722 --policy POLICY.onnx`."""
+"""`neuroflight build --target MATEKF722 --policy POLICY.onnx --aircraft NAME|FILE`."""
 
 from __future__ import annotations
 
@@ -6,9 +6,15 @@ import argparse
 import json
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from sim.control.pid_table import Beside
+    from toolchain.image.report import AircraftFacts, Built
 
 ROOT = Path(__file__).resolve().parents[2]
-SHIPPED_POLICY = ROOT / "training" / "policies" / "nf1" / "policy.onnx"
+POLICIES = ROOT / "training" / "policies"
+DEFAULT_AIRCRAFT = "nf1"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -17,14 +23,27 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--policy",
         type=Path,
-        default=SHIPPED_POLICY,
         metavar="POLICY.onnx",
-        help="default: the shipped policy of the NF1",
+        help=f"default: the shipped policy of the aircraft, without --aircraft of the {DEFAULT_AIRCRAFT}",
     )
     parser.add_argument(
         "--aircraft",
         metavar="NAME|FILE",
-        help="whose PID stands beside the policy; default: the aircraft that the policy names",
+        help="that the policy was trained on, whose PID is built in beside it; needed where it is "
+        "no shipped one",
+    )
+    parser.add_argument(
+        "--other-aircraft", action="store_true", help="--aircraft is meant, though the policy is another's"
+    )
+    parser.add_argument(
+        "--no-pid",
+        action="store_true",
+        help="build in no PID: where the policy must not fly on, the motors stop",
+    )
+    parser.add_argument(
+        "--again",
+        action="store_true",
+        help="of the policy and aircraft that the target was built of last; the first time, of the default",
     )
     parser.add_argument("--out", type=Path, metavar="DIR", help="instead of build/ and firmware/generated/")
     parser.add_argument("--json", action="store_true", help="print the report as JSON")
@@ -35,21 +54,30 @@ def run(args: argparse.Namespace) -> int:
     from rich.console import Console
 
     from cli.output import check_folder
-    from sim.control.pid_table import named_pid_table, shipped_pid_table
+    from sim.control.pid_table import beside
+    from toolchain.errors import PolicyError
     from toolchain.image.build import MakeError, build, find_target
     from toolchain.image.report import print_report
     from toolchain.policy.model import read_policy
 
-    find_target(args.target)
+    target = find_target(args.target)
     check_folder(args.out or ROOT / "build", "--out")
     if args.out is None:
         check_folder(ROOT / "firmware" / "generated", "--out")
-    if args.aircraft is None:
-        pid = shipped_pid_table(read_policy(args.policy).aircraft)
-    else:
-        pid = named_pid_table(args.aircraft)
+    last = _last((args.out or ROOT / "build") / target.name / target.products[0])
+    if args.again:
+        _take_up(args, last)
+    path = _policy(args, last)
+    if not path.exists():
+        of = f" --aircraft {args.aircraft}" if args.aircraft else ""
+        raise PolicyError(
+            f"policy {path}: no such file; `neuroflight train{of} --out {path.parent}` makes one, or name "
+            "another with --policy"
+        )
+    policy = read_policy(path)
+    stands = beside(policy, str(path), args.aircraft, other=args.other_aircraft, no_pid=args.no_pid)
     try:
-        report = build(args.target, args.policy, ROOT, args.out, pid)
+        report = build(args.target, path, ROOT, args.out, stands.pid, _facts(stands))
     except MakeError as error:
         print(error.output, file=sys.stderr)
         raise
@@ -58,3 +86,71 @@ def run(args: argparse.Namespace) -> int:
     else:
         print_report(report, Console())
     return 0
+
+
+def _last(product: Path) -> Built | None:
+    """What the target was built of before; None: it was not, or its report does not tell."""
+    from toolchain.errors import BuildError
+    from toolchain.image.report import built
+
+    try:
+        return built(product)
+    except BuildError:
+        return None
+
+
+def _take_up(args: argparse.Namespace, last: Built | None) -> None:
+    """Give `args` the policy and the aircraft of the last build, and say which."""
+    from toolchain.errors import BuildError
+
+    if args.policy is not None or args.aircraft is not None or args.other_aircraft or args.no_pid:
+        raise BuildError("--again: got a policy or an aircraft beside it; give them, or --again alone")
+    if last is None:
+        return
+    args.policy, words = Path(last.policy_file), ""
+    if (aircraft := last.aircraft) is not None:
+        args.aircraft, args.other_aircraft = aircraft.file, not aircraft.own
+        args.no_pid = last.pid_motors is None
+        words = f", aircraft {aircraft.file}{', no PID' if args.no_pid else ''}"
+    if args.policy.resolve() != default_policy(DEFAULT_AIRCRAFT):
+        print(f"as {args.target} was built last: policy {args.policy}{words}", file=sys.stderr)
+
+
+def _policy(args: argparse.Namespace, last: Built | None) -> Path:
+    """The policy to build in; says so where it is the default and was another until now."""
+    from toolchain.errors import PolicyError
+
+    if args.policy is not None:
+        return Path(args.policy)
+    path = default_policy(args.aircraft or DEFAULT_AIRCRAFT)
+    if not path.is_file():
+        raise PolicyError(
+            f"no policy ships for aircraft {args.aircraft}: name one with --policy; `neuroflight train "
+            f"--aircraft {args.aircraft} --out DIR` makes one"
+        )
+    if last is not None and Path(last.policy_file).resolve() != path:
+        print(
+            f"no policy is named: building the shipped one of {path.parent.name}, until now "
+            f"{args.target} had {last.policy_file}",
+            file=sys.stderr,
+        )
+    return path
+
+
+def default_policy(aircraft: str) -> Path:
+    """The policy that ships for an aircraft, if one does."""
+    return POLICIES / aircraft / "policy.onnx"
+
+
+def _facts(stands: Beside) -> AircraftFacts | None:
+    """What the report says of the aircraft."""
+    from sim.aircraft.model import aircraft_file, shipped
+    from sim.aircraft.props_out import SUFFIX
+    from toolchain.image.report import AircraftFacts
+
+    if (aircraft := stands.aircraft) is None:
+        return None
+    file = stands.name
+    if file.removesuffix(SUFFIX) not in shipped():
+        file = f"{aircraft_file(file).resolve()}{SUFFIX if file.endswith(SUFFIX) else ''}"
+    return AircraftFacts(aircraft.name, aircraft.sha256, file, stands.own)

@@ -1,14 +1,27 @@
-"""The aircraft's PID as the toolchain compiles it into an image beside the policy."""
+"""The aircraft of a policy, and its PID as the toolchain compiles it into an image beside the policy."""
 
 from __future__ import annotations
 
-from pathlib import Path
+from dataclasses import dataclass
 
 import numpy as np
 
-from sim.aircraft.model import Aircraft, load_aircraft, shipped
+from sim.aircraft.identity import shipped_as, told
+from sim.aircraft.model import Aircraft, aircraft_file, load_aircraft
 from sim.control.pid import mixer, pid_settings
+from toolchain.errors import BuildError
+from toolchain.policy.model import PolicyModel
 from toolchain.rendering.pid_table import PidTable
+
+
+@dataclass(frozen=True)
+class Beside:
+    """What stands beside a policy in an image."""
+
+    aircraft: Aircraft | None  # None: not known, and no PID is wanted
+    name: str  # of it: a shipped one's, or a path
+    own: bool  # whether the policy was trained on it
+    pid: PidTable | None  # None: the user wants none
 
 
 def pid_table(aircraft: Aircraft) -> PidTable | None:
@@ -31,11 +44,34 @@ def pid_table(aircraft: Aircraft) -> PidTable | None:
     )
 
 
-def shipped_pid_table(name: str) -> PidTable | None:
-    """The PID of the shipped aircraft `name`; None if there is none: a policy holds only a name."""
-    return pid_table(load_aircraft(name)) if name in shipped() else None
+def beside(
+    policy: PolicyModel, where: str, name: str | None = None, *, other: bool = False, no_pid: bool = False
+) -> Beside:
+    """Find what stands beside `policy` in an image: the PID of its own aircraft.
 
-
-def named_pid_table(aircraft: str | Path) -> PidTable | None:
-    """The PID of a shipped aircraft or of an aircraft file. Raises AircraftError."""
-    return pid_table(load_aircraft(aircraft))
+    where: the policy, in messages. name: of the aircraft, or its file; None: the policy's own, where that is
+    a shipped one. other: an aircraft that the policy was not trained on is meant. no_pid: no PID is wanted.
+    Raises BuildError, one line, on another aircraft and on one without a PID, AircraftError on no aircraft.
+    """
+    trained = f"{where} was trained on aircraft {told(policy.aircraft, policy.aircraft_sha256)}"
+    stops = "--no-pid builds an image whose motors stop where the policy must not fly on"
+    if name is None and (name := shipped_as(policy.aircraft_sha256)) is None:
+        if no_pid:
+            return Beside(None, "", own=True, pid=None)
+        raise BuildError(
+            f"{trained}, which is no shipped one: name its file with --aircraft FILE, whose PID is built in; "
+            f"{stops}"
+        )
+    aircraft = load_aircraft(name)
+    own = aircraft.is_meant_by(policy.aircraft_sha256)
+    if not own and not other:
+        raise BuildError(
+            f"{trained}, and --aircraft {name} is {told(aircraft.name, aircraft.sha256)}: name the one that "
+            "it was trained on, train one on this, or add --other-aircraft if that is meant"
+        )
+    if not aircraft.pids and not no_pid:
+        raise BuildError(
+            f"aircraft {name} has no PID to fall back to: find one with `neuroflight tune-pid --aircraft "
+            f"{name} --write {aircraft_file(name)}`; {stops}"
+        )
+    return Beside(aircraft, name, own, None if no_pid else pid_table(aircraft))

@@ -38,6 +38,7 @@ from toolchain.contract import (
     GYRO_EDGE_RATE_HZ,
     GYRO_RATE_DEFAULT_HZ,
     SETTINGS,
+    FallbackCause,
     FlightState,
     Setting,
     StopCause,
@@ -254,6 +255,10 @@ class EmulatedPort:
     def arming_reasons(self) -> tuple[str, ...]:
         """See FirmwarePort."""
         return arming_reasons(int(self._read(_STATUS)["arming_reasons"])) if self._up else ()
+
+    def refused(self) -> FallbackCause:
+        """See PolicyPort."""
+        return FallbackCause(int(self._read(_STATUS)["refused_cause"])) if self._up else FallbackCause.NONE
 
     def logged(self) -> Logged:
         """See BlackboxPort."""

@@ -45,6 +45,7 @@ from toolchain.contract import (
     SIM_TRACE_FLAG_ARMED,
     SIM_TRACE_FORMAT,
     SIM_TRACE_MAGIC,
+    FallbackCause,
     Msp,
 )
 from toolchain.errors import LinkError
@@ -146,6 +147,11 @@ class HostPort:
         """See FirmwarePort; asked over MSP."""
         with self._msp() as msp:
             return messages.arming_reasons(records.safety(msp.request(Msp.SAFETY)).arming_flags)
+
+    def refused(self) -> FallbackCause:
+        """See PolicyPort; asked over MSP."""
+        with self._msp() as msp:
+            return records.safety(msp.request(Msp.SAFETY)).refused_cause
 
     def logged(self) -> Logged:
         """See BlackboxPort; asked over MSP."""

@@ -15,7 +15,14 @@ from flash import messages, records
 from flash.client import Client
 from flash.logs.messages import log_info
 from sim.ports.port import Logged, Reply, Sample, control_divider, flight_settings, setting_changes
-from toolchain.contract import CHANNEL_COUNT, GYRO_RATE_DEFAULT_HZ, MOTOR_COUNT_MAX, MSP_PAYLOAD_MAX, Msp
+from toolchain.contract import (
+    CHANNEL_COUNT,
+    GYRO_RATE_DEFAULT_HZ,
+    MOTOR_COUNT_MAX,
+    MSP_PAYLOAD_MAX,
+    FallbackCause,
+    Msp,
+)
 from toolchain.errors import LinkError
 
 ERR_SETTINGS = -15  # nf_err.h
@@ -191,6 +198,10 @@ class ReferencePort:
         """See FirmwarePort; asked over MSP."""
         safety = records.safety(Client(self.reference).request(Msp.SAFETY))
         return messages.arming_reasons(safety.arming_flags)
+
+    def refused(self) -> FallbackCause:
+        """See PolicyPort; asked over MSP."""
+        return records.safety(Client(self.reference).request(Msp.SAFETY)).refused_cause
 
     def logged(self) -> Logged:
         """See BlackboxPort; asked over MSP."""

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.aircraft.model import Aircraft
-from toolchain.contract import AXES, BOOT_GRACE_MS, RATE_FULL_STICK_DEG_S
+from toolchain.contract import AXES, BOOT_GRACE_MS, RATE_FULL_STICK_DEG_S, FallbackCause
 from toolchain.errors import LinkError
 
 
@@ -109,6 +109,14 @@ class BatteryPort(FirmwarePort, Protocol):
 
     def set_battery(self, volts: float, amps: float) -> None:
         """What the pack gives from now on: the voltage at its terminals [V] and the current out of it [A]."""
+        ...
+
+
+class PolicyPort(FirmwarePort, Protocol):
+    """A port whose firmware flies a policy, and the PID in its place where the policy must not fly."""
+
+    def refused(self) -> FallbackCause:
+        """Return why the policy must not fly any more; NONE: it may."""
         ...
 
 

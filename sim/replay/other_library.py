@@ -14,8 +14,10 @@ from typing import Any
 
 import numpy as np
 
+from sim.aircraft.identity import shipped_as
+from sim.aircraft.model import load_aircraft
 from sim.board.debug.variables import pointers_in, read_variables
-from sim.control.pid_table import shipped_pid_table
+from sim.control.pid_table import pid_table
 from sim.replay.inputs import Answers, Flight
 from sim.replay.library import ReplayLibrary, check_layout, in_process
 from toolchain.errors import TraceError
@@ -85,9 +87,10 @@ def _leaves(kind: np.dtype[Any], at: int, name: str) -> Iterator[Leaf]:
 def build_around(policy: Path, root: Path) -> Path:
     """Build the host program around `policy`, in a folder of its own; that of the outputs.
 
-    The PID is that of the policy's aircraft. Raises PolicyError, BuildError.
+    The PID is that of the policy's aircraft where that is a shipped one. Raises PolicyError, BuildError.
     """
     digest = hashlib.sha256(read_file(policy)).hexdigest()[:16]
     folder = root / "build" / "replay" / digest
-    build("HOST", policy, root, folder, shipped_pid_table(read_policy(policy).aircraft))
+    name = shipped_as(read_policy(policy).aircraft_sha256)
+    build("HOST", policy, root, folder, None if name is None else pid_table(load_aircraft(name)))
     return folder / "HOST"

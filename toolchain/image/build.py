@@ -33,6 +33,7 @@ from toolchain.files import locked, replacing, write_text, write_text_if_changed
 from toolchain.image.elf import FLASH, Image, image_budgets, memory_use, read_image
 from toolchain.image.fit import check_memories, policy_code, split
 from toolchain.image.report import (
+    AircraftFacts,
     BuildReport,
     ImageSize,
     OutputFile,
@@ -122,11 +123,17 @@ class MakeError(BuildError):
 
 
 def build(
-    target: str, policy: Path, root: Path, folder: Path | None = None, pid: PidTable | None = None
+    target: str,
+    policy: Path,
+    root: Path,
+    folder: Path | None = None,
+    pid: PidTable | None = None,
+    aircraft: AircraftFacts | None = None,
 ) -> BuildReport:
     """Build `target` with the policy file `policy` in the project at `root`; its report is written too.
 
     pid: what flies when the policy must not or the pilot does not want it to; None: nothing does.
+    aircraft: that the image is for, for the report.
 
     Outputs go to root/build/<target> and generated sources to root/firmware/generated/<target>, or both
     into `folder`/<target>, which leaves the user's images alone.
@@ -157,6 +164,7 @@ def build(
             stages=_stages(compiled, built, (optimized - started, finished - optimized)),
             policy=_facts(compiled, policy),
             pid=None if pid is None else PidFacts(pid.aircraft, pid.name, pid.idle, pid.mix.text),
+            aircraft=aircraft,
             sections=image.sections,
             memory=memory,
             files=files,

@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from rich.console import Console
 
 REPORT_BYTES_MAX = 1 << 20
+DIGEST_SHOWN = 12  # digits of an aircraft's digest, for people
+NO_PID = "NONE: where the policy must not fly on, the motors stop"
 CACHE_LINE_BYTES = 32  # of the Cortex-M7's instruction cache
 TRAINING_SHOWN = ("algorithm", "steps", "seed")  # the entries of the training that the table has room for
 
@@ -50,6 +52,16 @@ class PolicyFacts:
     aircraft: str
     aircraft_sha256: str
     training: dict[str, object]
+
+
+@dataclass(frozen=True)
+class AircraftFacts:
+    """The aircraft that an image is for."""
+
+    name: str
+    sha256: str  # of what its twin flies
+    file: str  # a shipped one's name, or the absolute path of its file
+    own: bool  # whether the policy was trained on it; else the user said so
 
 
 @dataclass(frozen=True)
@@ -118,6 +130,7 @@ class BuildReport:
     predicted_cycles: int | None  # of policy_step in this image
     predicted_cycles_reason: str | None  # why they are None
     pid: PidFacts | None = None  # None: none is built in
+    aircraft: AircraftFacts | None = None  # None: not known
     budgets: tuple[MemoryUse, ...] = ()  # of the image's flash and RAM; empty on the host
     stack: StackUse | None = None  # at its deepest, by analysis
     stack_reason: str | None = None  # why it is not known
@@ -144,7 +157,11 @@ class Built:
 
     sha256: str  # of the file
     policy: str  # its network, as "6-64-64-4 tanh"
+    policy_file: str  # as it was named
     policy_sha256: str
+    trained_on: str  # name of the policy's aircraft
+    trained_on_sha256: str
+    aircraft: AircraftFacts | None  # that it was built for; None: not known
     policy_motors: MotorFacts
     pid_motors: MotorFacts | None  # None: no PID is built in
 
@@ -160,11 +177,15 @@ def built(product: Path) -> Built:
             raise BuildError(f"{path} is {size} bytes, expected at most {REPORT_BYTES_MAX}; build it anew")
         report = json.loads(path.read_bytes())
         known = {str(file["sha256"]) for file in report["files"]}
-        policy, pid = report["policy"], report["pid"]
+        policy, pid, aircraft = report["policy"], report["pid"], report.get("aircraft")
         found = Built(
             sha256=hashlib.sha256(product.read_bytes()).hexdigest(),
             policy=str(policy["network"]),
+            policy_file=str(policy["file"]),
             policy_sha256=str(policy["sha256"]),
+            trained_on=str(policy["aircraft"]),
+            trained_on_sha256=str(policy["aircraft_sha256"]),
+            aircraft=None if aircraft is None else _aircraft(aircraft),
             policy_motors=MotorFacts(float(policy["idle"]), Mix.of(str(policy["mix"]))),
             pid_motors=None if pid is None else MotorFacts(float(pid["idle"]), Mix.of(str(pid["mix"]))),
         )
@@ -180,6 +201,11 @@ def built(product: Path) -> Built:
     if found.sha256 not in known:
         raise BuildError(f"{path} is the report of another build than {product.name}; build it anew")
     return found
+
+
+def _aircraft(table: Mapping[str, object]) -> AircraftFacts:
+    words = {key: str(table[key]) for key in ("name", "sha256", "file")}
+    return AircraftFacts(**words, own=table["own"] is True)
 
 
 def built_motors(product: Path, *, pid: bool = False) -> MotorFacts:
@@ -210,13 +236,19 @@ def print_report(report: BuildReport, console: Console) -> None:
     training = ", ".join(_training(policy.training)) or "not told"
     table.add_row("policy", "network", f"{policy.network}, {policy.weights} weights, {policy.observation}")
     table.add_row("", "training", f"{policy.aircraft}, {policy.control_rate_hz} Hz, {training}")
+    table.add_row("", "file", policy.file)
     table.add_row("", "sha256", f"{policy.sha256[:16]}… (whole in report.json)")
+    table.add_row("", "aircraft", f"{policy.aircraft}, digest {policy.aircraft_sha256[:DIGEST_SHOWN]}")
     if report.step_instructions is not None:
         table.add_row("", "a step", _step(report))
     if report.image_size is not None:
         table.add_row("", "code", _code(report.image_size))
+    if (aircraft := report.aircraft) is not None:
+        whose = "the policy's own" if aircraft.own else "NOT the one that the policy was trained on"
+        digest = aircraft.sha256[:DIGEST_SHOWN]
+        table.add_row("aircraft", aircraft.name, f"{aircraft.file}, digest {digest}: {whose}")
     pid = report.pid
-    fallback = "none: no gains for this aircraft" if pid is None else f"{pid.name} of aircraft {pid.aircraft}"
+    fallback = NO_PID if pid is None else f"{pid.name} of aircraft {pid.aircraft}"
     table.add_row("PID", "built in", fallback)
     for title, uses in (("memory", report.memory), ("budget", report.budgets)):
         for index, use in enumerate(uses):

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from sim.aircraft.identity import other_aircraft_note
 from sim.aircraft.model import Aircraft
 from sim.control.controller import Controller, PolicyController
 from sim.control.pid import aircraft_pid, pid_settings
@@ -25,6 +26,7 @@ from training.tasks.sticks import OnSticks
 from training.tasks.task import Task
 
 PID = "pid"
+OTHER_AIRCRAFT = "other_aircraft"  # in the facts of a policy that flies another's twin: the line that says so
 PID_RATE_HZ = 1000
 
 
@@ -79,12 +81,16 @@ def load_controller(name: str, aircraft: Aircraft, idle: float | None = None) ->
             f"{name} drives {policy.action_count} motors, aircraft {aircraft.name} has "
             f"{aircraft.motor_count}; evaluate it on an aircraft it was trained for"
         )
+    note = other_aircraft_note(name, policy.aircraft, policy.aircraft_sha256, aircraft)
     return ControllerSpec(
         name=name,
         build=lambda count: PolicyController(policy, count, exact=False, idle=idle),
         control_rate_hz=policy.control_rate_hz,
         idle=policy.idle if idle is None else idle,
-        facts={"policy_sha256": hashlib.sha256(path.read_bytes()).hexdigest()},
+        facts={
+            "policy_sha256": hashlib.sha256(path.read_bytes()).hexdigest(),
+            **({} if note is None else {OTHER_AIRCRAFT: note}),
+        },
         mix=policy.mix,
         gyro_mean=policy.gyro_mean,
     )

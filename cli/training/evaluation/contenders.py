@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from cli.training.evaluation.conditions import THROTTLES_MAX
+from cli.training.evaluation.foreign import say_foreign
 from cli.training.evaluation.ranges import check_ranges
 
 if TYPE_CHECKING:
@@ -69,6 +70,7 @@ def open_contenders(
                 contenders.append(armed_betaflight(args, name, flown.aircraft, ends))
             else:
                 contenders.append(load_controller(name, flown.aircraft, args.idle))
+        say_foreign(contenders)
         sticks = thrusts or any(map(is_betaflight, all_names(args, names)))
         yield contenders, _at_gyro_rate(flown, contenders, sticks)
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from cli.training.evaluation.conditions import check_controllers, progress_bars
 from cli.training.evaluation.contenders import CONTENDER, armed_betaflight, is_betaflight
+from cli.training.evaluation.foreign import say_foreign
 from cli.training.evaluation.ranges import check_ranges
 
 if TYPE_CHECKING:
@@ -210,11 +211,11 @@ def _controller(args: argparse.Namespace, name: str, aircraft: Aircraft, ends: E
     """A controller by its name; Betaflight ends with `ends`."""
     from training.evaluation.controllers import load_controller
 
-    return (
-        armed_betaflight(args, name, aircraft, ends)
-        if is_betaflight(name)
-        else load_controller(name, aircraft)
-    )
+    if is_betaflight(name):
+        return armed_betaflight(args, name, aircraft, ends)
+    controller = load_controller(name, aircraft)
+    say_foreign([controller])
+    return controller
 
 
 def _document(

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, TypeVar
 from cli.sim.fly_jobs import Crew, Show, usable_cores
 from cli.training.evaluation.conditions import check_controllers
 from cli.training.evaluation.contenders import CONTENDER, betaflight_tune, is_betaflight
+from cli.training.evaluation.foreign import say_foreign
 from cli.training.evaluation.ranges import check_ranges
 
 if TYPE_CHECKING:
@@ -143,6 +144,7 @@ def _fly(args: argparse.Namespace, aircraft: Aircraft, air: Air) -> list[Flown]:
     from training.evaluation.manoeuvres import Flown, fly_descent, fly_manoeuvre, thrust_curve
 
     contenders = _contenders(args, aircraft)
+    say_foreign(contenders)
     seeds = range(args.seed, args.seed + args.seeds)
     curves = _all(
         args, "thrust at rest", [partial(thrust_curve, one, aircraft, air, args.seed) for one in contenders]

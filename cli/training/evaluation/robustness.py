@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cli.training.evaluation.conditions import MOUNTS, check_controllers, progress_bars
+from cli.training.evaluation.foreign import say_foreign
 from cli.training.evaluation.ranges import check_ranges
 
 if TYPE_CHECKING:
@@ -69,6 +70,7 @@ def run(args: argparse.Namespace) -> int:
 
     plan = _plan(args)
     controllers = [load_controller(name, plan.aircraft) for name in args.controllers]
+    say_foreign(controllers)
     with progress_bars(args) as bar:
         results = [examine(controller, plan, bar(controller.label)) for controller in controllers]
     title = (

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,7 +11,7 @@ import pytest
 
 from sim.aircraft.model import PidSettings, load_aircraft
 from sim.control.pid import Pid, aircraft_pid, mixer, pid_settings
-from sim.control.pid_table import named_pid_table, shipped_pid_table
+from sim.control.pid_table import pid_table
 from toolchain.contract import PID_COMPENSATION_MAX
 from toolchain.rendering.pid_table import PidTable, render_pid_table
 
@@ -173,26 +172,10 @@ def test_the_integral_is_clamped_and_unfiltered_slopes_pass_when_gains_are_such(
     assert np.abs(got - expected).max() <= TOLERANCE
 
 
-def test_no_pid_is_built_in_when_the_aircraft_is_not_known() -> None:
-    assert shipped_pid_table("somebody's") is None
-    assert ".motor_count = 0" in render_pid_table(None, 4, RATE_HZ)
-
-
 def test_a_pid_of_other_motors_is_refused_when_rendered() -> None:
-    table = named_pid_table("hexa")
-    if table is None:
-        pytest.skip("the hexacopter has no PID")
+    table = pid_table(load_aircraft("hexa"))
     with pytest.raises(ValueError, match="6 motors, expected 4"):
         render_pid_table(table, 4, RATE_HZ)
-
-
-def test_the_aircrafts_file_decides_when_it_is_named(tmp_path: Path) -> None:
-    source = Path(__file__).resolve().parents[3] / "sim" / "aircraft" / "nf1.toml"
-    own = tmp_path / "own.toml"
-    own.write_text(source.read_text().replace("idle = 0.055", "idle = 0.11"))
-    table = named_pid_table(own)
-    assert table is not None
-    assert table.idle == 0.11
 
 
 FACTORS = {
