@@ -25,6 +25,7 @@ WEIGHT_MIN, WEIGHT_MAX = 0.02, 5000.0  # [deg/s] of an adapted weight
 SLOPE = 3.0  # of the adaption, by the relative distance of a mean from its limit
 SETTLED = 20  # updates until the running means say something of the parameters
 DIVERGED = 4.0  # times the least running error; by the luck of its batches it is up to twice that
+GROWTH = 2.0  # times the running error is the most that a batch counts: flights out of control exceed all
 SETBACK_RATE = 0.5  # factor of the learning rate after each setback
 SETBACKS_MAX = 4  # more: the configuration is at fault
 
@@ -71,6 +72,7 @@ class State:
     length: float = 0.0  # usual length of the gradient; 0 before the first
     skipped: int = 0  # updates whose gradient was not followed
     begun: int = 0  # updates at which Adam began, at 0 or after a setback
+    error: float = 0.0  # [deg/s], running mean; 0 before the first
     setbacks: tuple[Setback, ...] = ()
 
     @staticmethod
@@ -127,13 +129,15 @@ def adapted(state: State, figures: Figures, pathwise: PathwiseConfig, adapting: 
     return replace(state, weights=weights, figures=running)
 
 
-def guarded(state: State, square: float) -> State:
+def guarded(state: State, found: float) -> State:
     """With the parameters kept if they are the best so far; set back if the run has diverged.
 
-    square: of the configuration. Raises TrainingError on a run that diverges again and again.
+    found: error of the batch [deg/s]. Raises TrainingError on a run that diverges again and again.
     """
-    assert state.figures is not None
-    good, error = state.good, state.figures.error(square)
+    good, most = state.good, GROWTH * state.error
+    counted = found if state.error == 0.0 or found < most else most  # most for NaN
+    error = counted if state.error == 0.0 else MEMORY * state.error + (1.0 - MEMORY) * counted
+    state = replace(state, error=error)
     if state.updates - state.begun < SETTLED:
         return state
     if error < good.error:
@@ -154,6 +158,7 @@ def guarded(state: State, square: float) -> State:
         weights=good.weights,
         figures=None,
         length=0.0,
+        error=0.0,
         begun=state.updates,
         setbacks=(*state.setbacks, Setback(state.updates, error, good.updates, good.error)),
     )

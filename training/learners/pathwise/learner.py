@@ -81,7 +81,8 @@ class PathwiseLearner:
         figures, found = self._flights.gradient(batch, parameters, state.weights)
         adapting = state.updates >= pathwise.adaption_start * self._updates
         state = descended(state, self._basis.gradient(found), self._rate(), pathwise)
-        self._state = guarded(adapted(state, figures, pathwise, adapting), pathwise.square)
+        state = adapted(state, figures, pathwise, adapting)
+        self._state = guarded(state, figures.error(pathwise.square))
         return figures
 
     def _rate(self) -> float:
@@ -138,6 +139,7 @@ class PathwiseLearner:
             "length": state.length,
             "skipped": state.skipped,
             "begun": state.begun,
+            "error": state.error,
             "good": {
                 **vars(state.good),
                 "parameters": torch.from_numpy(state.good.parameters),
@@ -158,6 +160,7 @@ class PathwiseLearner:
             length=state["length"],
             skipped=state["skipped"],
             begun=state["begun"],
+            error=state["error"],
             good=Good(**good),
             setbacks=tuple(Setback(**setback) for setback in state["setbacks"]),
         )

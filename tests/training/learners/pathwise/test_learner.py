@@ -218,41 +218,52 @@ def test_a_gradient_is_skipped_when_it_is_an_outlier_but_not_when_it_stays() -> 
     assert after.parameters is not usual.parameters
 
 
-def told(before: State, mae: float) -> State:
-    """A state some updates later, with other parameters, whose running error is `mae`."""
-    return replace(
+def told(before: State, error: float) -> State:
+    """A state some updates later, with other parameters, after batches that all had this error."""
+    after = replace(
         before,
         updates=before.updates + SETTLED,
         parameters=before.parameters + np.float32(1.0),
         mean=np.ones(20, np.float32),
-        figures=Figures(mae=mae, mse=0.0, output=0.0, change=0.0),
+        error=error,
     )
+    return guarded(after, error)
 
 
-@pytest.mark.parametrize("mae", [1.01 * DIVERGED, float("inf"), float("nan")])
-def test_the_best_parameters_come_back_when_the_error_grows_far_beyond_theirs(mae: float) -> None:
-    first = guarded(told(state(Weights(0.0, 5.0, 6.0)), 3.0), 0.0)
-    best = guarded(told(replace(first, weights=Weights(0.0, 5.0, 7.0)), 1.0), 0.0)
-    worse = guarded(told(replace(best, weights=Weights(0.0, 5.0, 90.0)), 0.99 * DIVERGED), 0.0)
+@pytest.mark.parametrize("error", [1.01 * DIVERGED, float("inf"), float("nan")])
+def test_the_best_parameters_come_back_when_the_error_grows_far_beyond_theirs(error: float) -> None:
+    first = told(state(Weights(0.0, 5.0, 6.0)), 3.0)
+    best = told(replace(first, weights=Weights(0.0, 5.0, 7.0)), 1.0)
+    worse = told(replace(best, weights=Weights(0.0, 5.0, 90.0)), 0.99 * DIVERGED)
     assert worse.parameters is not best.parameters
     assert worse.setbacks == ()
-    back = guarded(told(worse, mae), 0.0)
+    back = told(worse, error)
     assert back.parameters is best.parameters
     assert back.weights == best.weights
     assert not back.mean.any()
     assert (back.updates, back.begun, back.rate_factor) == (4 * SETTLED, 4 * SETTLED, 0.5)
     assert [(each.back_to, each.least) for each in back.setbacks] == [(2 * SETTLED, 1.0)]
-    # The running means say nothing before they have settled again.
-    early = replace(told(back, 100.0), updates=back.updates + SETTLED - 1)
-    assert guarded(early, 0.0) is early
+    # The running mean says nothing before it has settled again.
+    early = replace(back, updates=back.updates + SETTLED - 1, error=100.0)
+    assert guarded(early, 100.0).setbacks == back.setbacks
+
+
+@pytest.mark.parametrize("error", [1000.0, float("nan")])
+def test_one_batch_with_flights_out_of_control_is_no_divergence_but_many_are(error: float) -> None:
+    now = guarded(told(state(Weights(0.0, 5.0, 6.0)), 1.0), error)
+    assert now.error == pytest.approx(1.1)
+    for _ in range(13):
+        now = guarded(now, error)
+    assert now.setbacks == ()
+    assert guarded(now, error).setbacks
 
 
 def test_a_run_ends_with_an_error_when_it_diverges_again_and_again() -> None:
-    now = guarded(told(state(Weights(0.0, 5.0, 6.0)), 1.0), 0.0)
+    now = told(state(Weights(0.0, 5.0, 6.0)), 1.0)
     for _ in range(SETBACKS_MAX):
-        now = guarded(told(now, 10.0), 0.0)
+        now = told(now, 10.0)
     with pytest.raises(TrainingError, match=f"diverged {SETBACKS_MAX + 1} times"):
-        guarded(told(now, 10.0), 0.0)
+        told(now, 10.0)
 
 
 def test_a_run_that_diverged_goes_on_as_if_it_had_never_stopped_when_restored() -> None:
