@@ -1,4 +1,4 @@
-"""Betaflight with a pilot's settings: they reach its PID and filters, or are refused; the search for them."""
+"""Betaflight with a pilot's settings: they reach its PID and filters, or are refused; their search."""
 
 from __future__ import annotations
 
