@@ -1,4 +1,4 @@
-"""Betaflight with a pilot's settings: they reach its PID and filters, or are refused; the search for them."""
+"""Betaflight with a pilot's settings: they reach its PID and filters, or are refused; their search."""
 
 from __future__ import annotations
 
@@ -88,6 +88,7 @@ def test_betaflight_takes_every_setting_of_the_search_at_both_ends(betaflight: B
         port.close()
 
 
+@pytest.mark.slow
 def test_the_search_writes_settings_that_fly_beside_others(
     betaflight: Betaflight, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -1,13 +1,14 @@
 """Betaflight's settings by the search that finds a PID's, on the same commands, thrusts, noise and cost.
 
-What is searched is what pilots tune: P, I and D of each axis, how far D rises in quick moves, the sliders of
-gyro and D-term filters, TPA, thrust linearisation and I-term relax. Left as they are: feedforward, which has
-no effect in the simulator (see sim/ports/betaflight/port.py); anti-gravity, which acts while the throttle
-moves; the idle, which is the PID's too. RPM filter, dynamic notch and dynamic idle are not in the simulator's
-build: it has no DShot, whose telemetry tells rotor speeds.
+What is searched is what pilots tune: the sliders of its app (P and I, D, pitch over roll, filters of the gyro
+and of D), yaw's P and I, TPA and thrust linearisation. Left as they are: I over P, as most pilots do, which
+short flights could not judge; feedforward, which has no effect in the simulator (see
+sim/ports/betaflight/port.py); anti-gravity, which acts while the throttle moves; the idle, which is the PID's
+too. RPM filter, dynamic notch and dynamic idle are not in the simulator's build: it has no DShot, whose
+telemetry tells rotor speeds.
 
-A Betaflight takes a processor 40 ms a second of flight, so candidates fly shorter pulses than a PID's do, and
-a third of the large commands. The last generation flies the best of them again, in full, which decides.
+A Betaflight takes a processor a second for 20 s of flight, so candidates fly pulses that are shorter than a
+PID's; the best of them fly again with whole pulses and the large commands, which decides.
 """
 
 from __future__ import annotations
@@ -38,16 +39,15 @@ from training.pid_tuning.trial import (
     throttles,
     training_commands,
 )
+from training.pid_tuning.tuning import POPULATION
 from training.tasks.task import EpisodicTask, PulseTask, Setpoints, held
 
 Array = NDArray[np.float64]
 Array32 = NDArray[np.float32]
 Settings = Mapping[str, int]
 
-POPULATION = (
-    24  # candidates of a generation, twice a PID's: their flights wait for each other at every sample
-)
-SHORT = PulseTask(idle_s=0.05, command_s=0.6, rest_s=0.6)  # of candidates
+FINALISTS = 5  # candidates that fly again in full
+SHORT = PulseTask(idle_s=0.05, command_s=0.5, rest_s=0.45)  # of candidates
 SPREAD = 0.3  # standard deviation of the search's first points
 HUNDRED = 100.0  # a point's 1, of knobs that are searched as they are
 
@@ -62,34 +62,39 @@ class Knob:
     logarithmic: bool = True
 
 
-GAINS = {  # Betaflight 4.6's, and its limit PID_GAIN_MAX
-    **{f"p_{axis}": Knob(p, 1, 250) for axis, p in (("roll", 45), ("pitch", 47), ("yaw", 45))},
-    **{f"i_{axis}": Knob(i, 1, 250) for axis, i in (("roll", 80), ("pitch", 84), ("yaw", 80))},
-    **{f"d_{axis}": Knob(d, 1, 250) for axis, d in (("roll", 30), ("pitch", 34))},
-}
-# The filters' corners [Hz] at 1 of their slider, which moves all of them. At 2 the highest of the gyro's
-# reaches Betaflight's limit of 1 kHz.
-GYRO_FILTER = {
-    "gyro_lpf1_static_hz": 250,
-    "gyro_lpf1_dyn_min_hz": 250,
-    "gyro_lpf1_dyn_max_hz": 500,
-    "gyro_lpf2_static_hz": 500,
-}
-DTERM_FILTER = {
-    "dterm_lpf1_static_hz": 75,
-    "dterm_lpf1_dyn_min_hz": 75,
-    "dterm_lpf1_dyn_max_hz": 150,
-    "dterm_lpf2_static_hz": 150,
-}
-D_MAX, GYRO, DTERM = "d_max", "gyro filter", "D-term filter"
-KNOBS = {
-    **GAINS,
-    D_MAX: Knob(4 / 3, 1.0, 2.0),  # D in quick moves over D
-    GYRO: Knob(1.0, 0.25, 2.0),
-    DTERM: Knob(1.0, 0.25, 2.0),
-    "iterm_relax_cutoff": Knob(15, 1, 50),
+GAIN_MAX = 250  # of P, I and D
+P_AND_I, D, PITCH, YAW, GYRO, D_TERM = (
+    "P and I",
+    "D",
+    "pitch over roll",
+    "yaw",
+    "gyro filter",
+    "D-term filter",
+)
+KNOBS = {  # the first ones are factors of the defaults
+    P_AND_I: Knob(1.0, 0.1, 4.0),  # of roll and pitch
+    D: Knob(1.0, 0.1, 4.0),
+    PITCH: Knob(1.0, 0.3, 3.0),
+    YAW: Knob(1.0, 0.1, 4.0),  # P and I
+    GYRO: Knob(1.0, 0.25, 2.0),  # at 2 the highest corner reaches Betaflight's limit of 1 kHz
+    D_TERM: Knob(1.0, 0.25, 2.0),
     "tpa_rate": Knob(65, 0, 100, logarithmic=False),
     "thrust_linear": Knob(0, 0, 150, logarithmic=False),
+}
+SCALED = {  # defaults of Betaflight 4.6, as its `dump` says, and the knobs that scale them
+    **{
+        "p_roll": (45, (P_AND_I,)),
+        "i_roll": (80, (P_AND_I,)),
+        "d_roll": (30, (D,)),
+        "d_max_roll": (40, (D,)),
+    },
+    **{"p_pitch": (47, (P_AND_I, PITCH)), "i_pitch": (84, (P_AND_I, PITCH))},
+    **{"d_pitch": (34, (D, PITCH)), "d_max_pitch": (46, (D, PITCH))},
+    **{"p_yaw": (45, (YAW,)), "i_yaw": (80, (YAW,))},
+    **{"gyro_lpf1_static_hz": (250, (GYRO,)), "gyro_lpf1_dyn_min_hz": (250, (GYRO,))},
+    **{"gyro_lpf1_dyn_max_hz": (500, (GYRO,)), "gyro_lpf2_static_hz": (500, (GYRO,))},
+    **{"dterm_lpf1_static_hz": (75, (D_TERM,)), "dterm_lpf1_dyn_min_hz": (75, (D_TERM,))},
+    **{"dterm_lpf1_dyn_max_hz": (150, (D_TERM,)), "dterm_lpf2_static_hz": (150, (D_TERM,))},
 }
 
 
@@ -143,15 +148,14 @@ def tune_betaflight(
     draw, search, thrust = (np.random.default_rng(s) for s in np.random.SeedSequence([seed, 1]).spawn(3))
     unbiased = replace(aircraft, gyro=replace(aircraft.gyro, bias=0.0))
     pulses, levels = training_commands(commands, draw), throttles(commands, limits.throttle_max, thrust)
-    large = held_commands()
-    whole = _Flights(built, unbiased, limits, seed, pulses, levels, large, PulseTask())
-    short = replace(whole, large=large[::3], pulse=SHORT)  # one of each axis, and another
+    whole = _Flights(built, unbiased, limits, seed, pulses, levels, held_commands(), PulseTask())
+    short = replace(whole, large=np.empty((0, 3)), pulse=SHORT)
     cma_es = CmaEs(start(), np.full(len(KNOBS), SPREAD), POPULATION, search)
     (best,) = short.fly([{}])
     trials: list[Trial] = []
     interrupted = False
     try:
-        for _ in range(max(1, round(budget / POPULATION) - 1)):
+        for _ in range(max(1, round(budget / POPULATION))):
             points = cma_es.ask()
             generation = short.fly([decoded(point) for point in points])
             cma_es.tell(points, np.array([trial.cost for trial in generation]))
@@ -160,7 +164,7 @@ def tune_betaflight(
             progress(len(trials), best)
     except KeyboardInterrupt:
         interrupted = True
-    ranked = sorted(trials, key=lambda trial: trial.cost)[: POPULATION - 1]
+    ranked = sorted(trials, key=lambda trial: trial.cost)[:FINALISTS]
     finals = whole.fly([{}, *(trial.settings for trial in ranked)])
     return Tuning(finals[0], tuple(trials), min(finals, key=lambda trial: trial.cost), interrupted)
 
@@ -178,14 +182,12 @@ def decoded(point: Array) -> dict[str, int]:
         name: min(max(math.exp(x) if knob.logarithmic else HUNDRED * x, knob.low), knob.high)
         for (name, knob), x in zip(KNOBS.items(), point.tolist(), strict=True)
     }
-    rise, gyro, dterm = (values.pop(name) for name in (D_MAX, GYRO, DTERM))
-    found = {name: round(value) for name, value in values.items()}
-    for axis in ("roll", "pitch"):
-        d = GAINS[f"d_{axis}"]
-        found[f"d_max_{axis}"] = min(round(values[f"d_{axis}"] * rise), round(d.high))
-    found |= {name: round(hertz * gyro) for name, hertz in GYRO_FILTER.items()}
-    found |= {name: round(hertz * dterm) for name, hertz in DTERM_FILTER.items()}
-    return found
+    found = {
+        name: round(default * math.prod(values[knob] for knob in knobs))
+        for name, (default, knobs) in SCALED.items()
+    }
+    found = {name: value if name.endswith("_hz") else min(value, GAIN_MAX) for name, value in found.items()}
+    return found | {name: round(value) for name, value in values.items() if not KNOBS[name].logarithmic}
 
 
 @dataclass(frozen=True, eq=False)
@@ -198,7 +200,7 @@ class _Flights:
     seed: int  # of the gyro's noise
     commands: Array  # (n, 3) [rad/s], of the pulses
     throttle: Array32  # (n,), 0..1
-    large: Array  # (m, 3) [rad/s], held
+    large: Array  # (m, 3) [rad/s], held; none: not judged
     pulse: PulseTask
 
     def fly(self, candidates: Sequence[Settings]) -> list[Trial]:
@@ -239,8 +241,10 @@ class _Flights:
         mae = float(tracking(pulsed.setpoint, pulsed.rate, pulsed.step_s).mae.mean())
         change = effort(pulsed.motors, pulsed.step_s).change
         excess = max(0.0, change / (MARGIN * self.limits.change) - 1.0)
-        end = round(EpisodicTask().hold_s / large.step_s)
-        beyond = missed(replace(large, setpoint=large.setpoint[:, :end], rate=large.rate[:, :end]))
+        beyond = 0.0
+        if len(self.large):
+            end = round(EpisodicTask().hold_s / large.step_s)
+            beyond = missed(replace(large, setpoint=large.setpoint[:, :end], rate=large.rate[:, :end]))
         return Trial(settings, mae, change, beyond, mae + PENALTY * (excess + beyond))
 
 

@@ -27,6 +27,7 @@ from sim.control.motors import motor_fractions
 from sim.physics.twin import Live
 from sim.ports.betaflight.build import Betaflight
 from sim.ports.betaflight.port import (
+    AT_REST,
     FULL_US,
     MOTOR_COUNT,
     STOP_US,
@@ -37,7 +38,6 @@ from sim.ports.betaflight.port import (
 )
 from sim.ports.betaflight.process import ANSWER_S, BetaflightProcess
 from sim.ports.betaflight.tune import Tune
-from sim.ports.port import Sample
 from sim.ports.simulator_link import load_link
 from toolchain.contract import (
     BOOT_GRACE_MS,
@@ -46,7 +46,6 @@ from toolchain.contract import (
     DSHOT_MIN,
     DSHOT_SPAN,
     DSHOT_STOP,
-    GRAVITY,
     GYRO_RATE_DEFAULT_HZ,
 )
 from toolchain.errors import LinkError
@@ -106,13 +105,15 @@ class ArmedBetaflight:
     def _arm(self) -> int:
         """Samples until it has armed."""
         rate = self.gyro_rate_hz
-        still = Sample(0.0, np.zeros(3), np.eye(3), np.zeros(3), np.zeros(3), np.array([0.0, 0.0, GRAVITY]))
+        off, on = (sticks.channels((0.0, 0.0, 0.0), 0.0, armed=armed).tolist() for armed in (False, True))
         every, period = math.ceil(FRAME_S * rate), round(SWITCH_PERIOD_S * rate)
-        for sample in range(round(ARM_LIMIT_S * rate)):
-            since = sample - round(SWITCH_OFF_S * rate)
-            on = since >= 0 and since % period < period // 2
-            frame = sticks.channels((0.0, 0.0, 0.0), 0.0, armed=on).tolist() if sample % every == 0 else None
-            if self.port.exchange(still, frame).armed:
+        first = round(SWITCH_OFF_S * rate)  # with which it may arm
+        begun = first // every * every
+        for _ in range(0, begun, every):
+            self.port.stand(off, every)
+        for sample in range(begun, round(ARM_LIMIT_S * rate)):
+            switched = on if sample >= first and (sample - first) % period < period // 2 else off
+            if self.port.exchange(AT_REST, switched if sample % every == 0 else None).armed:
                 return sample + 1
         raise LinkError(
             f"Betaflight: it did not arm within {ARM_LIMIT_S:g} s: {', '.join(self.port.arming_reasons())}"

@@ -43,6 +43,7 @@ from toolchain.contract import (
     DSHOT_MIN,
     DSHOT_SPAN,
     DSHOT_STOP,
+    GRAVITY,
     GYRO_RATE_DEFAULT_HZ,
     Msp,
 )
@@ -65,6 +66,7 @@ SETTINGS = (
     *(f"set {axis}_srate = 100" for axis in ("roll", "pitch", "yaw")),
     *(f"set {axis}_expo = 0" for axis in ("roll", "pitch", "yaw")),
 )
+AT_REST = Sample(0.0, np.zeros(3), np.eye(3), np.zeros(3), np.zeros(3), np.array([0.0, 0.0, GRAVITY]))
 ARMING_REASONS = (  # in the order of their bits
     *("NO_GYRO", "FAILSAFE", "RX_LOSS", "NOT_RECOVERED", "FAILSAFE_SWITCH", "RUNAWAY_TAKEOFF"),
     *("CRASH_DETECTED", "THROTTLE", "ANGLE", "BOOT_GRACE_TIME", "NO_PREARM", "LOAD", "CALIBRATING", "CLI"),
@@ -143,6 +145,19 @@ class BetaflightPort:
         elif moved:
             self._reply = replace(self._reply, dshot=self._dshot, armed=bool(self._dshot.all()))
         return self._reply
+
+    def stand(self, channels_us: Sequence[int], count: int) -> None:
+        """Let `count` samples pass from power-on, all at rest, after a receiver frame.
+
+        It comes out as it would of `count` exchanges, in a fraction of their time: its loop holds a sample.
+        """
+        time_s = self._samples / self.gyro_rate_hz * (1 + TIME_MARGIN)
+        self._hear(np.array(channels_us, np.uint16))
+        self._process.send_receiver(RECEIVER.pack(time_s, *channels_us))
+        self._process.send_state(state_packet(time_s, np.zeros(3, np.int32), AT_REST))
+        self._process.run(count * self._period_ns)
+        self._process.servo_packets()  # of stopped motors
+        self._samples += count
 
     def _hear(self, channels: NDArray[np.uint16]) -> None:
         """Take in a receiver frame."""

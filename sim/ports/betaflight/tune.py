@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from flash.betaflight.diff_file import Line, read_diff
-from sim.aircraft.model import FOLDER, shipped
+from sim.aircraft.model import aircraft_file
 from toolchain.errors import LinkError
 
 TUNED = "tuned"  # the name of the settings that lie beside an aircraft's file
@@ -71,7 +71,7 @@ def tune_path(which: str, aircraft: str) -> Path:
     """The file of the settings `which`, a path or `tuned`; aircraft: a shipped name or the path of a file."""
     if which != TUNED:
         return Path(which)
-    path = FOLDER / f"{aircraft}{SUFFIX}" if aircraft in shipped() else Path(aircraft).with_suffix(SUFFIX)
+    path = aircraft_file(aircraft).with_suffix(SUFFIX)
     if not path.is_file():
         raise LinkError(
             f"betaflight:{TUNED}: {path} does not exist; find it by `neuroflight tune-betaflight --aircraft "
