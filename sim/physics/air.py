@@ -19,20 +19,22 @@ FOOT = 0.3048  # [m]
 # where its thrust fluctuates. v_i = sqrt(T / (2 rho A)) is the velocity that it would induce in hover with
 # its thrust T. How much: up to 95 % of the mean from peak to peak in hundreds of revolutions (Stack,
 # Caradonna, Savas 2004, "Flow Visualizations and Extended Thrust Time Histories of Rotor Vortex Wakes in
-# Descent"): six standard deviations of 0.16. Where: growing up to sink rates of 1.2 to 1.3 v_i with rotors
-# of 4 to 6 inches (Veismann, Dougherty, Gharib 2023, "Effects of rotor separation on the axial descent
-# performance of dual-rotor configurations"), over at 2 v_i (momentum theory: there the flow through the
-# disk is steady again). Held against one public log, of a 5-inch with barometer and Betaflight 4.3.1: the
-# part of its angular acceleration that its motors do not explain is between 20 and 80 Hz, in the worst
-# tenth of windows of 0.25 s, 0.10 of the thrust at sink rates of 0.8 to 1.2 v_i, 0.07 at 0.4 and at 1.7,
-# 0.02 in climbs, and its density is flat from 20 to 110 Hz where v_i / D is 59 Hz (its weight assumed, 0.72
-# kg). Below 20 Hz that log cannot tell. The band's growth with v_i / D is the eddies' and rests on that log
-# alone; that sideways motion at 0.95 v_i leaves the wake behind is from memory of the boundary in Johnson
-# 2005, NASA/TP-2005-213477.
+# Descent"): six standard deviations of 0.16. How slow: their rings leave every 20 to 50 revolutions, 3 to 8
+# Hz with an NF1 in hover, and 3 Hz is 0.075 of its v_i / D. Where: growing up to sink rates of 1.2 to 1.3
+# v_i with rotors of 4 to 6 inches (Veismann, Dougherty, Gharib 2023, "Effects of rotor separation on the
+# axial descent performance of dual-rotor configurations"), over at 2 v_i (momentum theory: there the flow
+# through the disk is steady again). Held against one public log, of a 5-inch with barometer and Betaflight
+# 4.3.1: the part of its angular acceleration that its motors do not explain is between 20 and 80 Hz, in the
+# worst tenth of windows of 0.25 s, 0.10 of the thrust at sink rates of 0.8 to 1.2 v_i, 0.07 at 0.4 and at
+# 1.7, 0.02 in climbs. Its density is flat from 10 to 110 Hz, half as large above and two to three times as
+# large from 3 to 10 Hz, which is left out here; v_i / D is 59 Hz there (its weight assumed, 0.72 kg), and
+# that the band grows with it rests on that log alone. What a pilot sees, 20 to 80 Hz, is what a controller
+# leaves of it: slower it holds it, faster the mass does. That sideways motion at 0.95 v_i leaves the wake
+# behind is from memory of the boundary in Johnson 2005, NASA/TP-2005-213477.
 WASH_SHARE = 0.15  # standard deviation over the thrust, in the worst descent
 WASH_SINK = (0.1, 2.0)  # over v_i, beyond which it ends; a parabola between
 WASH_SIDEWAYS = 0.95  # over v_i, where it ends
-WASH_BAND = (0.45, 1.8)  # frequencies of half power, over v_i / D of the hover
+WASH_BAND = (0.075, 1.8)  # frequencies of half power, over v_i / D of the hover
 ALTITUDE_MIN, ALTITUDE_MAX = 10 * FOOT, 1000 * FOOT  # [m], where MIL-F-8785C's low-altitude model holds
 
 
@@ -188,10 +190,9 @@ def _band_pass(band: tuple[float, float], dt: float) -> tuple[Array, Array]:
     """
     low, high = band
     w = 2.0 * math.pi * math.sqrt(low * high)
-    z = (high - low) / (2.0 * math.sqrt(low * high))  # below 1 for bands narrower than a factor of 5.8
-    damped = w * math.sqrt(1.0 - z * z)
-    kept, angle = math.exp(-z * w * dt), damped * dt
-    c, s = math.cos(angle), math.sin(angle) * w / damped
+    z = (high - low) / (2.0 * math.sqrt(low * high))  # above 1 for bands wider than a factor of 5.8
+    apart = math.sqrt(z * z - 1.0)
+    kept, c, s = math.exp(-z * w * dt), math.cosh(apart * w * dt), math.sinh(apart * w * dt) / apart
     turn = kept * np.array([[c + z * s, s], [-s, c - z * s]])
     return turn, np.linalg.cholesky(np.eye(2) - turn @ turn.T)
 

@@ -50,17 +50,18 @@ def shaken(wash: Wash, velocity: Array, thrust: float = THRUST) -> Array:
 
 @pytest.mark.parametrize("rate_hz", [1000, 4000])
 def test_the_noise_has_unit_variance_and_half_its_density_at_the_ends_of_the_band(rate_hz: int) -> None:
-    _, rows = noise(100, rate_hz, rate_hz)
-    density = (np.abs(np.fft.rfft(rows * np.hanning(len(rows))[:, None], axis=0)) ** 2).mean(axis=1)
     low, high = wash_band(NF1)
-    assert (low, high) == pytest.approx((19.0, 76.0), rel=0.02), "by hand: 42.1 Hz times 0.45 and 1.8"
-    peak = density[round(math.sqrt(low * high))]
-    for frequency, part in ((low, 0.5), (high, 0.5), (low / 4, 0.047), (4 * high, 0.047)):
-        at = round(frequency)
-        # 400 rotors: five standard errors are a quarter, of three lines together less.
-        assert density[at - 1 : at + 2].mean() / peak == pytest.approx(part, rel=0.3)
-    # Variance of independent values in a second: some 2 (f2 - f1) of each rotor.
-    free = 400 * 2 * (high - low)
+    assert (low, high) == pytest.approx((3.16, 75.8), rel=0.02), "by hand: 42.1 Hz times 0.075 and 1.8"
+    _, rows = noise(100, 2 * rate_hz, rate_hz)
+    power = np.abs(np.fft.rfft(rows * np.hanning(len(rows))[:, None], axis=0)) ** 2
+    density = power.mean(axis=1)  # lines of 0.5 Hz
+    peak = density[30:50].mean()  # 15 to 25 Hz
+    for frequency, part in ((low, 0.5), (high, 0.5), (3 * high, 0.1)):
+        at = round(2 * frequency)
+        # 400 rotors, three lines that a window makes two: five standard errors are less than a fifth.
+        assert density[at - 1 : at + 2].mean() / peak == pytest.approx(part, rel=0.2)
+    # Values in a second that are independent, of a density as flat: pi (f2 - f1) of each rotor.
+    free = 400 * 2 * math.pi * (high - low)
     assert rows.var() == pytest.approx(1.0, abs=SIGMAS * math.sqrt(2 / free))
 
 
