@@ -58,12 +58,9 @@ class Surroundings:
     def plan(self, weights: Weights, battery: bool, number: str) -> Any:  # noqa: ANN401 - a struct of cffi
         """The plan for C. battery: whether any aircraft flies on one."""
         made = library(number).ffi.new("struct plan *")
-        made.steps, made.samples, made.motors = self.steps, self.samples, self.aircraft.motor_count
-        made.dt, made.rounded = self.dt, self.rounded
-        self._propulsion(made.propulsion)
-        inertia = self.aircraft.mass_properties.inertia
-        made.body.inertia = inertia.ravel().tolist()
-        made.body.inverse = np.linalg.inv(inertia).ravel().tolist()
+        made.steps, made.samples = self.steps, self.samples
+        made.rounded = self.rounded
+        put_aircraft(made, self.aircraft, self.dt)
         if battery:
             self._pack(made.pack)
         self._gyro(made.gyro)
@@ -73,20 +70,6 @@ class Surroundings:
         for name, weight in vars(weights).items():
             setattr(made.loss, name, weight)
         return made
-
-    def _propulsion(self, made: Any) -> None:  # noqa: ANN401
-        propulsion, geometry = self.aircraft.propulsion, rotor_geometry(self.aircraft)
-        motors = self.aircraft.motor_count
-        made.speed_curve = list(propulsion.speed_curve)
-        for name, terms in (("thrust", propulsion.thrust_coefficient), ("torque", propulsion.torque_ratio)):
-            polynomial = getattr(made, name)
-            polynomial.terms = len(terms)
-            _fill(polynomial.term, np.array(terms))
-        made.limited = isinstance(propulsion.response, TorqueResponse)
-        _fill(made.lever, geometry.thrust_wrench[:, 3:5])
-        _fill(made.drag, geometry.torque_wrench[:, 5])
-        _fill(made.reaction, geometry.reaction_wrench[:, 5] / self.dt)
-        _fill(made.motion, geometry.motion_wrench.reshape(motors, 6, 6)[:, 3:, 3:].transpose(0, 2, 1))
 
     def _pack(self, made: Any) -> None:  # noqa: ANN401
         battery, propulsion = self.aircraft.battery, self.aircraft.propulsion
@@ -147,6 +130,26 @@ class Surroundings:
             setattr(made, name, getattr(model, name))
         _fill(made.turn, np.array(model.turn))
         _fill(made.reaction, np.array(model.reaction))
+
+
+def put_aircraft(made: Any, aircraft: Aircraft, dt: float) -> None:  # noqa: ANN401
+    """Fill in a plan what rotors and body of `aircraft` do in samples of `dt` [s]."""
+    propulsion, geometry, motors = aircraft.propulsion, rotor_geometry(aircraft), aircraft.motor_count
+    made.dt, made.motors = dt, motors
+    inertia = aircraft.mass_properties.inertia
+    made.body.inertia = inertia.ravel().tolist()
+    made.body.inverse = np.linalg.inv(inertia).ravel().tolist()
+    own = made.propulsion
+    own.speed_curve = list(propulsion.speed_curve)
+    for name, terms in (("thrust", propulsion.thrust_coefficient), ("torque", propulsion.torque_ratio)):
+        polynomial = getattr(own, name)
+        polynomial.terms = len(terms)
+        _fill(polynomial.term, np.array(terms))
+    own.limited = isinstance(propulsion.response, TorqueResponse)
+    _fill(own.lever, geometry.thrust_wrench[:, 3:5])
+    _fill(own.drag, geometry.torque_wrench[:, 5])
+    _fill(own.reaction, geometry.reaction_wrench[:, 5] / dt)
+    _fill(own.motion, geometry.motion_wrench.reshape(motors, 6, 6)[:, 3:, 3:].transpose(0, 2, 1))
 
 
 def _fill(members: Any, values: NDArray[Any]) -> None:  # noqa: ANN401

@@ -148,4 +148,29 @@ struct block {
 size_t flight_memory(const struct plan *p);
 void flight_run(const struct plan *p, const struct block *b, real *memory);
 
+/* ---- motors without a controller, in search of the least error ---- */
+
+/* N steps of plan.dt from the first one that motors can act in. */
+struct open_loop {
+	size_t steps;        /* N */
+	bool squared;        /* whether the sum of e^2 is sought, not that of |e| */
+	real middle;         /* share of a step's change of speed that the mean speed of the step has */
+	uint32_t iterations;
+	real barrier[2];     /* weight of the limits' logarithms in the first and the last iteration, in parts of `scale` */
+	/* rows */
+	const real *scale;            /* [deg/s], or squared: the error at the start, mean of the axes */
+	const real *lowest, *highest; /* [rad/s], speeds that the least and the greatest motor value settle at */
+	const real *wanted;           /* (3) [rad/s] */
+	const real *rate;             /* (3) [rad/s], at the start */
+	const real *rotor_speed;      /* (M) [rad/s], likewise */
+	real *decision;               /* (N, M), in 0..1: the start of the search, and what it found */
+	real *gradient;               /* (N, M), of the sum that is sought, at its end; NULL: not wanted */
+	double *figures;              /* (4, LANES): sums of |e| and e^2 over the steps, of the mean over axes; error at the end; bound */
+	real *rate_after;             /* (N, 3) [rad/s], after each step; NULL: not wanted */
+	real *speed_after;            /* (N, M) [rad/s], likewise */
+};
+
+size_t open_loop_memory(const struct plan *p, const struct open_loop *o);
+void open_loop_run(const struct plan *p, const struct block *b, const struct open_loop *o, real *memory);
+
 #endif
