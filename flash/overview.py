@@ -28,6 +28,7 @@ class Flight:
     brown_out_level: int | None  # of the supply's detector, 0: it is off; None: not told
     policy: str
     policy_good: bool
+    pid_built_in: bool  # there is a PID to fall back on
     boots: int
     fault: str | None  # kind of the newest one that nobody acknowledged
 
@@ -95,6 +96,7 @@ def _flight(client: Client, safety: records.Safety) -> Flight:
         brown_out_level=safety.brown_out_level,
         policy=policy.name,
         policy_good=safety.policy_good,
+        pid_built_in=safety.pid_built_in,
         boots=faults.boots,
         fault=faults.pending.kind.name if faults.pending is not None else None,
     )

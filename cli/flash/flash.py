@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from cli.flash import policy_swap, rescue
+from cli.flash.image_aircraft import image_aircraft
 from cli.flash.progress import step_bars
 from cli.flash.tables import print_facts, print_json
 from toolchain.errors import NeuroflightError
@@ -129,9 +130,11 @@ def _flash(args: argparse.Namespace, under_way: _UnderWay) -> int:
         with _nothing_written():
             board = read_board(client)
             plan = make_plan(board, file, keep_policy=args.keep_policy)
-            facts = _facts(args, file, plan)
+            aircraft = image_aircraft(file.path, plan)
+            facts = _facts(args, file, plan) | {"aircraft": aircraft.document()}
             if not args.json:
-                print_facts(_rows(args, file, plan))
+                print_facts([*_rows(args, file, plan), *aircraft.rows()])
+            aircraft.check(board.port, other_aircraft=args.other_aircraft)
             check_ready(board)
             if args.dry_run or (plan.same_build and not args.force):
                 return _leave(args, facts, plan)

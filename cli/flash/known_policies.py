@@ -1,9 +1,10 @@
-"""Networks of policies by the SHA-256 of their files: those shipped, and those in the current directory."""
+"""Policies by the SHA-256 of their files: those shipped, and those in the current directory and its runs/."""
 
 from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 from toolchain.errors import PolicyError
@@ -12,8 +13,16 @@ SHIPPED = Path(__file__).resolve().parents[2] / "training" / "policies"
 LOOKED_AT_MAX = 200  # files of a directory
 
 
-def known_networks(wanted: Iterable[str], folder: Path) -> dict[str, str]:
-    """The networks, such as `19-64-64-4 tanh`, of those of the `wanted` SHA-256 whose file is found.
+@dataclass(frozen=True)
+class Known:
+    """What the file of a policy tells that a board does not."""
+
+    network: str  # such as `19-64-64-4 tanh`
+    aircraft_sha256: str  # of the aircraft that it was trained on, see `one_digest`
+
+
+def known_policies(wanted: Iterable[str], folder: Path) -> dict[str, Known]:
+    """Return what is known of those of the `wanted` SHA-256 whose file is found.
 
     folder: searched beside the shipped ones. A file that is no policy is passed over.
     """
@@ -27,13 +36,22 @@ def known_networks(wanted: Iterable[str], folder: Path) -> dict[str, str]:
             data = read_file(path)
             sha256 = hashlib.sha256(data).hexdigest()
             if sha256 in left:
-                found[sha256] = parse_policy(data).network.text
+                policy = parse_policy(data)
+                found[sha256] = Known(policy.network.text, one_digest(policy.aircraft_sha256))
                 left.discard(sha256)
         except PolicyError:
             continue
     return found
 
 
+def one_digest(aircraft_sha256: str) -> str:
+    """Return the digest of an aircraft as today's policies hold it, of one that a policy of before holds."""
+    from sim.aircraft.digest import EARLIER
+
+    return EARLIER.get(aircraft_sha256, aircraft_sha256)
+
+
 def _files(folder: Path) -> Iterator[Path]:
     yield from sorted(SHIPPED.glob("*/policy.onnx"))
-    yield from sorted(folder.glob("*.onnx"))[:LOOKED_AT_MAX]
+    for pattern in ("*.onnx", "runs/*/policy.onnx"):
+        yield from sorted(folder.glob(pattern))[:LOOKED_AT_MAX]

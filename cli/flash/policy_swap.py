@@ -15,6 +15,7 @@ from cli.flash.tables import print_facts, print_json, print_table
 from toolchain.errors import LinkError, PolicyError
 
 if TYPE_CHECKING:
+    from cli.flash.known_policies import Known
     from flash.client import Client
     from flash.policy.candidate import Candidate
     from flash.policy.slots import Place, Policies
@@ -41,7 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--revert", action="store_true", help="give the policy in the flown slot up: back to the one before"
     )
     parser.add_argument(
-        "--other-aircraft", action="store_true", help="a policy trained for another aircraft is meant"
+        "--other-aircraft", action="store_true", help="an image or a policy for another aircraft is meant"
     )
     parser.add_argument(
         "--no-reboot",
@@ -98,10 +99,14 @@ def list_(args: argparse.Namespace) -> int:
     return 0
 
 
-def _networks(policies: Policies) -> dict[str, str]:
-    from cli.flash.known_policies import known_networks
+def _known(policies: Policies) -> dict[str, Known]:
+    from cli.flash.known_policies import known_policies
 
-    return known_networks((place.sha256 for place in policies.places if place.good), Path.cwd())
+    return known_policies((place.sha256 for place in policies.places if place.good), Path.cwd())
+
+
+def _networks(policies: Policies) -> dict[str, str]:
+    return {sha256: known.network for sha256, known in _known(policies).items()}
 
 
 def _row(place: Place, policies: Policies, networks: dict[str, str]) -> tuple[str, ...]:
@@ -149,6 +154,7 @@ def _list_document(policies: Policies, networks: dict[str, str]) -> list[dict[st
 # --- policy ------------------------------------------------------------------------------------------
 def candidate_of(path: Path) -> Candidate:
     """The policy in an ONNX file, compiled. Raises PolicyError, one line."""
+    from cli.flash.known_policies import one_digest
     from flash.policy.candidate import Candidate
     from toolchain.codegen.compiler import compile_policy
     from toolchain.policy.blob import pack
@@ -174,6 +180,7 @@ def candidate_of(path: Path) -> Candidate:
         idle=blob.idle,
         mix=blob.mix,
         aircraft=blob.aircraft,
+        aircraft_sha256=one_digest(blob.aircraft_sha256),
         sha256=blob.policy_sha256,
         blob=lambda sequence: pack(replace(blob, sequence=sequence)),
     )
@@ -192,12 +199,13 @@ def swap(args: argparse.Namespace) -> int:
         check_ready(client, NOT_WRITTEN)
         policies = read_policies(client)
         check_started(client.name, policies, NOT_WRITTEN)
-        networks = _networks(policies)
+        flown = _known(policies).get(policies.info.sha256)
         target_name = messages.board_info(client.request(Msp.BOARD_INFO)).target or "MATEKF722"
         candidates.check_fits(
             candidate,
             policies,
-            network=networks.get(policies.info.sha256),
+            network=flown and flown.network,
+            aircraft_sha256=flown and flown.aircraft_sha256,
             mend=f"make firmware TARGET={target_name} POLICY={args.policy}",
             other_aircraft=args.other_aircraft,
         )
@@ -249,6 +257,7 @@ def _plan(
         "file": str(args.policy),
         "network": candidate.network,
         "aircraft": candidate.aircraft,
+        "aircraft_sha256": candidate.aircraft_sha256,
         "sha256": candidate.sha256,
         "idle": candidate.idle,
         "mix": candidate.mix.text,
@@ -267,6 +276,7 @@ def _plan_rows(document: dict[str, Any], candidate: Candidate, policies: Policie
     sha, idle = candidate.sha256[:SHA_SHOWN], policies.info.idle
     rows = [
         ("policy", f"{candidate.file}: {candidate.network}, aircraft {candidate.aircraft}, sha256 {sha}"),
+        ("aircraft", f"{candidate.aircraft}, digest {candidate.aircraft_sha256[:SHA_SHOWN]}"),
         ("flown now", policies.flown_text),
     ]
     if candidate.idle != idle:

@@ -6,6 +6,7 @@ import argparse
 from collections.abc import Callable
 from contextlib import closing
 from dataclasses import asdict
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from cli.flash.tables import print_facts, print_json, print_table
@@ -68,6 +69,7 @@ def _info_rows(info: Info) -> list[tuple[str, str]]:
         rows += [
             ("policy", policy.name),
             ("policy sha256", policy.sha256),
+            ("trained on", _trained_on(policy.name, policy.sha256)),
             (
                 "network",
                 f"{policy.observation_count} observations to {policy.action_count} actions, "
@@ -85,6 +87,16 @@ def _info_rows(info: Info) -> list[tuple[str, str]]:
     return rows
 
 
+def _trained_on(name: str, sha256: str) -> str:
+    """The aircraft of a policy by SHA-256: the board tells its name, the policy's file the digest."""
+    from cli.flash.image_aircraft import DIGITS
+    from cli.flash.known_policies import known_policies
+
+    known = known_policies([sha256], Path.cwd()).get(sha256)
+    digest = "not known: the policy's file is not here" if known is None else known.aircraft_sha256[:DIGITS]
+    return f"aircraft {name}, digest {digest}"
+
+
 # --- status ----------------------------------------------------------------------------------------
 def status(args: argparse.Namespace) -> int:
     """Print how the firmware does."""
@@ -100,6 +112,7 @@ def status(args: argparse.Namespace) -> int:
 
 
 def _status_rows(told: Overview) -> list[tuple[str, str]]:
+    from cli.flash.image_aircraft import NO_PID
     from flash.hints import brown_out, words
 
     flight, battery, attitude = told.flight, told.battery, told.attitude
@@ -111,6 +124,7 @@ def _status_rows(told: Overview) -> list[tuple[str, str]]:
         rows += [
             ("flies", flight.flies),
             ("policy", f"{flight.policy}, {'good' if flight.policy_good else 'BAD: it does not fly'}"),
+            ("PID", "built in" if flight.pid_built_in else NO_PID),
         ]
         level = flight.brown_out_level
         warmth = f"{flight.gyro_temperature_deg_c:.1f} deg C"

@@ -195,6 +195,7 @@ def _report(
         print(f"{name:20} {'    '.join(each)}")
     if proof.refusal is None:
         print(
-            f"{args.out} holds the refined policy. Nothing was written to a board; that is\n"
-            f"  neuroflight flash --policy {args.out / POLICY} --port PORT"
+            f"{args.out} holds the refined policy. Nothing was written to a board; that is, as the corrected "
+            f"aircraft has another digest,\n"
+            f"  neuroflight flash --policy {args.out / POLICY} --other-aircraft --port PORT"
         )

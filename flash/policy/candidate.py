@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from flash.policy.slots import Policies
+from flash.policy.slots import SHA_SHOWN, Policies
 from toolchain.contract import IMAGE_BUILD_BYTES, Mix
 from toolchain.errors import LinkError
 
@@ -26,6 +26,7 @@ class Candidate:
     mix: Mix  # of outputs and throttle
     idle: float  # motor fraction at zero thrust
     aircraft: str
+    aircraft_sha256: str  # of what its twin flies
     sha256: str  # of the ONNX file
     blob: Callable[[int], bytes]  # its bytes with that sequence number, always as many
 
@@ -62,12 +63,18 @@ def differences(candidate: Candidate, policies: Policies) -> list[str]:
 
 
 def check_fits(
-    candidate: Candidate, policies: Policies, *, network: str | None, mend: str, other_aircraft: bool
+    candidate: Candidate,
+    policies: Policies,
+    *,
+    network: str | None,
+    aircraft_sha256: str | None,
+    mend: str,
+    other_aircraft: bool,
 ) -> None:
     """Raise LinkError, one line, unless the running image can fly it and it is for the same aircraft.
 
-    network: of the policy that is flown, where it is known. mend: the command that builds an image with it.
-    other_aircraft: a policy for another aircraft is meant.
+    network, aircraft_sha256: of the policy that is flown, where its file is known. mend: the command that
+    builds an image with it. other_aircraft: a policy for another aircraft is meant.
     """
     if told := differences(candidate, policies):
         flies = f" ({network})" if network else ""
@@ -75,9 +82,17 @@ def check_fits(
             f"{candidate.file}: {candidate.network} does not fit the image that runs{flies}: "
             f"{'; '.join(told)}; nothing was written: build an image with it: {mend}"
         )
-    if policies.flown is not None and candidate.aircraft != policies.info.name and not other_aircraft:
+    if policies.flown is None or other_aircraft:
+        return
+    named = candidate.aircraft == policies.info.name
+    if not named or aircraft_sha256 not in (None, candidate.aircraft_sha256):
+        here, there = (
+            ("", "")
+            if aircraft_sha256 is None or not named
+            else (f" ({digest[:SHA_SHOWN]})" for digest in (candidate.aircraft_sha256, aircraft_sha256))
+        )
         raise LinkError(
-            f"{candidate.file}: trained for the aircraft {candidate.aircraft!r}, the policy that the board "
-            f"flies is for {policies.info.name!r}; nothing was written: choose a policy for this aircraft, "
-            "or give --other-aircraft if that is meant"
+            f"{candidate.file}: trained for the aircraft {candidate.aircraft!r}{here}, the policy that the "
+            f"board flies is for {policies.info.name!r}{there}; nothing was written: choose a policy for "
+            "this aircraft, or give --other-aircraft if that is meant"
         )

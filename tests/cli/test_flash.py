@@ -24,6 +24,7 @@ from flash.image import update
 from flash.image.files import Policy, read_images
 from flash.image.messages import image_write
 from flash.msp import Decoder, Message, encode
+from sim.aircraft.model import load_aircraft
 from tests.flash.conftest import TcpServer
 from tests.flash.image.board_model import BoardModel, Fate, Setting, board_with
 from tests.flash.image.conftest import RevivingHost, policy_of_build, stamped
@@ -125,6 +126,48 @@ def test_the_image_is_written_switched_to_and_seen_to_run(
     assert flash(nfi, served.port, "--force", "--no-backup")[0] == 0
     assert served.board.erased == 2 and served.board.running == 0
     assert len(list(tmp_path.glob("neuroflight-settings-*.txt"))) == 1
+
+
+def test_an_image_for_another_aircraft_than_the_boards_is_written_only_when_that_is_meant(
+    flash: Run, serve: Callable[..., ServedBoard], nfi: Path, tmp_path: Path
+) -> None:
+    digest = load_aircraft("nf1").sha256[:12]
+    served = serve(aircraft=b"mine")
+    code, out, err = flash(nfi, served.port)
+    assert code == 1 and served.board.erased == 0
+    told = f"aircraft nf1, digest {digest}; until now the board flew ANOTHER: mine"
+    assert told in out
+    assert "the board flies the aircraft 'mine', the image is for 'nf1'" in err
+    assert "give --other-aircraft if that is meant; nothing was written" in err
+    code, out, _ = flash(nfi, served.port, "--other-aircraft", "--no-backup")
+    assert code == 0 and told in out and served.board.erased == 1
+
+
+@pytest.mark.parametrize(
+    ("pid", "words"),
+    [
+        (None, "PID NONE: where the policy must not fly on, the motors stop"),
+        ("own", "PID of aircraft mine, digest abababababab: the policy's own"),
+        ("other", "PID of aircraft mine, digest abababababab: NOT the one that the policy was trained on"),
+        ("moved", "PID not known: the report.json of its build does not lie beside the image"),
+    ],
+)
+def test_the_plan_tells_the_pid_of_the_image(
+    flash: Run, serve: Callable[..., ServedBoard], nfi: Path, tmp_path: Path, pid: str | None, words: str
+) -> None:
+    served = serve()
+    image, report = tmp_path / nfi.name, json.loads(nfi.with_name("report.json").read_text())
+    shutil.copy(nfi, image)
+    if pid is None:
+        report["pid"] = None
+    known = {"name": "mine", "sha256": "ab" * 32, "file": "/somewhere/mine.toml", "own": pid == "own"}
+    if pid != "moved":
+        image.with_name("report.json").write_text(json.dumps(report | {"aircraft": known}))
+    out = flash(image, served.port, "--dry-run")[1]
+    assert words in out
+    assert f"aircraft nf1, digest {load_aircraft('nf1').sha256[:12]} PID" in out
+    facts = json.loads(flash(image, served.port, "--dry-run", "--json")[1])["aircraft"]
+    assert (facts["name"], facts["board"], facts["other"]) == ("nf1", "nf1", False)
 
 
 def test_json_tells_board_image_plan_and_result(

@@ -10,8 +10,13 @@ import pytest
 
 from cli.main import main
 from cli.sim import fly_ports as command
-from sim.aircraft.model import load_aircraft
+from sim.aircraft.model import FOLDER, load_aircraft
+from sim.control.pid_table import pid_table
 from sim.flight.trace import load_trace
+from tests.conftest import build_beside
+from tests.modelled_policy import modelled_policy
+from toolchain.image.build import build
+from toolchain.image.report import AircraftFacts
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -45,6 +50,40 @@ def test_it_prints_both_figures_and_writes_the_files_when_all_is_well(
     assert len(load_trace(trace).t) == 100
     assert plot.read_bytes().startswith(b"\x89PNG")
     assert "short" in report.read_text()
+
+
+@pytest.mark.usefixtures("built")
+def test_it_says_when_the_policy_or_the_pid_is_another_aircrafts(
+    short: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["fly", "--on", "reference", "--scenario", short, "--json"]
+    assert main(words) == 0
+    assert capsys.readouterr().err == ""
+    assert main([*words, "--aircraft", "nf1:props-out"]) == 0
+    digest = load_aircraft("nf1:props-out").sha256
+    assert f"flies the twin of another: nf1-props-out ({digest[:12]})" in capsys.readouterr().err
+
+
+def test_it_flies_the_aircraft_of_the_build_and_says_that_its_policy_was_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    own, policy, story = (tmp_path / name for name in ("own.toml", "policy.onnx", "story.toml"))
+    own.write_text((FOLDER / "nf1.toml").read_text().replace('name = "nf1"', 'name = "mine"'))
+    policy.write_bytes(modelled_policy())
+    story.write_text("[[segment]]\nduration_s = 2.0\nsetpoint_deg_s = [300, -300, 200]\n")
+    aircraft = load_aircraft(own)
+    known = AircraftFacts(aircraft.name, aircraft.sha256, str(own), own=True)
+    build_beside("HOST", policy, tmp_path)
+    build("HOST", policy, ROOT, tmp_path, pid_table(aircraft), known)
+    monkeypatch.setattr(command, "BUILD", tmp_path / "HOST")
+    for on in ("reference", "host"):
+        assert main(["fly", "--on", on, "--scenario", str(story)]) == 0
+        told = " ".join(capsys.readouterr().out.split())
+        assert "mine: story" in told
+        assert "its policy until that was REFUSED (wrong way), then its PID" in told
+    own.unlink()
+    assert main(["fly", "--on", "reference", "--scenario", str(story)]) == 1
+    assert f"aircraft '{own}': no such file" in capsys.readouterr().err
 
 
 @pytest.mark.usefixtures("built")

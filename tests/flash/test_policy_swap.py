@@ -24,6 +24,7 @@ from flash.policy.slots import Policies, place_of, read_policies
 from flash.policy.swap import Board
 from flash.policy_errors import POLICY_ERRORS, policy_error
 from flash.transport import Transport, open_transport
+from sim.aircraft.model import load_aircraft
 from tests.flash.policies import HostBoard, another_policy, host_board
 from tests.flash.test_noisy_line import FastTransport
 from toolchain.contract import FLASH_BYTES, ArmingReason, FlightState, Msp
@@ -280,6 +281,21 @@ def test_a_policy_of_another_aircraft_is_flown_only_when_that_is_meant(
     assert "is for the aircraft 'nf1'" in err and "nothing was changed" in err
     assert run("--revert", "--other-aircraft")[0] == 0
     assert flown(board)[0] is PolicySource.SLOT_A
+
+
+def test_a_policy_of_another_aircraft_of_that_name_is_flown_only_when_that_is_meant(
+    run: Run, board: HostBoard, shipped_policy: Path, tmp_path: Path
+) -> None:
+    metadata = {"neuroflight.aircraft_sha256": "ab" * 32}
+    policy = another_policy(shipped_policy, tmp_path / "alien.onnx", metadata=metadata)
+    before = board.flash.read_bytes()
+    code, _, err = run("--policy", policy)
+    assert code == 1
+    digest = load_aircraft("nf1").sha256[:12]
+    assert f"'nf1' (abababababab), the policy that the board flies is for 'nf1' ({digest})" in err
+    assert board.flash.read_bytes() == before
+    code, out, _ = run("--policy", policy, "--other-aircraft", "--dry-run")
+    assert code == 0 and "aircraft nf1, digest abababababab" in out
 
 
 # --- Boards that are refused ------------------------------------------------------------------------

@@ -111,6 +111,7 @@ class PolicyHeader:
     action_count: int
     weight_count: int
     aircraft: str  # whatever is not printable shows as ?
+    aircraft_sha256: str  # of the one that it was trained on
     policy_sha256: str
     build: bytes  # of the image that it came with; zeros: any
 
@@ -125,7 +126,8 @@ def policy_header(blob: bytes | bytearray) -> PolicyHeader | None:
         return None
     aircraft = told["aircraft"].rstrip(b"\0").decode("latin-1")
     told["aircraft"] = "".join(c if " " <= c <= "~" else "?" for c in aircraft)
-    told["policy_sha256"] = told["policy_sha256"].hex()
+    for name in ("aircraft_sha256", "policy_sha256"):
+        told[name] = told[name].hex()
     return PolicyHeader(**{name: told[name] for name in PolicyHeader.__dataclass_fields__})
 
 

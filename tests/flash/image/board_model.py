@@ -92,6 +92,7 @@ class BoardModel:
     layout: int | None = IMAGE_LAYOUT  # of images; None: it does not tell
     slots: list[bytes] = field(default_factory=lambda: [b"", b""])  # blobs
     flown: int = 0  # slot
+    aircraft: bytes = b"nf1"  # that the policies are told to be of
     coming: bytes = b""  # of a policy under way
     ended: bool = False
     commands: list[int] = field(default_factory=list)
@@ -171,12 +172,15 @@ class BoardModel:
         head = struct.pack("<IHHIHHB", 1, 6, 4, 100, 1000, 4000, not bad)
         return (
             head
-            + b"\x03nf1"
+            + self.named()
             + bytes(32)
             + struct.pack(
                 "<fBI2bB", 0.1, self.flown, self.number(self.flown), *map(self.found, range(2)), Mix.CENTRED
             )
         )
+
+    def named(self) -> bytes:
+        return bytes([len(self.aircraft)]) + self.aircraft
 
     def found(self, slot: int) -> int:
         if policy_header(self.slots[slot]) is None:
@@ -190,7 +194,7 @@ class BoardModel:
         if header is None:
             return told + bytes(4 * 5 + 1 + 32 + 8)
         told += struct.pack("<4If", header.sequence, header.architecture_hash, header.filters_hash, 1000, 0.1)
-        return told + b"\x03nf1" + bytes.fromhex(header.policy_sha256) + header.build
+        return told + self.named() + bytes.fromhex(header.policy_sha256) + header.build
 
     def slot_begin(self, payload: bytes) -> bytes | Refusal:
         spare, now = self.banks[1 - self.running], self.banks[self.running]
