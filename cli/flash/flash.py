@@ -15,7 +15,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cli.flash import policy_swap, rescue
+from cli.flash import checked, policy_swap, rescue
 from cli.flash.image_aircraft import image_aircraft
 from cli.flash.progress import step_bars
 from cli.flash.tables import print_facts, print_json
@@ -69,6 +69,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="where the settings go before; default: a new file in this folder",
     )
     backup.add_argument("--no-backup", action="store_true", help="write no such file")
+    checked.add_argument(parser)
     policy_swap.add_arguments(parser)
     rom = parser.add_argument_group("through the boot loader in the chip's ROM, as `neuroflight rescue` does")
     rom.add_argument("--rom", action="store_true", help="write to a board that nothing else reaches")
@@ -130,10 +131,10 @@ def _flash(args: argparse.Namespace, under_way: _UnderWay) -> int:
         with _nothing_written():
             board = read_board(client)
             plan = make_plan(board, file, keep_policy=args.keep_policy)
-            aircraft = image_aircraft(file.path, plan)
-            facts = _facts(args, file, plan) | {"aircraft": aircraft.document()}
+            aircraft, check = image_aircraft(file.path, plan), _checked(args, plan)
+            facts = _facts(args, file, plan) | {"aircraft": aircraft.document(), "check": check}
             if not args.json:
-                print_facts([*_rows(args, file, plan), *aircraft.rows()])
+                print_facts([*_rows(args, file, plan), *aircraft.rows(), ("check", check)])
             aircraft.check(board.port, other_aircraft=args.other_aircraft)
             check_ready(board)
             if args.dry_run or (plan.same_build and not args.force):
@@ -149,6 +150,14 @@ def _flash(args: argparse.Namespace, under_way: _UnderWay) -> int:
     finally:
         client.close()
     return _tell(args, facts, done)
+
+
+def _checked(args: argparse.Namespace, plan: Plan) -> str:
+    """What the check found of the policy that the image brings."""
+    if plan.policy is None:
+        return "no new policy is written"
+    unchecked = args.unchecked or args.dry_run
+    return checked.checked_image(args.image, plan.policy.sha256, unchecked=unchecked)
 
 
 def _leave(args: argparse.Namespace, facts: dict[str, object], plan: Plan) -> int:

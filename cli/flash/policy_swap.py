@@ -195,6 +195,10 @@ def swap(args: argparse.Namespace) -> int:
     from toolchain.contract import Msp
 
     candidate = candidate_of(args.policy)
+    try:
+        check = _checked(args, candidate)
+    except PolicyError as error:
+        raise PolicyError(f"{error}; {NOT_WRITTEN}") from error
     with _connected(args, NOT_WRITTEN) as client:
         check_ready(client, NOT_WRITTEN)
         policies = read_policies(client)
@@ -209,15 +213,28 @@ def swap(args: argparse.Namespace) -> int:
             mend=f"make firmware TARGET={target_name} POLICY={args.policy}",
             other_aircraft=args.other_aircraft,
         )
-        return _carry_out(args, client, candidate, policies)
+        return _carry_out(args, client, candidate, policies, check)
 
 
-def _carry_out(args: argparse.Namespace, client: Client, candidate: Candidate, policies: Policies) -> int:
+def _checked(args: argparse.Namespace, candidate: Candidate) -> str:
+    """What the check found of the policy."""
+    from cli.flash.checked import checked_policy
+    from toolchain.policy.model import read_policy
+
+    of = None if args.other_aircraft else read_policy(args.policy).aircraft_sha256
+    return checked_policy(
+        args.policy, candidate.sha256, of, candidate.aircraft, unchecked=args.unchecked or args.dry_run
+    )
+
+
+def _carry_out(
+    args: argparse.Namespace, client: Client, candidate: Candidate, policies: Policies, check: str
+) -> int:
     from flash.policy import swap as swaps
 
     flown, waiting = policies.flown, policies.after_start()
     held = waiting if waiting is not None and waiting.sha256 == candidate.sha256 and not args.force else None
-    document = _plan(args, candidate, policies, held)
+    document = {**_plan(args, candidate, policies, held), "check": check}
     if held is not None and held is flown:
         return _told(args, document, f"the board flies {candidate.file} already, {held.text}; {NOT_WRITTEN}")
     if not args.json:
@@ -293,7 +310,7 @@ def _plan_rows(document: dict[str, Any], candidate: Candidate, policies: Policie
         )
     else:
         told = f"nothing to write: {document['slot']} holds it and waits for a start"
-    return [*rows, ("plan", told)]
+    return [*rows, ("check", document["check"]), ("plan", told)]
 
 
 @contextmanager

@@ -9,6 +9,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from cli.flash import checked
 from cli.flash.progress import step_bars
 from toolchain.contract import (
     FLASH_BANK_A,
@@ -19,7 +20,7 @@ from toolchain.contract import (
     FLASH_SECTORS,
     FLASH_SETTINGS,
 )
-from toolchain.errors import LinkError
+from toolchain.errors import LinkError, PolicyError
 
 if TYPE_CHECKING:
     from flash.rom.client import RomClient
@@ -53,6 +54,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="the adapter on UART1, such as /dev/ttyUSB0 or serial:/dev/ttyUSB0:57600; tcp:HOST:PORT",
     )
     parser.add_argument("--dry-run", action="store_true", help="find the chip, print the plan, write nothing")
+    checked.add_argument(parser)
     add_options(parser)
 
 
@@ -85,11 +87,16 @@ def run_rom(args: argparse.Namespace) -> int:
         facts = check_image(segments)
     except LinkError as error:
         raise LinkError(f"{args.image}: {error}") from None
+    unchecked = args.unchecked or args.dry_run or args.verify_only
+    try:
+        check = checked.checked_image(args.image, facts.policy.policy_sha256, unchecked=unchecked)
+    except PolicyError as error:
+        raise PolicyError(f"{error}; nothing was written") from error
     plan = make_plan(segments, erase_bank_b=args.all)
     with RomClient(open_transport(args.port, "E")) as client:
         chip = client.connect()
         print(f"chip   0x{chip.product_id:03X}, boot loader in its ROM, on {client.name}")
-        _tell(f"{args.image}, {facts}", plan, baud)
+        _tell(f"{args.image}, {facts}", plan, baud, check)
         if args.dry_run:
             print("nothing was written")
             return 0
@@ -122,8 +129,9 @@ def _install(client: RomClient, plan: Plan, progress: Progress) -> None:
         ) from None
 
 
-def _tell(image: str, plan: Plan, baud: float) -> None:
+def _tell(image: str, plan: Plan, baud: float, check: str) -> None:
     print(f"image  {image}, {plan.bytes:,} bytes")
+    print(f"check  {check}")
     print(f"erase  {'; '.join(f'sector {n} ({_purpose(n)})' for n in plan.sectors)}")
     print(f"keep   {'; '.join(f'sector {n} ({_purpose(n)})' for n in plan.kept)}")
     print(f"takes  about {plan.seconds(baud):.0f} s at {baud:.0f} baud", flush=True)

@@ -8,6 +8,8 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from cli.toolchain.checked import add_argument, checked
+
 if TYPE_CHECKING:
     from sim.control.pid_table import Beside
     from toolchain.image.report import AircraftFacts, Built
@@ -45,6 +47,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="of the policy and aircraft that the target was built of last; the first time, of the default",
     )
+    add_argument(parser)
     parser.add_argument("--out", type=Path, metavar="DIR", help="instead of build/ and firmware/generated/")
     parser.add_argument("--json", action="store_true", help="print the report as JSON")
 
@@ -76,8 +79,9 @@ def run(args: argparse.Namespace) -> int:
         )
     policy = read_policy(path)
     stands = beside(policy, str(path), args.aircraft, other=args.other_aircraft, no_pid=args.no_pid)
+    stamp = checked(path, policy, target, stands, unchecked=args.unchecked)
     try:
-        report = build(args.target, path, ROOT, args.out, stands.pid, _facts(stands))
+        report = build(args.target, path, ROOT, args.out, stands.pid, _facts(stands), stamp)
     except MakeError as error:
         print(error.output, file=sys.stderr)
         raise

@@ -6,12 +6,14 @@ import argparse
 import json
 import sys
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from sim.aircraft.model import Aircraft
     from training.config.training_config import TrainingConfig
+    from training.fitness.ending import Ending
     from training.runs.seeds import Planned
     from training.runs.train import Callback, Progress
 
@@ -74,7 +76,8 @@ def _train_all(
 ) -> int:
     """Train every seed in --out, which is this process's own. claims: gets the folders of several seeds."""
     from toolchain.files import claimed
-    from training.runs.seeds import keep_best, plan  # torch, which takes seconds
+    from toolchain.policy.check_stamp import write_stamp
+    from training.runs.seeds import best_seed, keep, plan  # torch, which takes seconds
     from training.runs.train import read_record
 
     planned = plan(aircraft, config, args.out, args.seeds, resume=args.resume, force=args.force)
@@ -84,21 +87,97 @@ def _train_all(
     if args.force:
         _remove_events(planned)
     best = planned[0].config.seed
-    try:
-        ends = {item.config.seed: _train(args, aircraft, item) for item in planned}
-        if len(planned) > 1:
+    ending: Ending | None = None
+    with _Fitness(aircraft, config) as fitness:
+        try:
+            ends = {item.config.seed: _train(args, aircraft, item) for item in planned}
             chosen = {seed: end.chosen for seed, end in ends.items() if end.chosen}
-            best = keep_best(args.out, chosen, config.selection, _command(args, config, args.seeds))
-    except KeyboardInterrupt:
-        _draw(args.out, aircraft, planned, best)
-        raise
+            best = best_seed(chosen, config.selection)
+            ending = fitness.choose(planned)
+            best = best if ending is None else ending.seed
+            if len(planned) > 1:
+                keep(args.out, best, chosen, _command(args, config, args.seeds))
+        except KeyboardInterrupt:
+            _draw(args.out, aircraft, planned, best)
+            raise
+    if ending is not None:
+        ends[best] = replace(ends[best], chosen=ending.chosen)
+        write_stamp(args.out / "policy.onnx", ending.verdict.document())
     _draw(args.out, aircraft, planned, best)
-    record = read_record(args.out)
     if args.json:
-        print(json.dumps({"out": str(args.out), **record}, indent=2))
+        record = read_record(args.out)
+        told = None if ending is None else ending.document()
+        print(json.dumps({"out": str(args.out), **record, "check": told}, indent=2))
     else:
         _print(args, planned, ends, best)
-    return 0
+        fitness.tell(args, ending)
+    return int(config.selection.fit and (ending is None or not ending.verdict.fit))
+
+
+class _Fitness:
+    """The check at the end of a training, where the recipe wants a policy that is fit to fly.
+
+    Its references fly while the policy is learned. Where nothing can be flown beside it, `why` says so.
+    """
+
+    def __init__(self, aircraft: Aircraft, config: TrainingConfig) -> None:
+        from cli.training.policy_check import find_betaflight
+        from toolchain.errors import AircraftError
+        from training.fitness.references import References
+
+        self._aircraft, self._references, self.why = aircraft, None, ""
+        if not config.selection.fit:
+            return
+        betaflight, missing = find_betaflight(aircraft, None, build=not aircraft.pids)
+        try:
+            self._references = References(aircraft, betaflight, missing)
+        except AircraftError as error:
+            self.why = str(error)
+
+    def __enter__(self) -> _Fitness:
+        if self._references is not None:
+            self._references.begin()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._references is not None:
+            self._references.close()
+
+    def choose(self, planned: tuple[Planned, ...]) -> Ending | None:
+        """The best checkpoint that is fit, see `choose_fit`; None: nothing is checked."""
+        from cli.training.policy_check import checking
+        from training.fitness.ending import choose_fit
+
+        if self._references is None:
+            return None
+        with ExitStack() as bars:
+            return choose_fit(
+                self._aircraft,
+                planned,
+                self._references,
+                lambda name: bars.enter_context(checking(f"checking {name}")),
+            )
+
+    def tell(self, args: argparse.Namespace, ending: Ending | None) -> None:
+        """Print how the check ended, or the command that makes one."""
+        from rich.console import Console
+
+        from cli.training.policy_check import print_end
+        from toolchain.policy.check_stamp import check_command
+
+        console = Console(highlight=False, soft_wrap=True)
+        policy = args.out / "policy.onnx"
+        if ending is None:
+            why = f": {self.why}" if self.why else ""
+            console.print(f"not checked{why}; to fly it: {check_command(policy, args.aircraft)}")
+            return
+        for each in ending.rejected:
+            console.print(f"not fit to fly: {each.name}: {each.reasons[0]}")
+        if not ending.verdict.fit:
+            console.print(f"no checkpoint of {len(ending.rejected)} is fit to fly; train with another --seed")
+        elif ending.rejected:
+            console.print(f"went back to: {ending.name}")
+        print_end(ending.verdict, policy, console)
 
 
 def _config(args: argparse.Namespace, aircraft: Aircraft) -> TrainingConfig:

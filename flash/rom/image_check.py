@@ -42,11 +42,12 @@ class ImageFacts:
     bank: int  # 0: A, 1: B
     version: str
     build: bytes  # the same in both banks of a build
-    policy: str  # which it brings
+    policy: PolicyHeader  # which it brings
 
     def __str__(self) -> str:
         build = f"build {self.build.hex()}, bank {'AB'[self.bank]}"
-        return f"{self.board} {self.version}, {build}, {self.policy}"
+        policy = f"policy of aircraft {self.policy.aircraft}, sha256 {self.policy.policy_sha256[:SHA_SHOWN]}"
+        return f"{self.board} {self.version}, {build}, {policy}"
 
 
 def check_image(segments: Sequence[Segment]) -> ImageFacts:
@@ -98,13 +99,12 @@ def _check_bank(number: int, content: bytes, slot: bytes) -> ImageFacts:
     return ImageFacts(header.board, header.bank, header.version, header.build, policy)
 
 
-def _check_policy(number: int, image: ImageHeader, slot: bytes) -> str:
-    """What the image will fly, in words. Without a policy that fits no policy would fly."""
+def _check_policy(number: int, image: ImageHeader, slot: bytes) -> PolicyHeader:
+    """What the image will fly. Without a policy that fits no policy would fly."""
     try:
-        header, _ = policy_for(image, slot)
+        return policy_for(image, slot)[0]
     except ValueError as error:
         _refuse(number, f"cannot fly what lies in policy slot A: {error}")
-    return f"policy of aircraft {header.aircraft}, sha256 {header.policy_sha256[:SHA_SHOWN]}"
 
 
 def policy_for(image: ImageHeader, content: bytes) -> tuple[PolicyHeader, bytes]:

@@ -35,6 +35,7 @@ from tests.flash.image.conftest import host_images as host_images
 from tests.flash.image.conftest import reviving_host as reviving_host
 from toolchain.contract import FLASH_BANK_B, FLASH_BASE, IMAGE_LAYOUT, IMAGE_TAIL_BYTES
 from toolchain.image.stamp import stamp
+from toolchain.policy.check_stamp import RULES, stamp_document
 
 ROOT = Path(__file__).resolve().parents[2]
 Run = Callable[..., tuple[int, str, str]]
@@ -52,7 +53,7 @@ def flash(capsys: pytest.CaptureFixture[str]) -> Run:
     """Give it an image, a port and more words behind `flash`: exit code, stdout, stderr."""
 
     def run(image: Path, port: str, *words: str) -> tuple[int, str, str]:
-        code = main(["flash", str(image), "--port", port, *words])
+        code = main(["flash", str(image), "--port", port, "--unchecked", *words])
         output = capsys.readouterr()
         assert output.err.count("\n") == (code != 0)
         return code, " ".join(output.out.split()), output.err
@@ -388,3 +389,82 @@ def test_it_says_what_is_written_when_the_port_is_unplugged_meanwhile(
     code, _, err = flash(host_file, reviving_host.port, "--no-backup")
     assert code == 1
     assert "bank B has " in err and "bank A was not written and stays" in err
+
+
+# --- No policy that was not found fit to fly ------------------------------------------------------------
+def checked_build(nfi: Path, folder: Path, edit: Callable[[dict[str, Any]], object]) -> Path:
+    """A copy of a build's images whose report holds the stamp that a check gives, after an edit of it."""
+    image = Path(shutil.copy(nfi, folder / nfi.name))
+    report = json.loads(nfi.with_name("report.json").read_text())
+    policy, words = report["policy"], {"aircraft": "nf1", "aircraft_sha256": "a" * 64, "fit": True}
+    facts = {"policy_sha256": policy["sha256"], "figures": {"bars": [{"seen": 1.0}]}, **words}
+    report["check"] = stamp_document(**facts)
+    edit(report)
+    image.with_name("report.json").write_text(json.dumps(report))
+    return image
+
+
+def resealed(report: dict[str, Any], **words: object) -> None:
+    """Give a report the stamp of another check."""
+    check = {key: value for key, value in report["check"].items() if key not in ("format", "rules", "seal")}
+    figures = {"bars": check.pop("bars")}
+    report["check"] = stamp_document(**{**check, **words}, figures=figures)
+
+
+@pytest.mark.parametrize(
+    ("edit", "words"),
+    [
+        (lambda report: report.update(check=None), "was not checked"),
+        (lambda report: report.pop("check"), "is not told of"),
+        (lambda report: resealed(report, fit=False), "is NOT fit to fly nf1"),
+        (lambda report: resealed(report, policy_sha256="b" * 64), "was changed after its check"),
+        (lambda report: report["check"].update(fit=True, rules=0), "it was changed after the check"),
+        (lambda report: report["check"]["bars"][0].update(seen=0.5), "it was changed after the check"),
+        (lambda report: report.update(check="fit"), "another format"),
+    ],
+)
+def test_an_image_whose_policy_is_not_known_to_be_fit_is_not_written(
+    serve: Callable[..., ServedBoard],
+    nfi: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    edit: Callable[[dict[str, Any]], object],
+    words: str,
+) -> None:
+    served = serve()
+    image = checked_build(nfi, tmp_path, edit)
+    assert main(["flash", str(image), "--port", served.port, "--force"]) == 1
+    err = capsys.readouterr().err
+    assert words in err and "neuroflight policy check" in err and "or add --unchecked" in err
+    assert err.count("\n") == 1 and err.endswith("nothing was written\n")
+    assert served.board.erased == 0 and served.board.running == 0
+    assert not list(tmp_path.glob("neuroflight-settings-*.txt"))
+    assert main(["flash", str(image), "--port", served.port, "--dry-run"]) == 0
+    assert "UNCHECKED" in capsys.readouterr().out and served.board.erased == 0
+
+
+def test_an_image_without_its_report_is_not_written(
+    serve: Callable[..., ServedBoard], nfi: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    served = serve()
+    image = Path(shutil.copy(nfi, tmp_path / nfi.name))
+    assert main(["flash", str(image), "--port", served.port]) == 1
+    assert "is not known to be checked: cannot read" in capsys.readouterr().err
+    assert served.board.erased == 0
+
+
+def test_an_image_whose_policy_a_check_found_fit_is_written(
+    serve: Callable[..., ServedBoard], nfi: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    served = serve()
+    image = checked_build(nfi, tmp_path, lambda report: None)
+    assert main(["flash", str(image), "--port", served.port, "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["check"] == f"fit to fly nf1, by rules {RULES}"
+    assert served.board.running == 1
+
+
+@pytest.mark.parametrize("word", ["firmware", "flash"])
+def test_make_adds_no_unchecked_of_its_own(word: str) -> None:
+    words = ["make", "-n", "-C", str(ROOT), word, "PORT=tcp:localhost:1", "POLICY=another.onnx"]
+    told = subprocess.run(words, capture_output=True, text=True, check=True).stdout
+    assert " build --target MATEKF722" in told and "unchecked" not in told

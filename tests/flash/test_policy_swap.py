@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import random
 import re
+import shutil
 import struct
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -30,6 +31,8 @@ from tests.flash.test_noisy_line import FastTransport
 from toolchain.contract import FLASH_BYTES, ArmingReason, FlightState, Msp
 from toolchain.errors import LinkError
 from toolchain.policy.blob import pack, parse
+from toolchain.policy.check_stamp import RULES, stamp_document, stamp_path, write_stamp
+from toolchain.policy.model import read_policy
 
 ROOT = Path(__file__).resolve().parents[2]
 Run = Callable[..., tuple[int, str, str]]
@@ -60,7 +63,7 @@ def run(board: HostBoard, capsys: pytest.CaptureFixture[str]) -> Run:
     """Give it words behind `flash`: exit code, stdout, stderr. `port`: another than the board's."""
 
     def call(*words: object, port: str | None = None) -> tuple[int, str, str]:
-        code = main(["flash", "--port", port or board.port, *map(str, words)])
+        code = main(["flash", "--port", port or board.port, "--unchecked", *map(str, words)])
         output = capsys.readouterr()
         assert output.err.count("\n") <= 1
         assert (code == 0) == (output.err == "")
@@ -127,7 +130,7 @@ def test_the_pid_alone_flies_when_no_slot_holds_a_policy(
         assert "the board flies no policy; nothing was changed" in capsys.readouterr().err
         assert main(["flash", "--port", board.port, "--list"]) == 0
         assert capsys.readouterr().out.count("empty") == 2
-        assert main(["flash", "--port", board.port, "--policy", str(shipped_policy)]) == 0
+        assert main(["flash", "--port", board.port, "--unchecked", "--policy", str(shipped_policy)]) == 0
         assert flown(board) == (PolicySource.SLOT_A, 1, sha(shipped_policy), True)
 
 
@@ -456,7 +459,7 @@ def test_one_line_says_what_it_means_for_the_board_when_ctrl_c_stops_it(
     def stop(*_: object) -> None:
         raise KeyboardInterrupt
 
-    words = ["flash", "--port", board.port, "--policy", str(other)]
+    words = ["flash", "--port", board.port, "--unchecked", "--policy", str(other)]
     monkeypatch.setattr(swaps, "_write_blocks", stop)
     with pytest.raises(SystemExit, match="130"):
         main(words)
@@ -682,3 +685,56 @@ def test_a_swap_takes_seconds_by_its_line_when_planned() -> None:
     slow = swaps.seconds(27_000, PolicySource.SLOT_B, 115_200, start=False)
     assert slow - over_usb == pytest.approx(27_000 * 10 / 115_200)
     assert swaps.seconds(27_000, PolicySource.SLOT_A, None, start=True) > over_usb - 0.45
+
+
+# --- No policy that was not found fit to fly ----------------------------------------------------------
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ({"fit": False}, "is NOT fit to fly"),
+        ({"policy_sha256": "b" * 64}, "was changed after its check"),
+        ({"aircraft_sha256": "b" * 64}, "was checked for another aircraft"),
+        (None, "was not checked"),
+    ],
+)
+def test_a_policy_that_is_not_known_to_be_fit_is_not_written(
+    board: HostBoard,
+    other: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    words: dict[str, object] | None,
+    said: str,
+) -> None:
+    before = places(board).places
+    policy = Path(shutil.copy(other, tmp_path / "policy.onnx"))
+    if words is not None:
+        write_stamp(policy, stamp_of(policy, **words))
+    assert main(["flash", "--port", board.port, "--policy", str(policy)]) == 1
+    err = capsys.readouterr().err
+    assert said in err and f"neuroflight policy check {policy}" in err and "or add --unchecked" in err
+    assert err.count("\n") == 1 and err.endswith("nothing was written\n")
+    assert places(board).places == before
+
+
+def test_a_policy_that_a_check_found_fit_is_written_until_its_stamp_is_edited(
+    board: HostBoard, other: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    policy = Path(shutil.copy(other, tmp_path / "policy.onnx"))
+    write_stamp(policy, stamp_of(policy))
+    path = stamp_path(policy)
+    good = path.read_text()
+    path.write_text(good.replace('"drift": 1.5', '"drift": 1.0'))
+    assert path.read_text() != good
+    assert main(["flash", "--port", board.port, "--policy", str(policy)]) == 1
+    assert "it was changed after the check" in capsys.readouterr().err
+    path.write_text(good)
+    assert main(["flash", "--port", board.port, "--policy", str(policy)]) == 0
+    assert f"check fit to fly nf1, by rules {RULES}" in " ".join(capsys.readouterr().out.split())
+    assert flown(board) == (PolicySource.SLOT_B, 1, sha(policy), True)
+
+
+def stamp_of(policy: Path, **words: object) -> dict[str, object]:
+    """What a check that finds a policy fit for its own aircraft says, with other words."""
+    facts = {"aircraft": "nf1", "aircraft_sha256": read_policy(policy).aircraft_sha256, "fit": True}
+    facts |= {"policy_sha256": sha(policy), "figures": {"drift": 1.5}}
+    return stamp_document(**{**facts, **words})  # type: ignore[arg-type]

@@ -42,6 +42,7 @@ from toolchain.image.report import (
     Stage,
     bank_images,
 )
+from toolchain.policy.check_stamp import Stamp
 from toolchain.policy.model import PolicyModel, read_policy
 from toolchain.rendering.contract_header import render_contract
 from toolchain.rendering.pid_table import PidTable, render_pid_table
@@ -129,11 +130,13 @@ def build(
     folder: Path | None = None,
     pid: PidTable | None = None,
     aircraft: AircraftFacts | None = None,
+    check: Stamp | None = None,
 ) -> BuildReport:
     """Build `target` with the policy file `policy` in the project at `root`; its report is written too.
 
     pid: what flies when the policy must not or the pilot does not want it to; None: nothing does.
     aircraft: that the image is for, for the report.
+    check: found the policy fit to fly, for the report; `flash` refuses an image without.
 
     Outputs go to root/build/<target> and generated sources to root/firmware/generated/<target>, or both
     into `folder`/<target>, which leaves the user's images alone.
@@ -176,6 +179,7 @@ def build(
             stack_reason=no_stack,
             image_size=_image_size(image, out / "make" / "obj", compiled) if known.has_board_memory else None,
             images=bank_images((out / NFI).read_bytes()) if NFI in known.products else (),
+            check=check,
         )
         write_text(out / "report.json", json.dumps(report.document(), indent=2) + "\n")
     return report

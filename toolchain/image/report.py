@@ -5,16 +5,17 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from toolchain.contract import FLASH_BANKS, IDLE_MAX, Mix, image_header
 from toolchain.cortex_m7.cycles import CORE_HZ
 from toolchain.cortex_m7.stack_use import StackUse
-from toolchain.errors import BuildError
+from toolchain.errors import BuildError, PolicyError
 from toolchain.files import file_size
 from toolchain.image.elf import MemoryUse, Section
+from toolchain.policy.check_stamp import Stamp, parse_stamp
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
 REPORT_BYTES_MAX = 1 << 20
 DIGEST_SHOWN = 12  # digits of an aircraft's digest, for people
 NO_PID = "NONE: where the policy must not fly on, the motors stop"
+UNCHECKED = "UNCHECKED: no `neuroflight policy check` found it fit to fly"
 CACHE_LINE_BYTES = 32  # of the Cortex-M7's instruction cache
 TRAINING_SHOWN = ("algorithm", "steps", "seed")  # the entries of the training that the table has room for
 
@@ -136,11 +138,13 @@ class BuildReport:
     stack_reason: str | None = None  # why it is not known
     image_size: ImageSize | None = None  # None on the host
     images: tuple[BankImage, ...] = ()  # one for each bank; none on the host
+    check: Stamp | None = None  # that found the policy fit to fly; None: nothing did
 
     def document(self) -> dict[str, object]:
         """The content of report.json."""
         stack = None if self.stack is None else asdict(self.stack) | {"margin": self.stack.margin}
-        return asdict(self) | {"stack": stack}
+        check = None if self.check is None else dict(self.check.document)
+        return asdict(replace(self, check=None)) | {"stack": stack, "check": check}
 
 
 @dataclass(frozen=True)
@@ -208,6 +212,29 @@ def _aircraft(table: Mapping[str, object]) -> AircraftFacts:
     return AircraftFacts(**words, own=table["own"] is True)
 
 
+def read_check(product: Path) -> Stamp | None:
+    """The stamp of the policy inside `product`, a file of a build, by the report.json beside it; None: none.
+
+    Raises BuildError or PolicyError where that cannot be told; neither names `product`.
+    """
+    path = product.with_name("report.json")
+    try:
+        if (size := file_size(path)) > REPORT_BYTES_MAX:
+            raise BuildError(f"is not told of by {path}, which is {size} bytes")
+        report = json.loads(path.read_bytes())
+        found = report["check"]
+    except OSError as error:
+        raise BuildError(f"is not known to be checked: cannot read {path} ({error.strerror})") from error
+    except (ValueError, TypeError, KeyError, RecursionError) as error:
+        raise BuildError(f"is not told of by {path}") from error
+    if found is None:
+        return None
+    try:
+        return parse_stamp(found)
+    except PolicyError as error:
+        raise PolicyError(f"has no good stamp in {path}: {error}") from error
+
+
 def built_motors(product: Path, *, pid: bool = False) -> MotorFacts:
     """Idle and mix of the policy inside `product`, a file of a build, or of its PID.
 
@@ -239,6 +266,7 @@ def print_report(report: BuildReport, console: Console) -> None:
     table.add_row("", "file", policy.file)
     table.add_row("", "sha256", f"{policy.sha256[:16]}… (whole in report.json)")
     table.add_row("", "aircraft", f"{policy.aircraft}, digest {policy.aircraft_sha256[:DIGEST_SHOWN]}")
+    table.add_row("", "check", UNCHECKED if report.check is None else report.check.text)
     if report.step_instructions is not None:
         table.add_row("", "a step", _step(report))
     if report.image_size is not None:

@@ -26,10 +26,11 @@ def within(metrics: CheckpointMetrics, limits: SelectionLimits) -> bool:
 
 def better(one: CheckpointMetrics, earlier: CheckpointMetrics, limits: SelectionLimits) -> bool:
     """Whether `one` is chosen before a checkpoint that is earlier than it."""
-    return _rank(one, limits) < _rank(earlier, limits)
+    return rank(one, limits) < rank(earlier, limits)
 
 
-def _rank(metrics: CheckpointMetrics, limits: SelectionLimits) -> tuple[bool, float]:
+def rank(metrics: CheckpointMetrics, limits: SelectionLimits) -> tuple[bool, float]:
+    """The less the better."""
     return not within(metrics, limits), metrics.mae.mean * _excess(metrics, limits)
 
 

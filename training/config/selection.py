@@ -12,6 +12,7 @@ class SelectionLimits:
 
     output: float = 0.12  # of the mean control output: what the dissertation's policy takes
     change: float = 0.012  # of the mean |change| of an output in 1 ms, as `tune-pid` keeps it
+    fit: bool = False  # whether it must be fit to fly, as `neuroflight policy check` says
 
     def errors(self) -> Iterator[str]:
         """Errors of the limits, one line each."""

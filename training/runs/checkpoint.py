@@ -21,9 +21,11 @@ from toolchain.errors import PolicyError, TrainingError
 from toolchain.files import write_bytes
 from toolchain.policy.plain_checkpoint import load_plain
 from training.checkpoints.metrics import CheckpointMetrics
-from training.checkpoints.selection import better
+from training.checkpoints.selection import better, rank
 from training.config.selection import SelectionLimits
 from training.runs.rewards import Rewards
+
+KEPT_MAX = 7  # policies of other checkpoints than the chosen one, where that may prove unfit to fly
 
 Policy = dict[str, torch.Tensor]  # weights by the names that `toolchain.policy.freeze` knows
 
@@ -35,6 +37,7 @@ class MonitorState:
     history: tuple[CheckpointMetrics, ...] = ()  # by steps
     pending: tuple[tuple[int, Policy], ...] = ()  # by steps: submitted policies without metrics
     chosen: tuple[CheckpointMetrics, Policy] | None = None  # the best so far
+    others: tuple[tuple[CheckpointMetrics, Policy], ...] = ()  # the best of the others; see KEPT_MAX
 
     @property
     def steps(self) -> int:
@@ -55,12 +58,22 @@ class MonitorState:
         """With the metrics of the policy that has waited longest."""
         (steps, policy), *others = self.pending
         assert steps == metrics.steps
-        chosen_now = self.chosen is None or better(metrics, self.chosen[0], limits)
+        this = (metrics, policy)
+        chosen = this if self.chosen is None or better(metrics, self.chosen[0], limits) else self.chosen
+        known = (*self.others, *(() if self.chosen is None else (self.chosen,)), this)
+        rest = sorted((each for each in known if each is not chosen), key=lambda each: rank(each[0], limits))
         return MonitorState(
             history=(*self.history, metrics),
             pending=tuple(others),
-            chosen=(metrics, policy) if chosen_now else self.chosen,
+            chosen=chosen,
+            others=tuple(rest[:KEPT_MAX]) if limits.fit else (),
         )
+
+    def going_back(self, steps: int) -> MonitorState:
+        """With the kept checkpoint of that many steps as the chosen one. Raises KeyError if none is kept."""
+        known = {each[0].steps: each for each in (*([self.chosen] if self.chosen else []), *self.others)}
+        chosen = known.pop(steps)
+        return replace(self, chosen=chosen, others=tuple(known.values()))
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,12 +89,12 @@ class Run:
 
 def save_checkpoint(path: Path, document: dict[str, Any], run: Run, monitor_state: MonitorState) -> None:
     """Write a checkpoint in one step. document: `TrainingConfig.document`."""
-    metrics, policy = monitor_state.chosen or (None, run.policy)
+    metrics, chosen = monitor_state.chosen or (None, run.policy)
     content = {
         "format": CHECKPOINT_FORMAT,
         "version": CHECKPOINT_VERSION,
         "config": json.dumps(document, sort_keys=True),
-        "state_dict": policy,
+        "state_dict": chosen,
         "learner": run.learner,
         "latest": run.policy,
         "progress": {
@@ -91,6 +104,7 @@ def save_checkpoint(path: Path, document: dict[str, Any], run: Run, monitor_stat
         },
         "readings": json.dumps([r.document() for r in monitor_state.history]),
         "pending": [[steps, waiting] for steps, waiting in monitor_state.pending],
+        "others": [[metrics.steps, policy] for metrics, policy in monitor_state.others],
         "rewards": json.dumps(run.rewards.points),
     }
     # Through memory: given a path, torch would store the file's name.
@@ -123,11 +137,14 @@ def load_run(path: Path, document: dict[str, Any]) -> tuple[Run, MonitorState]:
             rewards=Rewards(tuple((int(steps), float(reward)) for steps, reward in points)),
         )
         history = tuple(CheckpointMetrics.of(item) for item in json.loads(content["readings"]))
+        by_steps = {metrics.steps: metrics for metrics in history}
         chosen = [r for r in history if r.steps == progress["chosen_steps"]]
         monitor_state = MonitorState(
             history,
             tuple((int(steps), dict(policy)) for steps, policy in content["pending"]),
             (chosen[0], dict(content["state_dict"])) if chosen else None,
+            # Not in a checkpoint of an older version.
+            tuple((by_steps[int(steps)], dict(policy)) for steps, policy in content.get("others", [])),
         )
     except PolicyError as error:
         raise TrainingError(str(error)) from error

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -79,14 +79,11 @@ def best_seed(chosen: Mapping[int, CheckpointMetrics], limits: SelectionLimits) 
     return best
 
 
-def keep_best(
-    out: Path, chosen: Mapping[int, CheckpointMetrics], limits: SelectionLimits, command: str | None
-) -> int:
-    """Copy checkpoint, policy and record of the best seed from its folder into `out`. Returns that seed."""
-    best = best_seed(chosen, limits)
+def keep(out: Path, best: int, seeds: Iterable[int], command: str | None) -> None:
+    """Copy checkpoint, policy and record of the best seed from its folder into `out`."""
     for name in (CHECKPOINT, POLICY):
         write_bytes(out / name, (out / f"seed-{best}" / name).read_bytes())
-    records = {seed: read_record(out / f"seed-{seed}") for seed in chosen}
+    records = {seed: read_record(out / f"seed-{seed}") for seed in seeds}
     document = {
         **records[best],
         "command": command,
@@ -97,4 +94,3 @@ def keep_best(
         },
     }
     write_text(out / RECORD, json.dumps(document, indent=2) + "\n")
-    return best

@@ -32,6 +32,7 @@ CHECKPOINT, POLICY, RECORD, MONITOR = "checkpoint.pt", "policy.onnx", "training.
 REWARDS = "rewards.csv"
 RESULTS = (CHECKPOINT, POLICY, RECORD, MONITOR, REWARDS)
 RECORD_BYTES_MAX = 4 << 20
+CHECKPOINTS_MIN = 4  # of a run whose chosen one must be fit to fly: the earlier ones are there to go back to
 TOOLS = ("torch", "stable_baselines3", "sb3_contrib", "pybullet", "gymnasium", "numpy")
 
 
@@ -179,6 +180,17 @@ def train(
     return replace(state, steps=run.steps, chosen=monitor_state.best)
 
 
+def go_back(aircraft: Aircraft, config: TrainingConfig, out: Path, steps: int) -> None:
+    """Make a kept checkpoint of the finished run in `out` the chosen one: all files but rewards.csv.
+
+    Raises TrainingError if there is no such run, KeyError if the checkpoint was not kept.
+    """
+    document = config.document(aircraft)
+    run, monitor_state = load_run(out / CHECKPOINT, document)
+    results = _Results(out, config, document, read_record(out)["command"], monitored=True)
+    results.write(run, monitor_state.going_back(steps), _seconds(out))
+
+
 def _tidy(out: Path) -> None:
     """Remove the temporary files of a run that was killed while writing."""
     for name in RESULTS:
@@ -188,7 +200,10 @@ def _tidy(out: Path) -> None:
 
 def _due(steps: int, marked: int, config: TrainingConfig) -> bool:
     """Whether the end of a segment at `steps` is a checkpoint; the last one before it was at `marked`."""
-    passed = steps // config.checkpoint_steps > marked // config.checkpoint_steps
+    every = config.checkpoint_steps
+    if config.selection.fit:
+        every = min(every, -(-config.steps // CHECKPOINTS_MIN))
+    passed = steps // every > marked // every
     return passed or marked < config.steps <= steps
 
 

@@ -1,0 +1,69 @@
+"""The interlock of `flash` and `rescue`: what no check found fit goes onto no board, unless the user says so.
+
+The stamp of a policy file lies beside it, that of an image in the report.json beside it, where `build` put
+what it had found. Both are held against the SHA-256 in the policy's own header.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from toolchain.errors import BuildError, PolicyError
+
+if TYPE_CHECKING:
+    from toolchain.policy.check_stamp import Stamp
+
+OPTION = "--unchecked"
+HELP = "write it though no `neuroflight policy check` found its policy fit to fly"
+TOLD = "UNCHECKED: nobody knows whether this policy flies"
+
+
+def add_argument(parser: argparse.ArgumentParser) -> None:
+    """Declare the option."""
+    parser.add_argument(OPTION, action="store_true", help=HELP)
+
+
+def checked_image(image: Path, policy_sha256: str | None, *, unchecked: bool) -> str:
+    """What the check found of the policy in an image file, for the plan.
+
+    policy_sha256: of the policy that the file brings; None: it brings none. Raises PolicyError, one line with
+    the command to run, where that is not known to be fit, unless `unchecked`.
+    """
+    from toolchain.image.report import read_check
+    from toolchain.policy.check_stamp import fault
+
+    stamp, why = None, None
+    try:
+        stamp = read_check(image)
+    except (BuildError, PolicyError) as error:
+        why = str(error)
+    why = why or fault(stamp, policy_sha256 or "", None)
+    if why is None:
+        assert stamp is not None
+        return _told(stamp)
+    if unchecked:
+        return TOLD
+    raise PolicyError(
+        f"{image}: its policy {why}; run `neuroflight policy check POLICY --aircraft FILE` and build it "
+        f"anew, or add {OPTION}"
+    )
+
+
+def checked_policy(
+    policy: Path, policy_sha256: str, aircraft_sha256: str | None, aircraft: str, *, unchecked: bool
+) -> str:
+    """What the check found of a policy file, for the plan.
+
+    aircraft_sha256: None: whatever aircraft it was checked for. Raises PolicyError as `checked_image` does.
+    """
+    from toolchain.policy.check_stamp import require_fit
+
+    if unchecked:
+        return TOLD
+    return _told(require_fit(policy, policy_sha256, aircraft_sha256, aircraft))
+
+
+def _told(stamp: Stamp) -> str:
+    return f"{stamp.text}, by rules {stamp.rules}"
