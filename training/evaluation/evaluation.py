@@ -51,7 +51,7 @@ class Flights:
     @property
     def commands(self) -> int:
         """How many commands an episode holds, of which figures are told one by one."""
-        return max(1, self.course.commands) if self.course else 1
+        return self.course.commands if self.course else 1
 
     @property
     def commanded(self) -> slice:
@@ -61,7 +61,7 @@ class Flights:
 
     def hold(self) -> Hold | None:
         """The held command of each episode, of a flight one by one; None if one holds under a second."""
-        if self.recorded or (self.course and not self.course.commands):
+        if self.recorded:
             return None
         parts = len(self.rate) * self.commands
         setpoint, rate = (
@@ -73,7 +73,7 @@ class Flights:
         """Figures by age; None where episodes are no flights of a minute."""
         if self.course is None:
             return None
-        return holding(self.setpoint, self.rate, self.step_s, self.course.commands, self.commanded.stop)
+        return holding(self.setpoint, self.rate, self.step_s, self.commands, self.commanded.stop)
 
 
 @dataclass(frozen=True, eq=False)

@@ -195,6 +195,9 @@ def _print(title: str, result: Evaluation, more: str) -> None:
         _add_response(table, result)
     console = Console()
     console.print(table)
+    if result.holding:
+        aged = ", ".join(f"{value:.2f}" for value in result.holding.mae.value)
+        console.print(f"MAE by age, of {len(result.holding.mae.value)} equal parts before the hover: {aged}")
     effort, margin = result.effort, result.effort_margin
     console.print(
         f"mean output ū {effort.output:.4f} ± {margin.output:.4f}, "
@@ -229,7 +232,7 @@ def _add_holding(table: Table, found: HoldingFigures) -> None:
             f"{value[axis]:.{digits}f} ± {(high - low)[axis] / 2:.{digits}f}" if count[axis] else "none"
             for axis in range(3)
         ]
-        table.add_row(heading, *cells, f"{value.mean():.{digits}f}")
+        table.add_row(heading, *cells, f"{value.mean():.{digits}f}" if count.all() else "none")
 
 
 def _motors(result: Evaluation) -> str:
