@@ -140,13 +140,14 @@ def _at_throttle(args: argparse.Namespace, controller: Contender, flown: Conditi
     from sim.analysis.spectrum_plot import Line
     from sim.plotting import save_png
     from training.evaluation.comparison import as_flown
-    from training.evaluation.evaluation import figures
+    from training.evaluation.evaluation import summary
+    from training.evaluation.floor import scored
     from training.evaluation.tracking_plot import Tracked, draw_long, draw_step
 
     throttle = default_throttle(flown) if args.throttle is None else args.throttle
     with progress_bars(args) as bar:
         flights = flown.fly(controller, throttle, bar(f"{commands_flown(flown)} commands"))
-    result = figures(flights)
+    result = summary(scored(flights, controller, flown))
     title = f"{controller.name} on {flown.aircraft.name}: {flown_words(flown)}"
     held = flights.hold()
     if args.plot and drawn_as_flown(flown):
@@ -205,6 +206,13 @@ def _print(title: str, result: Evaluation, more: str) -> None:
         f"Sm {1e6 * result.smoothness:.1f}e-6 ± {1e6 * result.smoothness_margin:.1f}e-6, "
         f"worst MAE of a command and axis {result.worst_mae:.1f} deg/s"
     )
+    if result.mae_least and result.mse_least:
+        mae, mse = (float(values.mean()) for values in (result.tracking.mae, result.tracking.mse))
+        console.print(
+            f"least that any motors could leave: MAE {result.mae_least:.2f}, this is "
+            f"{100 * (mae / result.mae_least - 1):.0f} % above it; MSE {result.mse_least:.1f}, "
+            f"{100 * (mse / result.mse_least - 1):.0f} % above it"
+        )
     note = "Errors in deg/s against the true rate; ± is 95 % confidence of the mean."
     if result.response:
         floor = f"{result.response.floor_deg_s:g} deg/s"
