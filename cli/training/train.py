@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from sim.aircraft.model import Aircraft
     from training.config.training_config import TrainingConfig
     from training.fitness.ending import Ending
+    from training.fitness.references import References
     from training.runs.seeds import Planned
     from training.runs.train import Callback, Progress
 
@@ -125,7 +126,8 @@ class _Fitness:
         from toolchain.errors import AircraftError
         from training.fitness.references import References
 
-        self._aircraft, self._references, self.why = aircraft, None, ""
+        self._aircraft, self.why = aircraft, ""
+        self._references: References | None = None
         if not config.selection.fit:
             return
         betaflight, missing = find_betaflight(aircraft, None, build=not aircraft.pids)
@@ -144,14 +146,19 @@ class _Fitness:
             self._references.close()
 
     def choose(self, planned: tuple[Planned, ...]) -> Ending | None:
-        """The best checkpoint that is fit, see `choose_fit`; None: nothing is checked."""
+        """The best checkpoint that is fit, see `choose_fit`; None: nothing is checked, or could not be."""
         from cli.training.policy_check import Checking
+        from toolchain.errors import NeuroflightError
         from training.fitness.ending import choose_fit
 
         if self._references is None:
             return None
-        with Checking() as bar:
-            return choose_fit(self._aircraft, planned, self._references, bar.of)
+        try:
+            with Checking() as bar:
+                return choose_fit(self._aircraft, planned, self._references, bar.of)
+        except NeuroflightError as error:  # what was learned is not lost by it
+            self.why = str(error)
+            return None
 
     def tell(self, args: argparse.Namespace, ending: Ending | None) -> None:
         """Print how the check ended, or the command that makes one."""
