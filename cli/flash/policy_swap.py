@@ -219,9 +219,11 @@ def swap(args: argparse.Namespace) -> int:
 def _checked(args: argparse.Namespace, candidate: Candidate) -> str:
     """What the check found of the policy."""
     from cli.flash.checked import checked_policy
+    from sim.aircraft.digest import EARLIER
     from toolchain.policy.model import read_policy
 
-    of = None if args.other_aircraft else read_policy(args.policy).aircraft_sha256
+    trained = read_policy(args.policy).aircraft_sha256
+    of = None if args.other_aircraft else EARLIER.get(trained, trained)
     return checked_policy(
         args.policy, candidate.sha256, of, candidate.aircraft, unchecked=args.unchecked or args.dry_run
     )

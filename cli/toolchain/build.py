@@ -81,7 +81,7 @@ def run(args: argparse.Namespace) -> int:
     stands = beside(policy, str(path), args.aircraft, other=args.other_aircraft, no_pid=args.no_pid)
     stamp = checked(path, policy, target, stands, unchecked=args.unchecked)
     try:
-        report = build(args.target, path, ROOT, args.out, stands.pid, _facts(stands), stamp)
+        report = build(args.target, path, ROOT, args.out, stands.pid, _facts(stands), check=stamp)
     except MakeError as error:
         print(error.output, file=sys.stderr)
         raise

@@ -40,23 +40,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Check, write the stamp, print. Returns 0 if the policy is fit, else 1."""
     from cli.output import check_output
+    from cli.training.evaluation.foreign import say_foreign
     from sim.aircraft.model import load_aircraft
     from toolchain.policy.check_stamp import stamp_path, write_stamp
-    from toolchain.policy.model import read_policy
     from training.evaluation.controllers import load_controller
     from training.fitness.check import check
     from training.fitness.references import References
 
     aircraft = load_aircraft(args.aircraft)
-    read_policy(args.policy)
-    load_controller(str(args.policy), aircraft)  # raises before anything is built or flown
+    say_foreign([load_controller(str(args.policy), aircraft)])
     if not args.no_stamp:
         check_output(stamp_path(args.policy), ".json")
     betaflight, missing = find_betaflight(aircraft, args.build, build=True)
     with ExitStack() as ends:
-        references = ends.enter_context(References(aircraft, betaflight, missing))
-        progress = ends.enter_context(checking(f"checking {args.policy.name}"))
-        verdict = check(args.policy, aircraft, references, progress)
+        references = ends.enter_context(References(aircraft, args.aircraft, betaflight, missing))
+        progress = ends.enter_context(Checking())
+        verdict = check(args.policy, aircraft, references, progress.of(args.policy.name))
     if not args.no_stamp:
         write_stamp(args.policy, verdict.document())
     if args.json:
@@ -85,23 +84,29 @@ def find_betaflight(aircraft: Aircraft, folder: Path | None, *, build: bool) -> 
         return None, f"Betaflight: {error}"
 
 
-class checking:  # noqa: N801 - used as a function is
-    """A progress bar on a terminal, as a context manager that gives its update."""
+class Checking:
+    """A progress bar on a terminal, as a context manager."""
 
-    def __init__(self, title: str) -> None:
+    def __init__(self) -> None:
         from rich.console import Console
         from rich.progress import Progress
 
         console = Console(stderr=True)
         self._bar = Progress(console=console, transient=True, disable=not console.is_terminal)
-        self._task = self._bar.add_task(title, total=1.0)
 
-    def __enter__(self) -> Callable[[float], None]:
+    def __enter__(self) -> Checking:
         self._bar.start()
-        return lambda part: self._bar.update(self._task, completed=part)
+        return self
 
     def __exit__(self, *_: object) -> None:
         self._bar.stop()
+
+    def of(self, name: str) -> Callable[[float], None]:
+        """Show the check of a policy instead of the one before. Returns its update."""
+        for number in self._bar.task_ids:
+            self._bar.remove_task(number)
+        task = self._bar.add_task(f"checking {name}", total=1.0)
+        return lambda part: self._bar.update(task, completed=part)
 
 
 def print_verdict(verdict: Verdict, policy: Path) -> None:

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from sim.aircraft.model import Aircraft
     from training.config.training_config import TrainingConfig
     from training.fitness.ending import Ending
+    from training.fitness.references import References
     from training.runs.seeds import Planned
     from training.runs.train import Callback, Progress
 
@@ -88,7 +89,7 @@ def _train_all(
         _remove_events(planned)
     best = planned[0].config.seed
     ending: Ending | None = None
-    with _Fitness(aircraft, config) as fitness:
+    with _Fitness(aircraft, args.aircraft, config) as fitness:
         try:
             ends = {item.config.seed: _train(args, aircraft, item) for item in planned}
             chosen = {seed: end.chosen for seed, end in ends.items() if end.chosen}
@@ -120,17 +121,18 @@ class _Fitness:
     Its references fly while the policy is learned. Where nothing can be flown beside it, `why` says so.
     """
 
-    def __init__(self, aircraft: Aircraft, config: TrainingConfig) -> None:
+    def __init__(self, aircraft: Aircraft, named: str, config: TrainingConfig) -> None:
         from cli.training.policy_check import find_betaflight
         from toolchain.errors import AircraftError
         from training.fitness.references import References
 
-        self._aircraft, self._references, self.why = aircraft, None, ""
+        self._aircraft, self.why = aircraft, ""
+        self._references: References | None = None
         if not config.selection.fit:
             return
         betaflight, missing = find_betaflight(aircraft, None, build=not aircraft.pids)
         try:
-            self._references = References(aircraft, betaflight, missing)
+            self._references = References(aircraft, named, betaflight, missing)
         except AircraftError as error:
             self.why = str(error)
 
@@ -144,19 +146,19 @@ class _Fitness:
             self._references.close()
 
     def choose(self, planned: tuple[Planned, ...]) -> Ending | None:
-        """The best checkpoint that is fit, see `choose_fit`; None: nothing is checked."""
-        from cli.training.policy_check import checking
+        """The best checkpoint that is fit, see `choose_fit`; None: nothing is checked, or could not be."""
+        from cli.training.policy_check import Checking
+        from toolchain.errors import NeuroflightError
         from training.fitness.ending import choose_fit
 
         if self._references is None:
             return None
-        with ExitStack() as bars:
-            return choose_fit(
-                self._aircraft,
-                planned,
-                self._references,
-                lambda name: bars.enter_context(checking(f"checking {name}")),
-            )
+        try:
+            with Checking() as bar:
+                return choose_fit(self._aircraft, planned, self._references, bar.of)
+        except NeuroflightError as error:  # what was learned is not lost by it
+            self.why = str(error)
+            return None
 
     def tell(self, args: argparse.Namespace, ending: Ending | None) -> None:
         """Print how the check ended, or the command that makes one."""

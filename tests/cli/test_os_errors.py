@@ -20,6 +20,7 @@ Capture = pytest.CaptureFixture[str]
 TINY = [
     *(
         "--set",
+        "selection.fit=false",
         "task=episodic",
         "task.hold_s=0.05",
         "hidden=[8,8]",

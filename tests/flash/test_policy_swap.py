@@ -32,7 +32,6 @@ from toolchain.contract import FLASH_BYTES, ArmingReason, FlightState, Msp
 from toolchain.errors import LinkError
 from toolchain.policy.blob import pack, parse
 from toolchain.policy.check_stamp import RULES, stamp_document, stamp_path, write_stamp
-from toolchain.policy.model import read_policy
 
 ROOT = Path(__file__).resolve().parents[2]
 Run = Callable[..., tuple[int, str, str]]
@@ -735,6 +734,6 @@ def test_a_policy_that_a_check_found_fit_is_written_until_its_stamp_is_edited(
 
 def stamp_of(policy: Path, **words: object) -> dict[str, object]:
     """What a check that finds a policy fit for its own aircraft says, with other words."""
-    facts = {"aircraft": "nf1", "aircraft_sha256": read_policy(policy).aircraft_sha256, "fit": True}
+    facts = {"aircraft": "nf1", "aircraft_sha256": load_aircraft("nf1").sha256, "fit": True}
     facts |= {"policy_sha256": sha(policy), "figures": {"drift": 1.5}}
     return stamp_document(**{**facts, **words})  # type: ignore[arg-type]

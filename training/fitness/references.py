@@ -27,8 +27,10 @@ if TYPE_CHECKING:
 class References:
     """Flies the references of one aircraft; a context manager, whose end stops what still flies."""
 
-    def __init__(self, aircraft: Aircraft, betaflight: Betaflight | None, missing: str = "") -> None:
-        """betaflight: None: it does not fly, because of `missing`.
+    def __init__(
+        self, aircraft: Aircraft, named: str, betaflight: Betaflight | None, missing: str = ""
+    ) -> None:
+        """named: the aircraft, as a command takes it; betaflight: None: it does not fly, as `missing` says.
 
         Raises AircraftError where there is no reference at all.
         """
@@ -36,13 +38,13 @@ class References:
         self.course: Course = course(aircraft, aircraft_figures(aircraft).thrust_to_weight)
         self._missing = [missing] if missing else []
         if not aircraft.pids:
-            tune = f"neuroflight tune-pid --aircraft {aircraft.name} --write"
+            tune = f"neuroflight tune-pid --aircraft {named} --write FILE.toml"
             if betaflight is None:
                 raise AircraftError(
                     f"aircraft {aircraft.name} has no PID to check a policy against, nor flies Betaflight "
                     f"({missing}); run: {tune}"
                 )
-            self._missing.append(f"the aircraft has no PID; {tune} finds one")
+            self._missing.append(f"the aircraft has no PID; `{tune}` finds one")
         self._process: multiprocessing.process.BaseProcess | None = None
         self._link: Connection | None = None
         self._flown: tuple[Flown, ...] | None = None

@@ -1,4 +1,4 @@
-"""The end of a training that must be fit: it goes back to its best fit checkpoint, or says that there is none."""
+"""The end of a training that must be fit: back to the best checkpoint that is, or an error where none is."""
 
 from __future__ import annotations
 

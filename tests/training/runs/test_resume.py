@@ -18,7 +18,7 @@ ROOT = Path(__file__).resolve().parents[3]
 Capture = pytest.CaptureFixture[str]
 
 SAME = ("checkpoint.pt", "policy.onnx", "monitor.json", "rewards.csv")
-SHORT = ["hidden=[8,8]", "task=episodic", "task.hold_s=0.05"]
+SHORT = ["selection.fit=false", "hidden=[8,8]", "task=episodic", "task.hold_s=0.05"]
 RUNS = {  # eight segments each, a checkpoint every second
     "ppo": [
         *("steps=1024", "checkpoint_steps=256", "algorithm=ppo", "algorithm.aircraft=8"),
