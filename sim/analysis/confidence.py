@@ -40,7 +40,8 @@ def mean_of(values: Array, valid: NDArray[np.bool_], each: int = 1) -> Mean:
     flown = valid
     if each > 1:
         shape = (-1, each, *residual.shape[1:])
-        residual, flown = residual.reshape(shape).sum(axis=1), valid.reshape(shape).any(axis=1)
+        residual = residual.reshape(shape).sum(axis=1)
+        flown = np.asarray(valid.reshape(shape).any(axis=1))
     flights = np.maximum(flown.sum(axis=0), 1)
     freedom = np.maximum(flights - 1, 1)
     share = flights / some  # of a flight in its sum

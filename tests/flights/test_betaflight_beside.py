@@ -8,7 +8,7 @@ import signal
 import time
 from collections.abc import Iterator
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import ClassVar
 
@@ -28,9 +28,11 @@ from sim.ports.simulator_link import STATE
 from toolchain.contract import GRAVITY
 from toolchain.errors import LinkError
 from training.evaluation.betaflight import BetaflightSpec
-from training.evaluation.controllers import Conditions
+from training.evaluation.controllers import Conditions, load_controller
+from training.evaluation.evaluation import scores
 from training.evaluation.thrust import at_rest
-from training.tasks.task import Setpoints
+from training.tasks.flight import FlightTask
+from training.tasks.task import PulseTask, Setpoints
 
 FOLDER = Path(__file__).resolve().parents[2] / "build" / "tests" / "BETAFLIGHT"
 NF1 = load_aircraft("nf1")
@@ -167,6 +169,25 @@ def test_compare_adds_betaflight_to_its_table_and_data(capsys: pytest.CaptureFix
     assert set(betaflight["difference"]) >= {"mae", "mse", "motor_change"}
     assert document["gyro_rate_hz"] == 4000
     assert document["sticks"] is True
+
+
+@pytest.mark.slow
+def test_betaflight_flies_the_same_flights_with_a_memory_that_goes_on(armed: ArmedBetaflight) -> None:
+    task = FlightTask(pulses=2, idle_s=0.1, command_s=0.3, rest_s=0.2, hover_s=10.0)
+    flown = Conditions(NF1, task, 1, 3, noise=False, gyro_rate_hz=4000, sticks=True)
+    spec = BetaflightSpec(armed)
+    flights = flown.fly(spec, 0.3)
+    pid = flown.fly(load_controller("pid:flying", NF1), 0.3)
+    assert np.array_equal(flights.setpoint, pid.setpoint)
+    found = scores(flights).holding
+    assert found is not None
+    assert found.mae.shape == (1, 2, 3)
+    assert np.abs(found.drift).max() < 5.0  # [deg]
+    # The second command alone, by a Betaflight that has just armed, is flown otherwise.
+    pulses = PulseTask(idle_s=0.1, command_s=0.3, rest_s=0.2)
+    fresh = replace(flown, task=pulses, episodes=2).fly(spec, 0.3)
+    assert np.array_equal(fresh.setpoint[1], flights.setpoint[0, 600:1200])
+    assert not np.array_equal(fresh.motors[1], flights.motors[0, 600:1200])  # type: ignore[index]
 
 
 @pytest.mark.slow

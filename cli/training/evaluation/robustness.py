@@ -112,7 +112,7 @@ def _plan(args: argparse.Namespace) -> Plan:
     draws = DRAWS[args.task] if args.draws is None else args.draws
     flights = args.task == "flight"
     check_ranges(
-        ("--episodes", commands, 2, COUNT_MAX),
+        ("--episodes", commands, 2, FLIGHTS_MAX * FLIGHT.pulses if flights else COUNT_MAX),
         ("--draws", draws, 0, FLIGHTS_MAX if flights else COUNT_MAX // COMMANDS_PER_DRAW),
         ("--throttle-max", args.throttle_max, 0.0, 1.0),
     )

@@ -20,7 +20,8 @@ def flight(rest_deg_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     wanted = np.zeros((1, BEFORE + HOVER, 3))
     for n in range(5):
         wanted[0, 200 * n : 200 * n + 100, 0] = np.deg2rad(60.0)
-    return wanted, np.where(wanted.any(axis=2)[..., None], wanted, np.deg2rad(rest_deg_s))
+    moved = np.asarray(wanted.any(axis=2))[..., None]
+    return wanted, np.where(moved, wanted, np.deg2rad(rest_deg_s))
 
 
 def test_rest_and_commands_are_told_by_age_when_the_aircraft_turns_faster_the_older_the_flight() -> None:

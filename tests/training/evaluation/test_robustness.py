@@ -207,7 +207,8 @@ def test_prints_a_table_and_the_same_as_json(
     ("words", "message"),
     [
         (["pid", "pid"], "2 controllers, 1 of them different"),
-        (["pid", "--episodes", "1"], "--episodes 1, expected 2 to 4096"),
+        (["pid", "--episodes", "1"], "--episodes 1, expected 2 to 1500"),
+        (["pid", "--task", "pulse", "--episodes", "5000"], "--episodes 5000, expected 2 to 4096"),
         (["pid", "--task", "pulse", "--draws", "820"], "--draws 820, expected 0 to 819"),
         (["pid", "--draws", "301"], "--draws 301, expected 0 to 300"),
         (["pid", "--throttle-max", "1.1"], "--throttle-max 1.1, expected 0 to 1"),
