@@ -131,6 +131,7 @@ def search(
 
     start: decisions (E, steps, M) that the search begins with; None: those that keep the rotors' speeds.
     """
+    library(NUMBER)  # built here, if it has to be, and not by each thread
     count = len(commands.wanted)
     speed = trim(motors, commands)
     if start is None:
