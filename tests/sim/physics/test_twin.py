@@ -71,7 +71,7 @@ def test_the_same_seed_repeats_a_run_exactly(mount: Mount) -> None:
 def test_each_motor_turns_the_aircraft_its_own_way(
     motor: int, signs: tuple[int, int, int], mount: Mount
 ) -> None:
-    aircraft = twin(noise=False, mount=mount)
+    aircraft = twin(noise=False, wash=False, mount=mount)
     command = np.full((1, 4), 0.3)
     command[0, motor] = 0.4
     for _ in range(60):
@@ -448,7 +448,7 @@ def test_one_aircraft_gets_the_bits_that_it_gets_among_others(mount: Mount, vari
         charge=rng.uniform(0.5, 1.0, 5),
     )
     commands = np.repeat(rng.uniform(0.0, 1.0, (30, 5, 4)), 10, axis=0)
-    options: dict[str, object] = {"noise": False, "mount": mount, "gravity": True}
+    options: dict[str, object] = {"noise": False, "wash": False, "mount": mount, "gravity": True}
     if mount is Mount.FREE:
         options["wind"] = (2.0, 1.0, -1.0)
     if not varied:
