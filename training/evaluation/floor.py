@@ -144,7 +144,8 @@ def _least(
     free = np.maximum(left - math.ceil(delay) - 1, 1)  # control steps whose error the motors can change
     open_ones, length = np.arange(len(left)), round(FIRST_S / motors.dt)
     while len(open_ones):
-        lengths, again = np.minimum(free[open_ones], length), []
+        lengths = np.minimum(free[open_ones], length)
+        again: list[NDArray[np.intp]] = []
         for steps_now in np.unique(lengths):
             which = open_ones[lengths == steps_now]
             commands = Commands(found.held[which], found.wanted[which], thrust[which])

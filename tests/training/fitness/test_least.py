@@ -14,6 +14,7 @@ from training.fitness.flying import LegFigures, with_least
 
 NF1 = load_aircraft("nf1")
 IDLE = 0.055
+NONE = (0.0, 0.0, 0.0)
 
 
 def test_legs_in_the_aircraft_of_the_file_have_a_least_error_and_others_have_none() -> None:
@@ -29,7 +30,7 @@ def test_legs_in_the_aircraft_of_the_file_have_a_least_error_and_others_have_non
         course=FLIGHT.course,
         samples=4,
     )
-    own = LegFigures(2.0, 200.0, (0.0,) * 3, (0.0,) * 3, (0.0,) * 3, 0.0)
+    own = LegFigures(2.0, 200.0, NONE, NONE, NONE, 0.0)
     varied, as_filed = with_least((own, own), Course(NF1, legs, ()), flown, IDLE)
     assert varied == own
     before_hover = setpoint[1:, flown.commanded]
