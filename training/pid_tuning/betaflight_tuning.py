@@ -1,14 +1,13 @@
-"""Betaflight's settings by the search that finds a PID's, on the same commands, thrusts, noise and cost.
+"""Betaflight's settings by the search that finds a PID's, on the same flights, with the same cost.
 
-What is searched is what pilots tune: the sliders of its app (P and I, D, pitch over roll, filters of the gyro
-and of D), yaw's P and I, TPA and thrust linearisation. Left as they are: I over P, as most pilots do, which
-short flights could not judge; feedforward, which has no effect in the simulator (see
-sim/ports/betaflight/port.py); anti-gravity, which acts while the throttle moves; the idle, which is the PID's
-too. RPM filter, dynamic notch and dynamic idle are not in the simulator's build: it has no DShot, whose
-telemetry tells rotor speeds.
+What is searched is what pilots tune: the sliders of its app (P and I, I, D, pitch over roll, filters of the
+gyro and of D), yaw's P and I, the cutoff of I-term relax, TPA and thrust linearisation. Left as they are:
+feedforward, which has no effect in the simulator (see sim/ports/betaflight/port.py); anti-gravity, which acts
+while the throttle moves; the idle, which is the PID's too. RPM filter, dynamic notch and dynamic idle are not
+in the simulator's build: it has no DShot, whose telemetry tells rotor speeds.
 
-A Betaflight takes a processor a second for 20 s of flight, so candidates fly pulses that are shorter than a
-PID's; the best of them fly again with whole pulses and the large commands, which decides.
+Pulses are flown whole: with the first second of each alone, the search finds settings that are worse over all
+of it, because what I has gathered goes slowly.
 """
 
 from __future__ import annotations
@@ -46,8 +45,6 @@ Array = NDArray[np.float64]
 Array32 = NDArray[np.float32]
 Settings = Mapping[str, int]
 
-FINALISTS = 5  # candidates that fly again in full
-SHORT = PulseTask(idle_s=0.05, command_s=0.5, rest_s=0.45)  # of candidates
 SPREAD = 0.3  # standard deviation of the search's first points
 HUNDRED = 100.0  # a point's 1, of knobs that are searched as they are
 
@@ -63,33 +60,37 @@ class Knob:
 
 
 GAIN_MAX = 250  # of P, I and D
-P_AND_I, D, PITCH, YAW, GYRO, D_TERM = (
+P_AND_I, I_GAIN, D_GAIN, PITCH, YAW, GYRO, D_TERM = (
     "P and I",
+    "I",
     "D",
     "pitch over roll",
     "yaw",
     "gyro filter",
     "D-term filter",
 )
-KNOBS = {  # the first ones are factors of the defaults
+KNOBS = {  # those in capitals are factors of the defaults
     P_AND_I: Knob(1.0, 0.1, 4.0),  # of roll and pitch
-    D: Knob(1.0, 0.1, 4.0),
+    I_GAIN: Knob(1.0, 0.1, 4.0),  # of roll and pitch, once more
+    D_GAIN: Knob(1.0, 0.1, 4.0),
     PITCH: Knob(1.0, 0.3, 3.0),
     YAW: Knob(1.0, 0.1, 4.0),  # P and I
     GYRO: Knob(1.0, 0.25, 2.0),  # at 2 the highest corner reaches Betaflight's limit of 1 kHz
     D_TERM: Knob(1.0, 0.25, 2.0),
+    "iterm_relax_cutoff": Knob(15, 1, 50),
     "tpa_rate": Knob(65, 0, 100, logarithmic=False),
     "thrust_linear": Knob(0, 0, 150, logarithmic=False),
 }
+PLAIN = ("iterm_relax_cutoff", "tpa_rate", "thrust_linear")
 SCALED = {  # defaults of Betaflight 4.6, as its `dump` says, and the knobs that scale them
     **{
         "p_roll": (45, (P_AND_I,)),
-        "i_roll": (80, (P_AND_I,)),
-        "d_roll": (30, (D,)),
-        "d_max_roll": (40, (D,)),
+        "i_roll": (80, (P_AND_I, I_GAIN)),
+        "d_roll": (30, (D_GAIN,)),
+        "d_max_roll": (40, (D_GAIN,)),
     },
-    **{"p_pitch": (47, (P_AND_I, PITCH)), "i_pitch": (84, (P_AND_I, PITCH))},
-    **{"d_pitch": (34, (D, PITCH)), "d_max_pitch": (46, (D, PITCH))},
+    **{"p_pitch": (47, (P_AND_I, PITCH)), "i_pitch": (84, (P_AND_I, I_GAIN, PITCH))},
+    **{"d_pitch": (34, (D_GAIN, PITCH)), "d_max_pitch": (46, (D_GAIN, PITCH))},
     **{"p_yaw": (45, (YAW,)), "i_yaw": (80, (YAW,))},
     **{"gyro_lpf1_static_hz": (250, (GYRO,)), "gyro_lpf1_dyn_min_hz": (250, (GYRO,))},
     **{"gyro_lpf1_dyn_max_hz": (500, (GYRO,)), "gyro_lpf2_static_hz": (500, (GYRO,))},
@@ -148,25 +149,23 @@ def tune_betaflight(
     draw, search, thrust = (np.random.default_rng(s) for s in np.random.SeedSequence([seed, 1]).spawn(3))
     unbiased = replace(aircraft, gyro=replace(aircraft.gyro, bias=0.0))
     pulses, levels = training_commands(commands, draw), throttles(commands, limits.throttle_max, thrust)
-    whole = _Flights(built, unbiased, limits, seed, pulses, levels, held_commands(), PulseTask())
-    short = replace(whole, large=np.empty((0, 3)), pulse=SHORT)
+    flights = _Flights(built, unbiased, limits, seed, pulses, levels, held_commands())
     cma_es = CmaEs(start(), np.full(len(KNOBS), SPREAD), POPULATION, search)
-    (best,) = short.fly([{}])
+    (defaults,) = flights.fly([{}])
+    best = defaults
     trials: list[Trial] = []
     interrupted = False
     try:
         for _ in range(max(1, round(budget / POPULATION))):
             points = cma_es.ask()
-            generation = short.fly([decoded(point) for point in points])
+            generation = flights.fly([decoded(point) for point in points])
             cma_es.tell(points, np.array([trial.cost for trial in generation]))
             trials += generation
             best = min([best, *generation], key=lambda trial: trial.cost)
             progress(len(trials), best)
     except KeyboardInterrupt:
         interrupted = True
-    ranked = sorted(trials, key=lambda trial: trial.cost)[:FINALISTS]
-    finals = whole.fly([{}, *(trial.settings for trial in ranked)])
-    return Tuning(finals[0], tuple(trials), min(finals, key=lambda trial: trial.cost), interrupted)
+    return Tuning(defaults, tuple(trials), best, interrupted)
 
 
 def start() -> Array:
@@ -187,7 +186,7 @@ def decoded(point: Array) -> dict[str, int]:
         for name, (default, knobs) in SCALED.items()
     }
     found = {name: value if name.endswith("_hz") else min(value, GAIN_MAX) for name, value in found.items()}
-    return found | {name: round(value) for name, value in values.items() if not KNOBS[name].logarithmic}
+    return found | {name: round(value) for name, value in values.items() if name in PLAIN}
 
 
 @dataclass(frozen=True, eq=False)
@@ -200,8 +199,7 @@ class _Flights:
     seed: int  # of the gyro's noise
     commands: Array  # (n, 3) [rad/s], of the pulses
     throttle: Array32  # (n,), 0..1
-    large: Array  # (m, 3) [rad/s], held; none: not judged
-    pulse: PulseTask
+    large: Array  # (m, 3) [rad/s], held
 
     def fly(self, candidates: Sequence[Settings]) -> list[Trial]:
         """Figures of each of the candidates. Large commands are flown at half of the greatest throttle."""
@@ -211,7 +209,7 @@ class _Flights:
             flown = record_betaflight(
                 armed,
                 self.aircraft,
-                _Commands(self.commands, self.large, self.pulse),
+                _Commands(self.commands, self.large),
                 episodes=len(armed) * len(throttle),
                 seed=self.seed,
                 throttle=np.tile(throttle, len(armed)),
@@ -241,10 +239,8 @@ class _Flights:
         mae = float(tracking(pulsed.setpoint, pulsed.rate, pulsed.step_s).mae.mean())
         change = effort(pulsed.motors, pulsed.step_s).change
         excess = max(0.0, change / (MARGIN * self.limits.change) - 1.0)
-        beyond = 0.0
-        if len(self.large):
-            end = round(EpisodicTask().hold_s / large.step_s)
-            beyond = missed(replace(large, setpoint=large.setpoint[:, :end], rate=large.rate[:, :end]))
+        end = round(EpisodicTask().hold_s / large.step_s)
+        beyond = missed(replace(large, setpoint=large.setpoint[:, :end], rate=large.rate[:, :end]))
         return Trial(settings, mae, change, beyond, mae + PENALTY * (excess + beyond))
 
 
@@ -255,16 +251,15 @@ class _Commands:
     name: ClassVar[str] = "pulses and large commands"
     commands: Array  # (n, 3) [rad/s], of the pulses
     large: Array  # (m, 3) [rad/s]
-    pulse: PulseTask
 
     @property
     def duration_s(self) -> float:
         """See Task."""
-        return self.pulse.duration_s
+        return PulseTask().duration_s
 
     def episodes(self, count: int, rng: np.random.Generator, rate_hz: int) -> Setpoints:
         """See Task."""
-        pulses = self.pulse.of(self.commands, rate_hz)
+        pulses = PulseTask().of(self.commands, rate_hz)
         each = np.concatenate([pulses, held(self.large, self.duration_s, rate_hz)])
         return np.tile(each, (count // len(each), 1, 1))
 
