@@ -15,6 +15,9 @@ from toolchain.errors import TrainingError
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    import numpy as np
+    from numpy.typing import NDArray
+
     from sim.aircraft.model import Aircraft, PidSettings
     from training.evaluation.evaluation import Evaluation, Flights
     from training.pid_tuning.trial import Limits, Trial
@@ -195,11 +198,13 @@ def _fly_unseen(args: argparse.Namespace, aircraft: Aircraft, tuning: Tuning) ->
     By the dissertation's terms of the first rule and of the tuned settings, in pulses; by flying terms of
     the tuned settings at each thrust, in flights.
     """
+    import numpy as np
     from rich.console import Console
     from rich.progress import Progress
 
+    from sim.analysis.holding import DRIFT_S
     from training.evaluation.evaluation import figures
-    from training.pid_tuning.flying import LEVELS, throttle_for
+    from training.pid_tuning.flying import LEVELS, PULSES, throttle_for
     from training.tasks.flight import FlightTask
     from training.tasks.task import PulseTask
 
@@ -222,16 +227,34 @@ def _fly_unseen(args: argparse.Namespace, aircraft: Aircraft, tuning: Tuning) ->
                 flown = _flights(args, aircraft, settings, PulseTask(), args.check, 0.0, show)
                 checked[name] = figures(flown)
             return checked
-        task, count = FlightTask().of_commands(args.check)
-        for level in LEVELS:
-            show = progress(f"thrust {level:g}: {args.check} unseen commands")
-            throttle = throttle_for(aircraft, level, best.idle)
-            evaluation = figures(_flights(args, aircraft, best, task, count, throttle, show))
+        task, count = FlightTask(pulses=PULSES, hover_s=DRIFT_S).of_commands(args.check)
+        throttle = [throttle_for(aircraft, level, best.idle) for level in LEVELS]
+        show = progress(f"{args.check} unseen commands at each of {len(LEVELS)} thrusts")
+        levels = np.repeat(np.array(throttle, np.float32), count)
+        flown = _flights(args, aircraft, best, task, len(levels), levels, show)
+        for number, level in enumerate(LEVELS):
+            evaluation = figures(_some(flown, slice(number * count, (number + 1) * count)))
             assert evaluation.motor_change is not None  # `record` keeps the motors
             change = float(evaluation.motor_change.value)
-            effort = replace(evaluation.effort, change=change)
-            checked[f"thrust {level:g}"] = replace(evaluation, effort=effort)
+            checked[f"thrust {level:g}"] = replace(
+                evaluation, effort=replace(evaluation.effort, change=change)
+            )
     return checked
+
+
+def _some(flights: Flights, episodes: slice) -> Flights:
+    """Return some of the episodes, with all that figures but those of power are made of."""
+    assert flights.motors is not None  # `record` keeps them
+    return replace(
+        flights,
+        setpoint=flights.setpoint[episodes],
+        rate=flights.rate[episodes],
+        output=flights.output[episodes],
+        motors=flights.motors[episodes],
+        lift=None,
+        power=None,
+        current=None,
+    )
 
 
 def _flights(
@@ -240,7 +263,7 @@ def _flights(
     settings: PidSettings,
     task: Task,
     count: int,
-    throttle: float,
+    throttle: float | NDArray[np.float32],
     progress: Callable[[int, int], None],
 ) -> Flights:
     from sim.control.pid import Pid, mixer

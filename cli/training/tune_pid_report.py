@@ -40,7 +40,7 @@ def comment(args: argparse.Namespace, checked: dict[str, Evaluation]) -> str:
     )
     change = max(item.effort.change for item in checked.values())
     return (
-        f"{found}{args.check:,} unseen commands each, ten in a flight and 15 s of hover, at "
+        f"{found}{args.check:,} unseen commands each, five in a flight and then a hover, at "
         f"{', '.join(name.removeprefix('thrust ') for name in checked)} times the weight:\n"
         f"MAE {mae} deg/s, MSE {mse}; mean change of the motor values in 1 ms at most {change:.4f}."
     )
@@ -134,7 +134,7 @@ def print_tables(
     best = tuning.best.settings
     console.print(f"derivative low-pass {best.derivative_cutoff_hz:g} Hz, idle {best.idle:g}\n")
 
-    what = "pulses" if args.terms == DISSERTATION else "commands each, ten in a flight"
+    what = "pulses" if args.terms == DISSERTATION else "commands each, five in a flight"
     table = Table(title=f"{args.check:,} unseen {what}, seed {args.seed}", title_justify="left")
     for heading in ("", *checked):
         table.add_column(heading, justify="right" if heading else "left")

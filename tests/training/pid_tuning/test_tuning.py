@@ -186,7 +186,7 @@ def test_command_writes_a_pid_to_fly_when_it_is_told_nothing_but_the_aircraft(
     text = target.read_text()
     assert "# Found by `neuroflight tune-pid --aircraft mine.toml --seed 1 --budget 1`." in text
     assert (
-        "1 unseen commands each, ten in a flight and 15 s of hover, at 0.36, 1, 2, 4 times the weight" in text
+        "1 unseen commands each, five in a flight and then a hover, at 0.36, 1, 2, 4 times the weight" in text
     )
 
 
