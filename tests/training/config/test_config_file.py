@@ -153,7 +153,7 @@ def test_a_table_is_replaced_when_an_override_names_another_kind(tmp_path: Path)
         (["zzz=1"], "zzz: unknown key; known here: steps, seed, observation"),
         (["foo.bar=1"], "override 'foo.bar=1': foo: unknown key; known here: steps"),
         (["task.name=envelope", "task.idle_s=1"], "task.idle_s: unknown key; known here: distribution"),
-        (["task=ballet"], "task.name: got 'ballet', expected one of: pulse, episodic, envelope"),
+        (["task=ballet"], "task.name: got 'ballet', expected one of: pulse, flight, pilot"),
         (["reward.name=bribe"], "reward.name: got 'bribe', expected one of: tracking"),
         (["algorithm.name=magic"], "algorithm.name: got 'magic', expected one of: ppo"),
         (["algorithm=3"], "algorithm: got 3, expected a table with a name, or the name alone"),

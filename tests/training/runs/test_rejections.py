@@ -14,7 +14,7 @@ WEIGHTS = "[reward]\nname = 'tracking'\nchange = -1\n"
     ("words", "message"),
     [
         (["--set", "reward=bribe"], "reward.name: got 'bribe', expected one of: tracking, dissertation-3"),
-        (["--set", "task=ballet"], "task.name: got 'ballet', expected one of: pulse, episodic"),
+        (["--set", "task=ballet"], "task.name: got 'ballet', expected one of: pulse, flight, pilot"),
         (["--algorithm", "magic"], "algorithm.name: got 'magic', expected one of: ppo"),
         (["--set", "algorithm.horizon=4501"], "horizon 4501, expected 1 to the 4500 control steps"),
         (["--set", "algorithm.minibatch=1000"], "minibatch 1000 does not divide the 32768 steps"),

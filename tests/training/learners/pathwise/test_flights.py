@@ -16,7 +16,6 @@ from sim.physics.twin import Twin
 from tests.training.learners.pathwise.cases import RATE_HZ, WEIGHTS, Case
 from tests.training.learners.pathwise.reference import Network
 from toolchain.contract import Mix
-from training.learners.pathwise.batch import disturbances
 from training.learners.pathwise.flights import Flights, Record
 
 NAMES = ("nf1", "iris", "hexa")
@@ -180,12 +179,3 @@ def test_an_aircraft_turns_as_fast_as_a_disturbance_accelerates_it() -> None:
     turned = record.rate.transpose(2, 0, 1)
     for aircraft, rate in enumerate((40.0, -25.0, 10.0)):
         np.testing.assert_allclose(turned[aircraft, :, aircraft], rate * t, rtol=0.02, atol=1e-9)
-
-
-def test_disturbances_are_of_drawn_size_and_smooth() -> None:
-    drawn = disturbances(4000, 700, 1000, 100.0, np.random.default_rng(1)).astype(float)
-    sizes = np.sqrt(np.square(drawn[:, ::150, :2]).mean(axis=(1, 2)))
-    assert (sizes == 0.0).mean() == pytest.approx(0.3, abs=0.03)
-    assert np.median(sizes[sizes > 0.0]) == pytest.approx(100.0 * 0.03**0.5, rel=0.15)
-    assert drawn[..., 2].std() == pytest.approx(0.2 * drawn[..., 0].std(), rel=0.1)
-    assert np.abs(np.diff(drawn, axis=1)).max() < 10.0 * 100.0 * 0.001 / 0.15
