@@ -67,7 +67,7 @@ def test_the_course_covers_thrusts_and_turns_up_to_what_the_aircraft_lifts() -> 
     assert "an empty battery" in conditions and len(conditions) == 6
     varied = whole.variation()
     assert varied.lag[4:6].tolist() == [0.6, 1.5] and varied.charge[-1] == 1.0
-    # A hover of 30 s takes 2 % of the pack of the NF1: it lasts for the flight, and is about empty at its end.
+    # A hover of 30 s takes 2 % of the pack: it lasts for the flight, and is about empty at its end.
     assert 0.02 < varied.charge[-2] < 0.05
     assert len(whole.nominal().legs) == len(THRUSTS) and len(whole.nominal().turns) == 12
 
