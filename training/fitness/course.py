@@ -78,8 +78,11 @@ class Turn:
     @property
     def name(self) -> str:
         """In a sentence."""
-        words = (("roll to the right", "roll to the left"), ("forward flip", "backward flip"))
-        words = (*words, ("turn to the left", "turn to the right"))
+        words = (
+            ("roll to the right", "roll to the left"),
+            ("forward flip", "backward flip"),
+            ("turn to the left", "turn to the right"),
+        )
         word = words[self.axis][self.rate_deg_s < 0]
         return f"a {word} of {abs(self.rate_deg_s):g} deg/s at {self.thrust:g} times the weight"
 
