@@ -112,11 +112,13 @@ def _take_up(args: argparse.Namespace, last: Built | None) -> None:
     if last is None:
         return
     args.policy, words = Path(last.policy_file), ""
+    usual = args.policy.resolve() == default_policy(DEFAULT_AIRCRAFT)
     if (aircraft := last.aircraft) is not None:
         args.aircraft, args.other_aircraft = aircraft.file, not aircraft.own
         args.no_pid = last.pid_motors is None
         words = f", aircraft {aircraft.file}{', no PID' if args.no_pid else ''}"
-    if args.policy.resolve() != default_policy(DEFAULT_AIRCRAFT):
+        usual &= aircraft.file == DEFAULT_AIRCRAFT and not args.no_pid
+    if not usual:
         print(f"as {args.target} was built last: policy {args.policy}{words}", file=sys.stderr)
 
 
@@ -138,7 +140,8 @@ def _policy(args: argparse.Namespace, last: Built | None) -> Path:
             f"{args.target} had {last.policy_file}",
             file=sys.stderr,
         )
-    return path
+    here = Path.cwd()
+    return path.relative_to(here) if path.is_relative_to(here) else path
 
 
 def default_policy(aircraft: str) -> Path:

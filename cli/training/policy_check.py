@@ -141,6 +141,9 @@ def print_end(verdict: Verdict, policy: Path, console: Console) -> None:
         console.print(f"- {reason}")
     for missing in verdict.missing:
         console.print(f"not compared with one reference: {missing}")
+    if above := verdict.above_least:
+        words = ", ".join(f"{where} {100 * mae:.0f} and {100 * mse:.0f} %" for where, mae, mse in above)
+        console.print(f"MAE and MSE above the least that any motors could leave, without noise: {words}")
     met = sum(bar.met for bar in verdict.bars)
     told = "fit" if verdict.fit else "NOT fit"
     console.print(

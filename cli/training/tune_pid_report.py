@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cli.output import command_line
-from toolchain.contract import Mix
 
 if TYPE_CHECKING:
     import numpy as np
@@ -19,42 +18,47 @@ if TYPE_CHECKING:
     from training.pid_tuning.trial import Limits
     from training.pid_tuning.tuning import Tuning
 
+FLYING, DISSERTATION = TERMS = ("flying", "dissertation")
 # Defaults that decide what is found; a command is told without them.
-USUAL: dict[str, object] = {
-    "commands": 12,
-    "budget": 720,
-    "max_output": 0.12,
-    "max_change": 0.012,
-    "mix": Mix.ATTITUDE_FIRST.text,
-    "gyro_filter": "none",
-    "throttle_max": 0.0,
-}
+USUAL: dict[str, object] = {"terms": FLYING, "budget": 720}
 
 
-def comment(args: argparse.Namespace, evaluation: Evaluation) -> str:
-    """What stands above the settings in the aircraft file."""
-    effort = evaluation.effort
-    under = f" at throttles from 0 to {args.throttle_max:g}" if args.throttle_max else ""
-    of = "" if args.max_motor_change is None else " of the motor values"
+def comment(args: argparse.Namespace, checked: dict[str, Evaluation]) -> str:
+    """Return what stands above the settings in the aircraft file."""
+    found = f"Found by `{command(args)}`.\n"
+    if args.terms == DISSERTATION:
+        evaluation = checked["tuned"]
+        effort = evaluation.effort
+        return (
+            f"{found}{args.check:,} unseen pulses: MAE {evaluation.tracking.mae.mean():.2f} deg/s, MSE "
+            f"{evaluation.tracking.mse.mean():.0f}, mean output {effort.output:.3f}, mean change in 1 ms "
+            f"{effort.change:.4f}."
+        )
+    mae, mse = (
+        ", ".join(f"{getattr(item.tracking, name).mean():.{digits}f}" for item in checked.values())
+        for name, digits in (("mae", 2), ("mse", 0))
+    )
+    change = max(item.effort.change for item in checked.values())
     return (
-        f"Found by `{command(args)}`.\n"
-        f"{args.check:,} unseen pulses{under}: MAE {evaluation.tracking.mae.mean():.2f} deg/s, MSE "
-        f"{evaluation.tracking.mse.mean():.0f}, mean output {effort.output:.3f}, mean change{of} in 1 ms "
-        f"{effort.change:.4f}."
+        f"{found}{args.check:,} unseen commands each, ten in a flight and 15 s of hover, at "
+        f"{', '.join(name.removeprefix('thrust ') for name in checked)} times the weight:\n"
+        f"MAE {mae} deg/s, MSE {mse}; mean change of the motor values in 1 ms at most {change:.4f}."
     )
 
 
 def command(args: argparse.Namespace) -> str:
-    """The command that finds the same settings: options that decide them, if not the default."""
+    """Return the command that finds the same settings: options that decide them, if not the default."""
     given = {name: getattr(args, name) for name, usual in USUAL.items() if getattr(args, name) != usual}
+    usual_name = "flying" if args.terms == FLYING else "tuned"
     return command_line(
         "tune-pid",
         aircraft=Path(args.aircraft).name,
         seed=args.seed,
         **given,
-        max_motor_change=args.max_motor_change,
+        max_output=args.max_output,
+        max_change=args.max_change,
         max_idle=args.max_idle,
-        start=args.start,
+        name=None if args.name == usual_name else args.name,
     )
 
 
@@ -90,7 +94,7 @@ def document(
         "aircraft": aircraft.name,
         "aircraft_sha256": aircraft.sha256,
         "seed": args.seed,
-        "commands": args.commands,
+        "terms": args.terms,
         "candidates": len(tuning.trials),
         "interrupted": tuning.interrupted,
         "limits": {
@@ -99,9 +103,6 @@ def document(
             "change_of": "motors" if limits.of_motors else "outputs",
             "idle": limits.idle,
         },
-        "mix": args.mix,
-        "gyro_filter": args.gyro_filter,
-        "throttle_max": args.throttle_max,
         "ultimate": {axis: {"gain": item.gain, "period_s": item.period} for axis, item in found},
         "rules": {rule: _settings(trial.settings) for rule, trial in tuning.rules.items()},
         "settings": _settings(tuning.best.settings),
@@ -133,8 +134,8 @@ def print_tables(
     best = tuning.best.settings
     console.print(f"derivative low-pass {best.derivative_cutoff_hz:g} Hz, idle {best.idle:g}\n")
 
-    under = f", throttles to {args.throttle_max:g}" if args.throttle_max else ""
-    table = Table(title=f"{args.check:,} unseen pulses{under}, seed {args.seed}", title_justify="left")
+    what = "pulses" if args.terms == DISSERTATION else "commands each, ten in a flight"
+    table = Table(title=f"{args.check:,} unseen {what}, seed {args.seed}", title_justify="left")
     for heading in ("", *checked):
         table.add_column(heading, justify="right" if heading else "left")
     errors = [evaluation.tracking for evaluation in checked.values()]
@@ -143,8 +144,9 @@ def print_tables(
     table.add_row("  average", *(f"{item.mae.mean():.2f}" for item in errors))
     table.add_row("MSE, (deg/s)²", *(_each(item.mse, 0) for item in errors))
     table.add_row("  average", *(f"{item.mse.mean():,.0f}" for item in errors))
-    table.add_row("mean output ū", *(f"{item.output:.3f}" for item in efforts))
-    of = "" if args.max_motor_change is None else " of the motor values"
+    if args.terms == DISSERTATION:
+        table.add_row("mean output ū", *(f"{item.output:.3f}" for item in efforts))
+    of = "" if args.terms == DISSERTATION else " of the motor values"
     table.add_row(f"mean |Δu|{of} in 1 ms", *(f"{item.change:.4f}" for item in efforts))
     console.print(table)
     if args.write:

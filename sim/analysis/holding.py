@@ -26,7 +26,7 @@ DRIFT_S = 10.0  # of the hover, its last part
 class Holding:
     """Figures of each of E flights."""
 
-    mae: Array  # (E, N, 3) [deg/s], of each command and the rests around it; N is 0 without equal parts
+    mae: Array  # (E, N, 3) [deg/s], of each command and the rests around it
     mse: Array  # (E, N, 3) [(deg/s)^2], likewise
     rest: Array  # (E, FIFTHS, 3) [deg/s], mean |rate| at rest, by age; NaN in a fifth without rest
     hover: Array  # (E, 3) [deg/s], mean |rate| of the hover's last DRIFT_S
@@ -60,12 +60,12 @@ def holding(setpoint: ArrayLike, rate: ArrayLike, step_s: float, commands: int, 
     """Figures of flights.
 
     setpoint, rate: (E, T, 3) [rad/s], true, rows `step_s` apart; before: rows before the hover; commands: the
-    equal parts of these, 0 if they are not equal. Raises ValueError on a hover shorter than DRIFT_S, on one
+    equal parts of these, of which errors are told. Raises ValueError on a hover shorter than DRIFT_S, on one
     that is commanded, and on rows that do not divide.
     """
     wanted, flown = np.asarray(setpoint), np.asarray(rate)
     last = round(DRIFT_S / step_s)
-    if wanted.shape[1] - before < last or (commands and before % commands):
+    if wanted.shape[1] - before < last or before % commands:
         raise ValueError(
             f"{before} and {wanted.shape[1] - before} rows of {step_s:g} s: expected {commands} equal "
             f"commands, and a hover of at least {DRIFT_S:g} s"
@@ -76,7 +76,7 @@ def holding(setpoint: ArrayLike, rate: ArrayLike, step_s: float, commands: int, 
     for one, turned in zip(wanted, flown, strict=True):  # flight by flight: float64 copies are large
         speed = np.rad2deg(turned, dtype=np.float64)
         error = np.abs(np.rad2deg(one, dtype=np.float64) - speed)
-        parts = error[:before].reshape(commands, -1, 3) if commands else np.empty((0, 1, 3))
+        parts = error[:before].reshape(commands, -1, 3)
         found["mae"].append(parts.mean(axis=1))
         found["mse"].append(np.square(parts).mean(axis=1))
         found["rest"].append(_rest(error[:before], settled(one[:before], step_s)))

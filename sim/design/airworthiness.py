@@ -25,6 +25,10 @@ from toolchain.contract import AXES, GRAVITY
 Array = NDArray[np.float64]
 
 THRUST_TO_WEIGHT_LOW = 1.5  # below it little is left to steer with
+HEAVY = 1.0  # [kg], a part that may have been given in grams, where the aircraft cannot lift itself
+PLACES = ("rear right", "front right", "rear left", "front left")  # of the motors 1 to 4 of a quadcopter
+PROPS_IN, PROPS_OUT = ("cw", "ccw", "ccw", "cw"), ("ccw", "cw", "cw", "ccw")  # in that order
+BESIDE = 0.2  # of the hubs' distance: a hub nearer to an axis than this lies on it, as in a plus
 SHARE_HIGH = 1.3  # greatest hover thrust of a rotor over the least
 # Radius of gyration over the hubs' distance from the centre of mass: 0.35 to 0.6 for the shipped aircraft,
 # 1 if all mass sat at the hubs of a ring. A slip of a thousand in the unit moves it by 30.
@@ -67,7 +71,7 @@ def examine(aircraft: Aircraft) -> tuple[Figures, list[Verdict]]:
     """Figures of an aircraft and the verdicts of all checks."""
     figures = aircraft_figures(aircraft)
     checks = (
-        *(_thrust, _hover, _control, _size, _inertia, _centre),
+        *(_thrust, _hover, _control, _motors, _size, _inertia, _centre),
         *(_propeller, _propeller_part, _rotor, _battery, _body),
     )
     return figures, [verdict for check in checks for verdict in check(aircraft, figures)]
@@ -77,13 +81,57 @@ def _thrust(aircraft: Aircraft, figures: Figures) -> Iterator[Verdict]:
     ratio = figures.thrust_to_weight
     message = f"{figures.thrust_max:.3g} N at full throttle, {ratio:.2f} times the weight"
     if ratio <= 1:
-        hint = "; check mass_kg of the parts, speed_curve_rpm and the thrust coefficient"
+        hint = _grams(aircraft, figures) or (
+            "; check mass_kg of the parts, speed_curve_rpm and the thrust coefficient"
+        )
         yield Verdict(Level.ERROR, "thrust", f"{message}: it cannot lift itself{hint}")
     elif ratio < THRUST_TO_WEIGHT_LOW:
         low = f": little is left to steer with; expected {THRUST_TO_WEIGHT_LOW:g} or more"
         yield Verdict(Level.WARNING, "thrust", message + low)
     else:
         yield Verdict(Level.OK, "thrust", message)
+
+
+def _grams(aircraft: Aircraft, figures: Figures) -> str:
+    """Where it would fly if its parts of more than a kilogram had been meant in grams: which they are."""
+    heavy = [part for part in aircraft.parts if part.mass > HEAVY]
+    meant = figures.mass - 0.999 * sum(part.mass for part in heavy)
+    if not heavy or figures.thrust_max <= meant * GRAVITY:
+        return ""
+    first = max(heavy, key=lambda part: part.mass)
+    return (
+        f"; mass_kg is in kilograms, and {first.name!r} has {first.mass:g} of them: if grams are meant, "
+        f"write {first.mass / 1000:.4g}"
+    )
+
+
+def _motors(aircraft: Aircraft, figures: Figures) -> Iterator[Verdict]:
+    """Places and turning directions of a quadcopter's motors, whose numbers everything else follows."""
+    hubs = np.array([rotor.position[:2] for rotor in aircraft.rotors])
+    offset = (hubs - hubs.mean(axis=0)) / max(figures.reach, 1e-9)
+    if len(hubs) != len(PLACES) or np.abs(offset).min() < BESIDE:
+        return  # no X: its motors have no such names
+    places = [PLACES[2 * int(y > 0) + int(x > 0)] for x, y in offset]
+    if sorted(places) != sorted(PLACES):
+        return
+    turns = ["ccw" if rotor.spin > 0 else "cw" for rotor in aircraft.rotors]
+    listed = [
+        f"{number} {place} {turn}" for number, (place, turn) in enumerate(zip(places, turns, strict=True), 1)
+    ]
+    found = ", ".join(listed)
+    if tuple(places) != PLACES:
+        wanted = ", ".join(f"{number} {place}" for number, place in enumerate(PLACES, 1))
+        yield Verdict(
+            Level.WARNING,
+            "motors",
+            f"{found}; expected {wanted}, as on the bench and in Betaflight: put the [[rotor]] tables into "
+            f"that order",
+        )
+        return
+    way = {PROPS_IN: ": propellers in, as Betaflight has it", PROPS_OUT: ": propellers out"}.get(
+        tuple(turns), ""
+    )
+    yield Verdict(Level.OK, "motors", found + way)
 
 
 def _hover(aircraft: Aircraft, figures: Figures) -> Iterator[Verdict]:

@@ -18,6 +18,7 @@ from __future__ import annotations
 import tomllib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -37,6 +38,7 @@ COMMAND_SIGMA_DEG_S = 100.0  # Koch 2019, ch. 5: training and test commands from
 PULSE_IDLE_S, PULSE_HOLD_S, PULSE_REST_S = 0.5, 2.0, 2.0  # Koch 2019, ch. 5
 PULSE_S = PULSE_IDLE_S + PULSE_HOLD_S + PULSE_REST_S
 TURN_DEG_S = 720.0  # rate of the acrobatic figures: a full turn in half a second
+TURNS_THROTTLE = 0.3  # about that of a hover
 FILE_BYTES_MAX = 1 << 20
 SEGMENTS_MAX = 10_000
 SEGMENT_S_MIN, SEGMENT_S_MAX = 0.001, 3600.0  # one control step at 1 kHz to an hour
@@ -126,6 +128,17 @@ def turn(name: str, axis: int) -> Scenario:
     return Scenario(name, (Segment(PULSE_IDLE_S), fast, Segment(PULSE_IDLE_S)))
 
 
+def turns() -> Scenario:
+    """Full turns about each axis, both ways, at TURN_DEG_S and at full stick, with a rest behind each."""
+    segments = [Segment(PULSE_IDLE_S, throttle=TURNS_THROTTLE)]
+    for rate, axis, sign in product((TURN_DEG_S, float(RATE_FULL_STICK_DEG_S)), range(3), (1.0, -1.0)):
+        rates = [0.0, 0.0, 0.0]
+        rates[axis] = sign * rate
+        segments.append(Segment(360 / rate, (rates[0], rates[1], rates[2]), TURNS_THROTTLE))
+        segments.append(Segment(PULSE_IDLE_S, throttle=TURNS_THROTTLE))
+    return Scenario("turns", tuple(segments))
+
+
 def sticks_flight() -> Scenario:
     """Arm on the ground, take off, hover, climb, turn, descend, land, close the throttle."""
     segments = (
@@ -153,6 +166,7 @@ BUILDERS: dict[str, tuple[str, Callable[[int, int], Scenario]]] = {
     "pulses": ("commands like `pulse`'s, one after another (100 unless --count)", pulses),
     "roll": ("a full turn to the right in half a second", lambda *_: turn("roll", 0)),
     "flip": ("a full turn forward in half a second", lambda *_: turn("flip", 1)),
+    "turns": ("twelve full turns: each axis, both ways, at 720 and 1,000 deg/s", lambda *_: turns()),
     "sticks": (
         "take-off to landing by eye, in free flight: fly it with --ground",
         lambda *_: sticks_flight(),

@@ -194,7 +194,8 @@ def _band_pass(band: tuple[float, float], dt: float) -> tuple[Array, Array]:
     apart = math.sqrt(z * z - 1.0)
     kept, c, s = math.exp(-z * w * dt), math.cosh(apart * w * dt), math.sinh(apart * w * dt) / apart
     turn = kept * np.array([[c + z * s, s], [-s, c - z * s]])
-    return turn, np.linalg.cholesky(np.eye(2) - turn @ turn.T)
+    added: Array = np.linalg.cholesky(np.eye(2) - turn @ turn.T).astype(np.float64)
+    return turn, added
 
 
 def _feet(altitude: float) -> float:

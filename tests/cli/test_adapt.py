@@ -17,12 +17,14 @@ import cli.training.adapt
 import training.adaptation.adapt
 from cli.main import main
 from sim.aircraft.model import load_aircraft
+from sim.analysis.confidence import Mean
 from sim.flight.trace import Trace, save_trace
 from tests.sim.identification.test_moments import NF1, flight
 from toolchain.codegen.compiler import CompiledPolicy
 from toolchain.policy.model import read_policy
 from toolchain.verification.verify import Candidate, all_candidates
-from training.tasks.task import PulseTask
+from training.adaptation.adapt import Bench, Proof
+from training.tasks.flight import FlightTask
 
 Capture = pytest.CaptureFixture[str]
 POLICY = Path("training/policies/nf1")
@@ -75,11 +77,13 @@ def pulling(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(autouse=True)
 def small_budget(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Few observations to verify with, few commands to find the motors' change with, of a second each."""
+    """Few observations to verify with, few commands to find the motors' change with, in flights of 5.5 s."""
     monkeypatch.setattr(cli.training.adapt, "VERIFIED", 8)
     monkeypatch.setattr(training.adaptation.adapt, "CALIBRATION", 4)
-    short = PulseTask(idle_s=0.2, command_s=0.5, rest_s=0.3)
-    monkeypatch.setattr(training.adaptation.adapt, "PulseTask", lambda: short)
+    for holder in ("sim.analysis.holding", "training.tasks.flight"):
+        monkeypatch.setattr(f"{holder}.DRIFT_S", 0.5)
+    short = FlightTask(pulses=5, idle_s=0.2, command_s=0.5, rest_s=0.3, hover_s=0.5)
+    monkeypatch.setattr(training.adaptation.adapt, "FLIGHT", short)
 
 
 def test_a_dry_run_tells_the_factors_and_writes_nothing(log: Path, tmp_path: Path, capsys: Capture) -> None:
@@ -110,6 +114,24 @@ def test_a_policy_that_is_not_better_is_refused_and_nothing_is_kept(
     assert gain["low"] <= 0.0
     assert list(out.parent.iterdir()) == []
     assert {path.name: path.read_bytes() for path in POLICY.iterdir()} == before
+
+
+@pytest.mark.parametrize(
+    ("drift", "refused"), [((0.0, 5.0), False), ((1.5, 9.5), True), ((-9.0, -2.0), False)]
+)
+def test_a_policy_that_drifts_more_is_refused_though_its_error_is_smaller(
+    drift: tuple[float, float], refused: bool
+) -> None:
+    def mean(low: float, high: float) -> Mean:
+        return Mean(np.array((low + high) / 2), np.array(low), np.array(high), np.array(20))
+
+    old, new = (Bench(mean(each, each), 0.003, None) for each in (2.0, 1.0))  # type: ignore[arg-type]
+    proof = Proof(old, new, mean(0.9, 1.1), mean(*drift), old, new)
+    assert (proof.refusal is not None) == refused
+    if refused:
+        assert proof.refusal == (
+            "drifts: 5.5 deg (1.5 to 9.5, 95 %) more in 10 s of centred sticks, expected at most 1"
+        )
 
 
 def test_a_policy_whose_proof_holds_lies_in_the_new_folder(

@@ -88,7 +88,7 @@ def trained_on(aircraft: Path | str, path: Path) -> Path:
 def test_the_shipped_policy_gets_its_own_aircraft_unasked(asked: Callable[..., Asked]) -> None:
     got = asked()
     nf1 = load_aircraft("nf1")
-    assert got.policy == SHIPPED
+    assert got.policy.resolve() == SHIPPED
     assert got.aircraft == AircraftFacts("nf1", nf1.sha256, "nf1", own=True)
     wanted = pid_table(nf1)
     assert wanted is not None and got.pid is not None
@@ -183,8 +183,8 @@ def test_what_was_built_last_is_built_again_and_told(
     assert main([*words, "--policy", str(policy), "--aircraft", str(own)]) == 0
     table = " ".join(capsys.readouterr().out.split())
     digest = load_aircraft(own).sha256
-    for told in (f"aircraft mine, digest {digest[:12]}", "the policy's own", "flying of aircraft mine"):
-        assert told in table, told
+    for line in (f"aircraft mine, digest {digest[:12]}", "the policy's own", "flying of aircraft mine"):
+        assert line in table, line
     report = json.loads((tmp_path / "HOST" / "report.json").read_text())
     assert report["policy"]["aircraft_sha256"] == report["aircraft"]["sha256"] == digest
     assert main([*words, "--again"]) == 0

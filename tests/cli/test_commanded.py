@@ -62,7 +62,7 @@ def test_flights_are_flown_unless_the_user_says_and_tell_rest_and_drift(
 ) -> None:
     plot = tmp_path / "flights.png"
     document = told(capsys, "compare", TUNED, PUBLISHED, "--episodes", "2", "--plot", str(plot))
-    assert (document["task"], document["flights"], document["episodes"]) == ("flight", 1, 2)
+    assert (document["task"], document["commands_per_flight"], document["episodes"]) == ("flight", 2, 2)
     assert document["length_s"] == 24.0  # [s], two pulses of 4.5 s and a hover of 15 s
     assert "--task flight --episodes 2 --seed 0 --throttle 0.3" in document["command"]
     first, other = document["comparison"]

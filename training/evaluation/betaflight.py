@@ -138,4 +138,4 @@ def record_betaflight(
                 progress(k + 1, steps)
     idle = np.repeat([betaflight_idle(one.tune) for one in armed], episodes // len(armed))[:, None]
     np.divide(rows.motors - idle.astype(np.float32), (1.0 - idle).astype(np.float32), out=rows.output)
-    return rows.flights(setpoints.swapaxes(0, 1), 1.0 / ROW_RATE_HZ, task)
+    return rows.flights(setpoints.swapaxes(0, 1), 1.0 / ROW_RATE_HZ, task, samples)

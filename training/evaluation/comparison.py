@@ -17,7 +17,8 @@ from sim.analysis.confidence import Mean, mean_of, paired, share_of
 from sim.analysis.holding import settled
 from sim.analysis.response import Hold, large, mean_figures, progress, together
 from training.evaluation.controllers import Conditions, Contender
-from training.evaluation.evaluation import Evaluation, Flights, Scores, interval, scores, summary
+from training.evaluation.evaluation import Evaluation, Flights, Scores, interval, summary
+from training.evaluation.floor import scored
 
 Array = NDArray[np.float64]
 CHUNK = 128  # episodes whose errors are computed at a time
@@ -70,7 +71,7 @@ def enter(
 ) -> Entry:
     """Fly a controller; throttle: see Conditions.fly; on_step: called with steps done and to do."""
     flights = conditions.fly(controller, throttle, on_step)
-    each = scores(flights)
+    each = scored(flights, controller, conditions)
     held = flights.hold()
     asked = None
     if held is not None and flights.course is None:
@@ -85,6 +86,11 @@ def values(each: Scores) -> dict[str, Array]:
     """
     found = {name: getattr(each.tracking, name) for name in SUMS}
     found |= {"output": each.output, "change": each.change, "smoothness": each.smoothness}
+    if each.floors is not None:
+        found |= {"mae_least": each.floors.mae, "mse_least": each.floors.mse}
+        found |= {
+            f"{name}_above": found[name].mean(axis=1) - found[f"{name}_least"] for name in ("mae", "mse")
+        }
     if each.motor_change is not None:
         found["motor_change"] = each.motor_change
     if each.holding is not None:
@@ -139,7 +145,7 @@ def by_axis(scores: Scores) -> dict[str, Mean]:
 def differences(first: Scores, other: Scores) -> dict[str, Mean]:
     """Each figure of `other` minus that of `first` on the same commands, with its 95 % confidence."""
     before, after = values(first), values(other)
-    return {name: paired(before[name], after[name]) for name in before}
+    return {name: paired(before[name], after[name]) for name in before if name in after}
 
 
 def significant(difference: Mean) -> bool:

@@ -47,11 +47,12 @@ class Flights:
     power: NDArray[np.float32] | None = None  # (E, T) [W], electric: motors and electronics
     current: NDArray[np.float32] | None = None  # (E, T) [A]; NaN where the supply's voltage is not known
     course: Course | None = None  # of flights of a minute; None: of single commands
+    samples: int = 1  # steps of the twin between rows
 
     @property
     def commands(self) -> int:
         """How many commands an episode holds, of which figures are told one by one."""
-        return max(1, self.course.commands) if self.course else 1
+        return self.course.commands if self.course else 1
 
     @property
     def commanded(self) -> slice:
@@ -61,7 +62,7 @@ class Flights:
 
     def hold(self) -> Hold | None:
         """The held command of each episode, of a flight one by one; None if one holds under a second."""
-        if self.recorded or (self.course and not self.course.commands):
+        if self.recorded:
             return None
         parts = len(self.rate) * self.commands
         setpoint, rate = (
@@ -73,7 +74,15 @@ class Flights:
         """Figures by age; None where episodes are no flights of a minute."""
         if self.course is None:
             return None
-        return holding(self.setpoint, self.rate, self.step_s, self.course.commands, self.commanded.stop)
+        return holding(self.setpoint, self.rate, self.step_s, self.commands, self.commanded.stop)
+
+
+@dataclass(frozen=True, eq=False)
+class Floors:
+    """The least errors of each of E episodes that any motors could reach, mean of axes and control steps."""
+
+    mae: NDArray[np.float64]  # (E,) [deg/s]
+    mse: NDArray[np.float64]  # (E,) [deg^2/s^2]
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,6 +99,7 @@ class Scores:
     power: NDArray[np.float64] | None = None  # (E,) [W], mean electric power
     current: NDArray[np.float64] | None = None  # (E,) [A], mean
     holding: Holding | None = None  # by age, and the hover's; None where episodes are no flights of a minute
+    floors: Floors | None = None  # None where none is known, see training/evaluation/floor.py
 
     @property
     def commands(self) -> int:
@@ -113,6 +123,8 @@ class Evaluation:
     response: ResponseFigures | None  # None where the task holds no command for a second
     motor_change: Mean | None = None  # |change| of a motor's fraction in 1 ms; None where none was recorded
     holding: HoldingFigures | None = None  # None where episodes are no flights of a minute
+    mae_least: float | None = None  # [deg/s], that any motors could reach, mean of the axes; None: not known
+    mse_least: float | None = None  # [deg^2/s^2], likewise, by another flight
 
 
 @dataclass(frozen=True)
@@ -148,8 +160,8 @@ class Rows:
                 self._volts = np.empty_like(self._lift)
             self._volts[k] = twin.battery.voltage[:, 0]
 
-    def flights(self, setpoint: NDArray[np.float32], step_s: float, task: Task) -> Flights:
-        """The record of all steps of the task's episodes; see Flights."""
+    def flights(self, setpoint: NDArray[np.float32], step_s: float, task: Task, samples: int) -> Flights:
+        """The record of all steps of the task's episodes; samples: of the twin in a step. See Flights."""
         rate, output, motors, lift, power, current = map(
             _by_episode, (self._rate, self.output, self.motors, self._lift, self._power, self._current)
         )
@@ -166,6 +178,7 @@ class Rows:
             power,
             current,
             course_of(task),
+            samples,
         )
 
 
@@ -259,7 +272,7 @@ def record(
                 progress(k + 1, steps)
     finally:
         twin.close()
-    return rows.flights(wanted, 1.0 / control_rate_hz, task)
+    return rows.flights(wanted, 1.0 / control_rate_hz, task, samples)
 
 
 def _thrust_by_step(throttle: float | NDArray[np.float32]) -> NDArray[np.float32] | None:
@@ -324,6 +337,8 @@ def summary(scores: Scores) -> Evaluation:
         response=mean_figures(scores.response, commands=scores.commands) if scores.response else None,
         motor_change=None if scores.motor_change is None else mean_over(scores.motor_change),
         holding=holding_figures(scores.holding) if scores.holding else None,
+        mae_least=float(scores.floors.mae.mean()) if scores.floors else None,
+        mse_least=float(scores.floors.mse.mean()) if scores.floors else None,
     )
 
 

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from sim.aircraft.model import Aircraft
 from sim.analysis.confidence import NORMAL, Mean, share_of
+from sim.analysis.holding import DRIFT_S
 from sim.analysis.metrics import CHANGE_S
 from sim.physics.variation import Variation
 from sim.physics.world import Mount
@@ -23,6 +24,7 @@ from training.config.randomization import Randomization, Range
 from training.config.training_config import WorldConfig
 from training.evaluation.controllers import Conditions, ControllerSpec
 from training.evaluation.evaluation import Flights, interval, mean_over
+from training.tasks.flight import FlightTask
 from training.tasks.task import Task
 
 Array = NDArray[np.float64]
@@ -49,10 +51,13 @@ COMMANDS_PER_DRAW = 5
 # that never turns; errors below the floor are no divergence, however small the command.
 DIVERGED_RATE = math.radians(GYRO_FULL_SCALE_DEG_S)  # [rad/s]
 DIVERGED_FLOOR = 10.0  # [deg/s]
+DIVERGED_DRIFT = 90.0  # [deg] in DRIFT_S of centred sticks: the pilot who looked away finds it on its side
 DIVERGENCE = (
     "a rate beyond 2000 deg/s on any axis, or an episode's MAE above both 10 deg/s and that of an aircraft "
     "that never turns"
 )
+FLIGHT_DIVERGENCE = f"{DIVERGENCE}, or a drift of more than {DIVERGED_DRIFT:g} deg in {DRIFT_S:g} s of hover"
+FLIGHT = FlightTask(pulses=COMMANDS_PER_DRAW, hover_s=DRIFT_S)  # a draw is one of these
 
 
 @dataclass(frozen=True)
@@ -88,12 +93,22 @@ class Plan:
 
     aircraft: Aircraft
     task: Task
-    episodes: int  # of each case
-    draws: int  # of all parameters at once, COMMANDS_PER_DRAW episodes each
+    episodes: int  # of each case; flights of FLIGHT, or single commands
+    draws: int  # of all parameters at once, COMMANDS_PER_DRAW commands each
     seed: int
     throttle_max: float  # the pilot's thrust is drawn uniformly from 0 to this, for each episode
     mount: Mount = Mount.CENTRE
     noise: bool = True
+
+    @property
+    def commands(self) -> int:
+        """Of an episode."""
+        return self.task.pulses if isinstance(self.task, FlightTask) else 1
+
+    @property
+    def divergence(self) -> str:
+        """When an episode diverges, in words."""
+        return FLIGHT_DIVERGENCE if isinstance(self.task, FlightTask) else DIVERGENCE
 
     def extremes(self) -> Randomization:
         """The varied parameters: the battery only if the aircraft has one that affects its thrust."""
@@ -120,6 +135,7 @@ class EpisodeFigures:
     output: Array  # mean of the controller's
     change: Array  # mean |delta u| in 1 ms
     diverged: NDArray[np.bool_]
+    drift: Array | None = None  # [deg] in the hover about the worst axis; None of single commands
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,6 +148,7 @@ class CaseResult:
     output: float
     change: float
     diverged: int  # episodes
+    drift: float | None = None  # [deg], mean of the flights' worst axes; None of single commands
 
     @property
     def met(self) -> bool:
@@ -149,6 +166,7 @@ class JointResult:
     change: float
     diverged: int  # draws with an episode that diverged
     diverged_share: Mean
+    drift: float | None = None  # as of a case
 
     @property
     def met(self) -> bool:
@@ -192,9 +210,10 @@ def examine(controller: ControllerSpec, plan: Plan, progress: Progress | None = 
         results.append(_case(case, varied, nominal))
     joint = None
     if plan.draws:
-        count = plan.draws * COMMANDS_PER_DRAW
+        flown_by_each = COMMANDS_PER_DRAW // plan.commands
+        count = plan.draws * flown_by_each
         draws = plan.extremes().draw(plan.draws, np.random.default_rng(drawn), delay)
-        each = draws.at(np.repeat(np.arange(plan.draws), COMMANDS_PER_DRAW))
+        each = draws.at(np.repeat(np.arange(plan.draws), flown_by_each))
         joint = _joint(fly(drawn, count, each), fly(drawn, count, None), plan.draws)
     return Robustness(controller, tuple(results), joint)
 
@@ -220,18 +239,24 @@ def quantile_of(values: Array, q: float) -> Mean:
 
 
 def episode_figures(flights: Flights) -> EpisodeFigures:
-    """Figures of each recorded episode."""
+    """Figures of each recorded episode; of a flight, those of its commands, and the drift in its hover."""
     stride = max(1, round(CHANGE_S / flights.step_s))
+    holding, rows = flights.holding(), flights.commanded
+    drift = None if holding is None else np.abs(holding.drift).max(axis=1)
     mae, output, change, diverged = [], [], [], []
-    for wanted, rate, y in zip(flights.setpoint, flights.rate, flights.output, strict=True):
+    for number, (setpoint, turned, y) in enumerate(
+        zip(flights.setpoint, flights.rate, flights.output, strict=True)
+    ):
+        wanted, rate = setpoint[rows], turned[rows]
         error = np.rad2deg(np.abs(wanted - rate, dtype=np.float64)).mean()
         still = np.rad2deg(np.abs(wanted, dtype=np.float64)).mean()
         mae.append(error)
-        output.append(y.mean(dtype=np.float64))
-        change.append(np.abs(np.diff(y[::stride], axis=0)).mean(dtype=np.float64))
-        spun = not np.abs(rate).max() <= DIVERGED_RATE  # NaN included
-        diverged.append(spun or error > max(still, DIVERGED_FLOOR))
-    return EpisodeFigures(np.array(mae), np.array(output), np.array(change), np.array(diverged))
+        output.append(y[rows].mean(dtype=np.float64))
+        change.append(np.abs(np.diff(y[rows][::stride], axis=0)).mean(dtype=np.float64))
+        spun = not np.abs(turned).max() <= DIVERGED_RATE  # NaN included
+        drifted = drift is not None and not drift[number] <= DIVERGED_DRIFT
+        diverged.append(spun or drifted or error > max(still, DIVERGED_FLOOR))
+    return EpisodeFigures(np.array(mae), np.array(output), np.array(change), np.array(diverged), drift)
 
 
 def _fly(
@@ -255,6 +280,7 @@ def _case(case: Case, varied: EpisodeFigures, nominal: EpisodeFigures) -> CaseRe
         output=float(varied.output.mean()),
         change=float(varied.change.mean()),
         diverged=int(varied.diverged.sum()),
+        drift=None if varied.drift is None else float(varied.drift.mean()),
     )
 
 
@@ -269,6 +295,7 @@ def _joint(varied: EpisodeFigures, nominal: EpisodeFigures, draws: int) -> Joint
         change=float(varied.change.mean()),
         diverged=int(diverged.sum()),
         diverged_share=share_of(diverged),
+        drift=None if varied.drift is None else float(varied.drift.mean()),
     )
 
 
@@ -291,6 +318,7 @@ def document(result: Robustness) -> dict[str, object]:
                 "change": each.change,
                 "diverged": each.diverged,
                 "met": each.met,
+                **_told_drift(each.drift),
             }
             for each in result.cases
         },
@@ -304,5 +332,10 @@ def document(result: Robustness) -> dict[str, object]:
             "diverged_share": interval(joint.diverged_share),
             "ratios": [round(float(ratio), 4) for ratio in joint.ratios],
             "met": joint.met,
+            **_told_drift(joint.drift),
         },
     }
+
+
+def _told_drift(drift: float | None) -> dict[str, float]:
+    return {} if drift is None else {"drift": drift}

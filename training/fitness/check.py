@@ -12,8 +12,8 @@ from sim.design.figures import aircraft_figures
 from toolchain.policy.check_stamp import stamp_document
 from training.evaluation.controllers import load_controller
 from training.fitness.bars import Bar, bars
-from training.fitness.course import SEED
-from training.fitness.flying import Flown, Progress, fly_course
+from training.fitness.course import SEED, Leg
+from training.fitness.flying import Flown, LegFigures, Progress, fly_course
 from training.fitness.references import References
 
 WORDS_MAX = 3  # reasons that one bar gives, the worst first
@@ -28,6 +28,16 @@ class Verdict:
     references: tuple[Flown, ...]
     missing: tuple[str, ...]  # references that could not be flown, and why
     bars: tuple[Bar, ...]
+    legs: dict[Leg, LegFigures]  # of the policy
+
+    @property
+    def above_least(self) -> list[tuple[str, float, float]]:
+        """Where it flew, and by which part its MAE and its MSE are above the least any motors could leave."""
+        return [
+            (leg.name, own.mae / own.mae_least - 1.0, own.mse / own.mse_least - 1.0)
+            for leg, own in self.legs.items()
+            if own.mae_least and own.mse_least
+        ]
 
     @property
     def fit(self) -> bool:
@@ -58,6 +68,10 @@ class Verdict:
                 "missing": list(self.missing),
                 "reasons": self.reasons,
                 "bars": [_bar_document(bar) for bar in self.bars],
+                "above_least": [
+                    {"where": where, "mae": _number(mae), "mse": _number(mse)}
+                    for where, mae, mse in self.above_least
+                ],
             },
         )
 
@@ -95,6 +109,7 @@ def check(
         references=others,
         missing=missing,
         bars=bars(flown, others, aircraft_figures(aircraft).thrust_to_weight),
+        legs=flown.legs,
     )
 
 

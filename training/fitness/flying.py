@@ -14,6 +14,7 @@ from sim.physics.world import Mount
 from toolchain.contract import GYRO_RATE_DEFAULT_HZ
 from training.evaluation.controllers import Conditions, Contender
 from training.evaluation.evaluation import Flights
+from training.evaluation.floor import floors_of
 from training.evaluation.thrust import THROTTLES, at_rest, throttle_of
 from training.fitness.course import (
     FLIGHT,
@@ -47,6 +48,8 @@ class LegFigures:
     late: Axes  # and in the hover
     drift: Axes  # [deg], turned in 10 s of the hover
     change: float  # mean |change| of a motor's fraction in 1 ms, in the hover
+    mae_least: float | None = None  # [deg/s], that any motors could leave; None: not known
+    mse_least: float | None = None  # [(deg/s)^2], likewise
 
 
 @dataclass(frozen=True)
@@ -101,7 +104,8 @@ def fly_course(controller: Contender, course: Course, progress: Progress | None 
     legs: tuple[LegFigures, ...] = ()
     if course.legs:
         flying = replace(base, episodes=len(course.legs))
-        legs = leg_figures(flying.fly(controller, throttles(course.legs), part(1), course.variation()))
+        flown = flying.fly(controller, throttles(course.legs), part(1), course.variation())
+        legs = with_least(leg_figures(flown), course, flown, controller.idle)
     turns: tuple[TurnFigures, ...] = ()
     if course.turns:
         flying = replace(base, task=turning, episodes=len(course.turns))
@@ -146,6 +150,23 @@ def leg_figures(flights: Flights) -> tuple[LegFigures, ...]:
         )
         for number in range(len(flights.rate))
     )
+
+
+def with_least(
+    figures: Sequence[LegFigures], course: Course, flights: Flights, idle: float
+) -> tuple[LegFigures, ...]:
+    """The figures with the least errors that motors could leave, of legs in an aircraft as its file says."""
+    found = list(figures)
+    as_filed = [number for number, leg in enumerate(course.legs) if leg.condition is None]
+    assert flights.lift is not None
+    part = replace(
+        flights, setpoint=flights.setpoint[as_filed], rate=flights.rate[as_filed], lift=flights.lift[as_filed]
+    )
+    least = floors_of(part, course.aircraft, idle=idle) if as_filed else None
+    if least is not None:
+        for number, mae, mse in zip(as_filed, least.mae.tolist(), least.mse.tolist(), strict=True):
+            found[number] = replace(found[number], mae_least=mae, mse_least=mse)
+    return tuple(found)
 
 
 def turn_figures(flights: Flights, task: TurnTask) -> tuple[TurnFigures, ...]:

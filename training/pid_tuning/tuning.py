@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,7 @@ from sim.aircraft.model import Aircraft, PidSettings
 from sim.physics.rotor import target_speed, thrust_and_torque
 from toolchain.contract import GRAVITY
 from training.pid_tuning.cma_es import CmaEs
-from training.pid_tuning.trial import Limits, Loop, Trial, Trials, throttles, training_commands
+from training.pid_tuning.trial import RATE_HZ, Trial, Trials
 from training.pid_tuning.ultimate_gain import RULES, UltimateGain, ultimate_gains
 
 Array = NDArray[np.float64]
@@ -50,63 +50,54 @@ class Tuning:
 Progress = Callable[[int, Trial], None]  # candidates flown so far, and the best of them
 
 
-def tune(
-    aircraft: Aircraft,
-    limits: Limits,
-    loop: Loop,
-    *,
-    seed: int,
-    commands: int,
-    budget: int,
-    progress: Progress,
-    start: PidSettings | None = None,
-) -> Tuning:
-    """Settings of least cost after about `budget` candidates (whole generations) of `commands` pulses each.
+def streams(seed: int) -> tuple[np.random.Generator, np.random.Generator]:
+    """Return the random numbers of a seed: those of trials' commands and noise, and those of the search."""
+    draw, search = (np.random.default_rng(part) for part in np.random.SeedSequence([seed, 1]).spawn(2))
+    return draw, search
 
-    start: settings that the search may begin with, if they cost less than every rule. Where candidates see
-    the mean of the gyro's samples, the first half of the generations makes the quick flights of `Trials`; the
-    best of these competes with those of the second half, all in full.
+
+def tune(
+    trials: Trials,
+    *,
+    budget: int,
+    rng: np.random.Generator,
+    progress: Progress,
+    begin: Sequence[PidSettings] = (),
+) -> Tuning:
+    """Return the settings of least cost after about `budget` candidates, in whole generations.
+
+    rng: of the search; begin: settings that it may begin with, if they cost less than every rule.
 
     The same arguments give the same settings. An interruption (KeyboardInterrupt) during the search ends it
     and keeps the best so far. Raises TrainingError on an aircraft that no gain makes oscillate.
     """
-    draw, search, thrust = (np.random.default_rng(s) for s in np.random.SeedSequence([seed, 1]).spawn(3))
-    unbiased = replace(aircraft, gyro=replace(aircraft.gyro, bias=0.0))
-    pulses = training_commands(commands, draw)
-    full = Trials(unbiased, loop, limits, seed, pulses, throttles(commands, loop.throttle_max, thrust))
-    flights = full.quick() if loop.gyro_mean else full
-    found = ultimate_gains(aircraft, min(IDLE_START, limits.idle), loop.control_rate_hz)
+    found = ultimate_gains(trials.aircraft, min(IDLE_START, trials.limits.idle), RATE_HZ)
     space = _Space(
-        loop=loop,
+        trials=trials,
         most=np.array([item.scaled(MOST) for item in found]),
-        idle_max=limits.idle,
-        cutoff_max_hz=CUTOFF_NYQUIST_MAX * loop.control_rate_hz / 2,
+        cutoff_max_hz=CUTOFF_NYQUIST_MAX * RATE_HZ / 2,
     )
     begun = [space.rule(found, rule, *part) for part in STARTS for rule in RULES]
-    if start is not None:
-        begun.append(space.decoded(_encoded(start)))
-    starts = flights.fly(begun)
+    begun += [space.decoded(space.encoded(settings)) for settings in begin]
+    starts = trials.fly(begun)
     rules = dict(zip(RULES, starts, strict=False))
     first = best = min(starts, key=lambda trial: trial.cost)
-    trials: list[Trial] = []
-    spread = np.full(11, SPREAD_GAIN)
+    flown: list[Trial] = []
+    at = space.encoded(first.settings)
+    spread = np.full(len(at), SPREAD_GAIN)
     spread[3:6] = SPREAD_INTEGRAL
-    cma_es = CmaEs(_encoded(first.settings), spread, POPULATION, search)
-    generations = max(1, round(budget / POPULATION))
+    cma_es = CmaEs(at, spread, POPULATION, rng)
     try:
-        for number in range(generations):
-            if flights is not full and 2 * number >= generations:
-                flights = full
-                (best,) = full.fly([best.settings])
+        for _ in range(max(1, round(budget / POPULATION))):
             points = cma_es.ask()
-            generation = flights.fly([space.decoded(point) for point in points])
+            generation = trials.fly([space.decoded(point) for point in points])
             cma_es.tell(points, np.array([trial.cost for trial in generation]))
-            trials += generation
+            flown += generation
             best = min([best, *generation], key=lambda trial: trial.cost)
-            progress(len(trials), best)
+            progress(len(flown), best)
     except KeyboardInterrupt:
-        return Tuning(found, rules, first, tuple(trials), best, interrupted=True)
-    return Tuning(found, rules, first, tuple(trials), best, interrupted=False)
+        return Tuning(found, rules, first, tuple(flown), best, interrupted=True)
+    return Tuning(found, rules, first, tuple(flown), best, interrupted=False)
 
 
 def idle_limit(aircraft: Aircraft) -> float:
@@ -121,40 +112,44 @@ def idle_limit(aircraft: Aircraft) -> float:
 class _Space:
     """The settings that a search may choose."""
 
-    loop: Loop
+    trials: Trials
     most: Array  # (3, 3): axis by K_P, K_I, K_D
-    idle_max: float
     cutoff_max_hz: float
 
     def rule(self, found: Sequence[UltimateGain], rule: str, part: float, integral: float) -> PidSettings:
         """The gains by `rule` times `part`, and K_I times `integral` too."""
         gains = [item.gains(rule) for item in found]
         roll, pitch, yaw = ((part * p, part * integral * i, part * d) for p, i, d in gains)
-        return self._rounded((roll, pitch, yaw), CUTOFF_START_HZ, min(IDLE_START, self.idle_max))
+        return self._rounded((roll, pitch, yaw), CUTOFF_START_HZ, IDLE_START)
+
+    def encoded(self, settings: PidSettings) -> Array:
+        """Settings as logarithms: K_P of the axes, K_I, K_D, cutoff, and idle where it is searched."""
+        values = [
+            *np.maximum(settings.gains, NOTHING).T.ravel(),
+            settings.derivative_cutoff_hz or CUTOFF_START_HZ,
+        ]
+        if self.trials.idle is None:
+            values.append(max(settings.idle, IDLE_MIN))
+        return np.log(values)
 
     def decoded(self, point: Array) -> PidSettings:
-        """The settings nearest to those that `_encoded` gives as `point`."""
-        *values, cutoff, idle = np.exp(point).tolist()
+        """The settings nearest to those that `encoded` gives as `point`."""
+        *values, cutoff, idle = np.exp(point if self.trials.idle is None else [*point, 0.0]).tolist()
         gains = np.minimum(np.reshape(values, (3, 3)).T, self.most)
         roll, pitch, yaw = np.where(gains < NOTHING, 0.0, gains).tolist()
         cutoff = min(max(cutoff, CUTOFF_MIN_HZ), self.cutoff_max_hz)
-        return self._rounded((tuple(roll), tuple(pitch), tuple(yaw)), cutoff, min(idle, self.idle_max))
+        return self._rounded((tuple(roll), tuple(pitch), tuple(yaw)), cutoff, idle)
 
     def _rounded(self, gains: tuple[Vector, Vector, Vector], cutoff_hz: float, idle: float) -> PidSettings:
         (a, b, c), (d, e, f), (g, h, i) = ([_significant(value) for value in axis] for axis in gains)
+        fixed, most = self.trials.idle, self.trials.limits.idle
         return PidSettings(
             ((a, b, c), (d, e, f), (g, h, i)),
             _significant(cutoff_hz),
-            _significant(idle),
-            mix=self.loop.mix,
-            gyro_mean=self.loop.gyro_mean,
+            _significant(min(idle, most)) if fixed is None else fixed,
+            mix=self.trials.mix,
+            gyro_mean=self.trials.gyro_mean,
         )
-
-
-def _encoded(settings: PidSettings) -> Array:
-    """Settings as logarithms (11,): K_P of the axes, K_I, K_D, cutoff, idle."""
-    gains = np.maximum(settings.gains, NOTHING).T.ravel()
-    return np.log([*gains, settings.derivative_cutoff_hz or CUTOFF_START_HZ, max(settings.idle, IDLE_MIN)])
 
 
 def _significant(value: float) -> float:

@@ -13,7 +13,7 @@ from sim.control.pid import Pid, mixer
 from sim.plotting import FLIGHT_COLOURS, GRID, INK, dress, titled_figure
 from toolchain.contract import AXES
 from training.evaluation.evaluation import record
-from training.pid_tuning.trial import Limits, Loop, Pulses, Trial
+from training.pid_tuning.trial import RATE_HZ, Limits, Pulses, Trial
 from training.pid_tuning.tuning import Tuning
 from training.tasks.task import PulseTask
 
@@ -23,15 +23,15 @@ START_COLOUR, BEST_COLOUR = FLIGHT_COLOURS[1], FLIGHT_COLOURS[0]
 OUTSIDE = "#b3bac4"  # candidates that exceed a limit
 
 
-def draw(tuning: Tuning, aircraft: Aircraft, limits: Limits, loop: Loop, title: str) -> Figure:
-    """A step on each axis with the gains of the start and the best, at half of the greatest throttle; below,
-    every candidate of the search."""
+def draw(tuning: Tuning, aircraft: Aircraft, limits: Limits, throttle: float, title: str) -> Figure:
+    """A step on each axis with the gains of the start and the best at `throttle`; below, every candidate
+    of the search."""
     figure = titled_figure((12, 7.5), title)
     grid = figure.add_gridspec(2, 3)
     panels = [figure.add_subplot(grid[0, axis]) for axis in range(3)]
     top = 1.15 * STEP_DEG_S
     for label, trial, colour in (("start", tuning.start, START_COLOUR), ("tuned", tuning.best, BEST_COLOUR)):
-        t, rate = _responses(aircraft, trial.settings, loop)
+        t, rate = _responses(aircraft, trial.settings, throttle)
         top = max(top, float(rate.max()))
         for axis, panel in enumerate(panels):
             panel.plot(t, rate[axis], color=colour, lw=1.5, label=label)
@@ -50,23 +50,23 @@ def draw(tuning: Tuning, aircraft: Aircraft, limits: Limits, loop: Loop, title: 
 
 
 def _responses(
-    aircraft: Aircraft, settings: PidSettings, loop: Loop
+    aircraft: Aircraft, settings: PidSettings, throttle: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Time since the step [ms] (T,) and the stepped axis' rate [deg/s] (3, T), with the gyro's noise."""
     task = PulseTask(command_s=SHOWN_S, rest_s=0.0)
     flights = record(
-        Pid(mixer(aircraft), settings, 3, loop.control_rate_hz),
+        Pid(mixer(aircraft), settings, 3, RATE_HZ),
         aircraft,
         Pulses(np.deg2rad(STEP_DEG_S) * np.eye(3), task),
         episodes=3,
         seed=0,
-        control_rate_hz=loop.control_rate_hz,
-        throttle=loop.throttle_max / 2,
+        control_rate_hz=RATE_HZ,
+        throttle=throttle,
         idle=settings.idle,
         mix=settings.mix,
         gyro_mean=settings.gyro_mean,
     )
-    start = round(task.idle_s * loop.control_rate_hz)
+    start = round(task.idle_s * RATE_HZ)
     stepped = np.stack([flights.rate[axis, start:, axis] for axis in range(3)])
     t = 1e3 * flights.step_s * np.arange(stepped.shape[1], dtype=np.float64)
     return t, np.rad2deg(stepped.astype(np.float64))

@@ -13,12 +13,15 @@ MEANS = (
     ("mse", "MSE", 1),
     ("motor_change", "motors, abs Δ", 5),
 )  # figure, heading, digits
+HOLDS = (("rest_late", "rest late", 2), ("drift", "drift, °", 1))  # of flights besides
 
 
 def equal_thrust_section(stored: Stored) -> str:
     """Controllers at equal thrust: a table of each thrust, their mean, and thrust against throttle."""
     levels = stored.entries("equal_thrust")
-    body = [row for level in levels for row in _level_rows(level)]
+    flights = stored.text("task") == "flight"
+    holds, told_means = (HOLDS, (*MEANS, *HOLDS)) if flights else ((), MEANS)
+    body = [row for level in levels for row in _level_rows(level, holds)]
     headings = (
         "thrust, controller",
         "throttle",
@@ -28,16 +31,19 @@ def equal_thrust_section(stored: Stored) -> str:
         "MSE",
         "motors, abs Δ",
         "at rest, s.d.",
+        *(heading for _, heading, _ in holds),
     )
     first = controller_label(levels[0].entries("controllers")[0])
-    less = tuple(f"{heading} less the first" for _, heading, _ in MEANS)
-    about = ABOUT.format(episodes=f"{stored.number('episodes'):.0f}", first=first)
+    less = tuple(f"{heading} less the first" for _, heading, _ in told_means)
+    about = (ABOUT_FLIGHTS if flights else ABOUT_PULSES) + ABOUT.format(
+        episodes=f"{stored.number('episodes'):.0f}", first=first
+    )
     parts = [f"## Equal thrust, {stored.text('aircraft')}\n\n{about}", table((*headings, *less), body)]
     lifted = [level for level in levels if level.number("thrust") > 0]
     if len(lifted) > 1:
         told = ", ".join(f"{level.number('thrust'):g}" for level in lifted)
-        columns = [part for _, heading, _ in MEANS for part in (heading, "of the first's")]
-        parts.append(table((f"mean over the thrusts {told}", *columns), _mean_rows(lifted)))
+        columns = [part for _, heading, _ in told_means for part in (heading, "of the first's")]
+        parts.append(table((f"mean over the thrusts {told}", *columns), _mean_rows(lifted, told_means)))
     return "\n\n".join([*parts, transparency_table(stored)])
 
 
@@ -64,12 +70,13 @@ def transparency_table(stored: Stored) -> str:
     return f"{ABOUT_REST}\n\n{table(('throttle', *headings), body)}"
 
 
-def _level_rows(level: Stored) -> list[Sequence[str]]:
+def _level_rows(level: Stored, holds: Sequence[tuple[str, str, int]]) -> list[Sequence[str]]:
+    """A row a controller; holds: figures of flights that are told besides."""
     thrust = level.number("thrust")
     rows: list[Sequence[str]] = []
     for each in level.entries("controllers"):
         nearest = "" if each.get("reached") is True or not thrust else ", nearest"
-        change = [_less(each, name, digits) for name, _, digits in MEANS]
+        change = [_less(each, name, digits) for name, _, digits in (*MEANS, *holds)]
         rows.append(
             (
                 f"{f'{thrust:g}' if thrust else 'closed'}, {controller_label(each)}",
@@ -80,18 +87,19 @@ def _level_rows(level: Stored) -> list[Sequence[str]]:
                 _mean(each, "mse", 1),
                 _mean(each, "motor_change", 5),
                 number(each.number("motor_deviation_at_rest"), 5),
+                *(_mean(each, name, digits) for name, _, digits in holds),
                 *change,
             )
         )
     return rows
 
 
-def _mean_rows(levels: Sequence[Stored]) -> list[Sequence[str]]:
+def _mean_rows(levels: Sequence[Stored], told: Sequence[tuple[str, str, int]]) -> list[Sequence[str]]:
     columns = [level.entries("controllers") for level in levels]
     rows: list[Sequence[str]] = []
     for own in zip(*columns, strict=True):
         cells = []
-        for name, _, digits in MEANS:
+        for name, _, digits in told:
             mean, first = (
                 sum(each.number("means", name, "value") for each in row) / len(levels)
                 for row in (own, [column[0] for column in columns])
@@ -123,7 +131,12 @@ def _numbers(stored: Stored, *path: str) -> list[float]:
     return [float(value) for value in values]
 
 
-ABOUT = """Pulses as above, {episodes} of them, the same for all, rounded to what sticks can say; the gyro
+ABOUT_PULSES = "Pulses as above, "
+ABOUT_FLIGHTS = """Flights of a minute: ten pulses one after another, nothing reset between, and a hover.
+Rest late is the mean rate [deg/s] with the sticks centred in the last fifth of the pulses' time, drift how
+far the aircraft turns in the last ten seconds of the hover, both means of the axes; ± is that of flights.
+Pulses: """
+ABOUT = """{episodes} of them, the same for all, rounded to what sticks can say; the gyro
 runs at 4 kHz with the same noise and bias, the delay is the aircraft's. Each controller flies at the throttle
 that gives this thrust at rest, in parts of the weight, or at the nearest that it can; closed is throttle 0.
 So none buys its error with rotors that turn faster than the others'. The terms are the same for all, the

@@ -18,6 +18,7 @@ TITLES = {
 }
 COMPARED = (("mae", 2), ("mse", 0))  # figures that are won: name, digits
 OTHERS = (("overshoot", 0), ("stray", 1), ("stray_peak", 0), ("thrust", 2), ("change", 4))
+HOVER = (("rest", 2), ("drift", 1))  # of the hover behind, where it was flown
 THROTTLES = (0.0, 0.15, 0.3, 0.6)  # of the table of thrust at rest
 
 
@@ -27,14 +28,21 @@ def manoeuvre_section(stored: Stored) -> str:
     figures = contenders[0].get("figures")
     if not isinstance(figures, dict) or not figures:
         raise contenders[0].error("figures", figures, "an object")
-    body = [_row(each, name, first=not index) for name in figures for index, each in enumerate(contenders)]
+    hover = HOVER if all(isinstance(each, dict) and "rest" in each for each in figures.values()) else ()
+    shown = (*OTHERS, *hover)
+    body = [
+        _row(each, name, shown, first=not index) for name in figures for index, each in enumerate(contenders)
+    ]
     about = ABOUT.format(
         seeds=f"{stored.number('manoeuvres', 'seeds'):.0f}",
         charge=f"{100 * stored.number('manoeuvres', 'battery'):g}",
         gust=f"{stored.number('manoeuvres', 'gust_m_s'):g}",
         settle=f"{stored.number('manoeuvres', 'settle_s'):g}",
     )
-    headings = ("", "", "MAE", "MSE", "overshoot, %", "stray", "peak", "thrust", "abs Δu")
+    headings = ["", "", "MAE", "MSE", "overshoot, %", "stray", "peak", "thrust", "abs Δu"]
+    if hover:
+        headings += ["hover", "drift, °"]
+        about += ABOUT_HOVER
     parts = [f"## Manoeuvres, {stored.text('aircraft')}\n\n{about}", table(headings, body, align="---:")]
     if len(contenders) > 1:
         parts.append(_wins(contenders, len(figures)))
@@ -44,7 +52,8 @@ def manoeuvre_section(stored: Stored) -> str:
     return "\n\n".join(parts)
 
 
-def _row(contender: Stored, name: str, first: bool) -> tuple[str, ...]:
+def _row(contender: Stored, name: str, shown: Sequence[tuple[str, int]], first: bool) -> tuple[str, ...]:
+    """A contender in a manoeuvre; shown: figures beside those that are won."""
     cells = []
     for figure, digits in COMPARED:
         value, high = (contender.number("figures", name, figure, part) for part in ("value", "high"))
@@ -53,9 +62,7 @@ def _row(contender: Stored, name: str, first: bool) -> tuple[str, ...]:
             told = figure in contender.get("figures", name, "clear_wins")
             text = f"{'' if told else '≈ '}**{text}**"
         cells.append(text)
-    cells += [
-        f"{contender.number('figures', name, figure, 'value'):,.{digits}f}" for figure, digits in OTHERS
-    ]
+    cells += [f"{contender.number('figures', name, figure, 'value'):,.{digits}f}" for figure, digits in shown]
     return (TITLES.get(name, name) if first else "", controller_label(contender), *cells)
 
 
@@ -90,6 +97,8 @@ commanded axis goes past its command, in % of the command's jump; stray the mean
 of the axes that are never commanded [deg/s]; thrust that of all rotors over the weight as flown; abs Δu the
 mean change of the motors' fractions in 1 ms. A manoeuvre says thrust: each contender's throttle is the one
 whose thrust at rest is that, or the nearest that it gives, by its curve flown before at zero command."""
+ABOUT_HOVER = """ Hover is the mean rate of the axes [deg/s] with the sticks centred behind the manoeuvre,
+drift how far the aircraft turns in it about its worst axis: what a memory that wound up leaves."""
 ABOUT_DESCENT = """Thrust at rest over weight against throttle, on that battery; and how fast the aircraft
 comes down, level, ten seconds after the throttle was closed in the hover, mean of {flights} flights: below
 zero it climbs."""

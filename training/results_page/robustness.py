@@ -24,7 +24,8 @@ def robustness_section(stored: Stored) -> str:
             body.append([f"all at once, {label}", f"{most:g}", *cells])
         lost = [f"{each.number('joint', 'diverged'):.0f}" for each in controllers]
         body.append(["all at once, diverged", "0", *lost])
-    about = ABOUT.format(
+    flights = stored.text("robustness", "task") == "flight"
+    about = (ABOUT_FLIGHTS if flights else ABOUT).format(
         throttle=f"{stored.number('robustness', 'throttle_max'):g}",
         episodes=f"{stored.number('robustness', 'episodes'):.0f}",
         draws=f"{stored.number('robustness', 'draws'):.0f}",
@@ -57,6 +58,11 @@ def _marked(value: float, bar: float) -> str:
     return f"{value:.2f}" if value <= bar else f"**{value:.2f}**"
 
 
+ABOUT_FLIGHTS = """Flights of five pulses one after another and a hover, each with a throttle drawn from 0 to
+{throttle}: {episodes} pulses on the aircraft of the file, the same ones with one parameter at a time at its
+extreme, and {draws} aircraft with every parameter drawn between its extremes, {each} pulses each. Numbers
+are ratios of MAE to the nominal aircraft's on the same commands with 95 % confidence; bold ones miss their
+bar. Divergence: {divergence}."""
 ABOUT = """Pulses as above, each with a throttle drawn from 0 to {throttle}: {episodes} on the aircraft
 of the file, the same ones with one parameter at a time at its extreme, and {draws} aircraft with every
 parameter drawn between its extremes, {each} pulses each. Numbers are ratios of MAE to the nominal aircraft's

@@ -41,6 +41,7 @@ from typing import Any
 import numpy as np
 
 from sim.aircraft.model import Aircraft, load_aircraft, shipped
+from sim.aircraft.props_out import SUFFIX
 from sim.physics.world import COUNT_MAX
 from sim.strict_toml import StrictTable
 from toolchain.errors import TrainingError
@@ -185,7 +186,7 @@ def _read(path: Path, where: str) -> dict[str, Any]:
 
 def _beside(path: Path, name: str, known: Sequence[str]) -> str:
     """A known name as it is; any other as a path relative to the sweep file's folder."""
-    return name if name in known else str(path.parent / name)
+    return name if name.removesuffix(SUFFIX) in known else str(path.parent / name)
 
 
 def _validation(table: StrictTable) -> Validation:

@@ -1,4 +1,4 @@
-"""The flight task: commands one after another in a flight of a minute, nothing reset, then a hover."""
+"""Flights of a minute, nothing reset in them: pulses one after another, or a pilot's; then a hover."""
 
 from __future__ import annotations
 
@@ -7,10 +7,11 @@ from typing import ClassVar
 
 import numpy as np
 
-from sim.analysis.holding import DRIFT_S
+from sim.analysis.holding import DRIFT_S, FIFTHS
+from sim.flight.freestyle import FLIGHT_S, FRAME_S, stick_strokes
 from training.tasks.limits import check_limits
 from training.tasks.sticks import OnSticks
-from training.tasks.task import LENGTH_MAX_S, PulseTask, RandomCommands, Setpoints, Task
+from training.tasks.task import FULL_STICK_DEG_S, LENGTH_MAX_S, PulseTask, RandomCommands, Setpoints, Task
 
 PULSES_MAX = 1000
 HOVER_THROTTLE = 0.3  # flown where nobody says: about a hover of the shipped aircraft
@@ -20,7 +21,7 @@ HOVER_THROTTLE = 0.3  # flown where nobody says: about a hover of the shipped ai
 class Course:
     """How a flight's time is divided."""
 
-    commands: int  # equal parts of the time before the hover; 0: it has no equal parts
+    commands: int  # equal parts of the time before the hover
     hover_s: float  # centred sticks at its end
 
 
@@ -84,7 +85,41 @@ class FlightTask(RandomCommands):
         return PulseTask(idle_s=self.idle_s, command_s=self.command_s, rest_s=self.rest_s)
 
 
+@dataclass(frozen=True)
+class PilotTask:
+    """The sticks of a pilot's freestyle minute, of another pilot each, and then a hover.
+
+    They move as a hand does and hardly rest: see sim.flight.freestyle. The throttle is the evaluation's.
+    """
+
+    name: ClassVar[str] = "pilot"
+    hover_s: float = 15.0
+
+    def __post_init__(self) -> None:
+        """Reject invalid values."""
+        check_limits(f"task {self.name}", self, hover_s=(DRIFT_S, LENGTH_MAX_S))
+
+    @property
+    def duration_s(self) -> float:
+        """Length of a flight [s]."""
+        return FLIGHT_S + self.hover_s
+
+    @property
+    def course(self) -> Course:
+        """How its time is divided: errors are told by fifths of the minute."""
+        return Course(FIFTHS, self.hover_s)
+
+    def episodes(self, count: int, rng: np.random.Generator, rate_hz: int) -> Setpoints:
+        """See Task."""
+        setpoints = np.zeros((count, round(self.duration_s * rate_hz), 3), np.float32)
+        frames = (np.arange(round(FLIGHT_S * rate_hz)) / (FRAME_S * rate_hz) + 1e-9).astype(np.intp)
+        for number, seed in enumerate(rng.integers(2**31, size=count).tolist()):
+            rates = np.clip(stick_strokes(seed)[0], -FULL_STICK_DEG_S, FULL_STICK_DEG_S)
+            setpoints[number, : len(frames)] = np.deg2rad(rates)[frames]
+        return setpoints
+
+
 def course_of(task: Task) -> Course | None:
     """How the time of the task's flights is divided; None where its episodes are no such flights."""
     inner = task.task if isinstance(task, OnSticks) else task
-    return inner.course if isinstance(inner, FlightTask) else None
+    return inner.course if isinstance(inner, (FlightTask, PilotTask)) else None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from training.tasks.flight import FlightTask
+from training.tasks.flight import FlightTask, PilotTask
 from training.tasks.random_steps import RandomStepsTask
 from training.tasks.recorded import RecordedTask
 from training.tasks.task import ContinuousTask, EnvelopeTask, EpisodicTask, PulseTask, Task
@@ -12,6 +12,7 @@ TASKS: dict[str, type[Task]] = {
     for task in (
         PulseTask,
         FlightTask,
+        PilotTask,
         EpisodicTask,
         EnvelopeTask,
         ContinuousTask,

@@ -36,6 +36,7 @@ from cli.training.evaluation.task_arguments import (
     flight_note,
     flown_words,
 )
+from cli.training.evaluation.thrust import LEAST_NOTE
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -54,6 +55,10 @@ AXIS_ROWS = (  # heading, figure, digits: with a row an axis
     ("drift, °", "drift", 1),
 )
 ROWS = (  # heading, figure, factor, digits
+    ("MAE, least possible", "mae_least", 1, 2),
+    ("  above it", "mae_above", 1, 2),
+    ("MSE, least possible", "mse_least", 1, 1),
+    ("  above it", "mse_above", 1, 1),
     ("IAE", "iae", 1, 0),
     ("ISE", "ise", 1, 0),
     ("ITAE", "itae", 1, 0),
@@ -79,7 +84,8 @@ ROWS = (  # heading, figure, factor, digits
 NOTE = (
     "Errors in deg/s against the true rate; ± is 95 % confidence. Differences are paired, command by "
     "command; ≈ marks those that such confidence does not tell from none. The band is 10 % of the command or "
-    "5 deg/s, whichever is wider, on all axes at once; every sample: from 500 to 1500 ms after the command."
+    "5 deg/s, whichever is wider, on all axes at once; every sample: from 500 to 1500 ms after the command. "
+    f"{LEAST_NOTE}"
 )
 
 

@@ -182,6 +182,8 @@ def flight_document(controller: Contender, throttle: float | None, result: Evalu
         "control_rate_hz": controller.control_rate_hz,
         **{name: values.tolist() for name, values in asdict(result.tracking).items()},
         "worst_mae": result.worst_mae,
+        "mae_least": result.mae_least,
+        "mse_least": result.mse_least,
         "output": result.effort.output,
         "change": result.effort.change,
         "motor_change": None if result.motor_change is None else float(result.motor_change.value),

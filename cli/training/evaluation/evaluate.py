@@ -140,13 +140,14 @@ def _at_throttle(args: argparse.Namespace, controller: Contender, flown: Conditi
     from sim.analysis.spectrum_plot import Line
     from sim.plotting import save_png
     from training.evaluation.comparison import as_flown
-    from training.evaluation.evaluation import figures
+    from training.evaluation.evaluation import summary
+    from training.evaluation.floor import scored
     from training.evaluation.tracking_plot import Tracked, draw_long, draw_step
 
     throttle = default_throttle(flown) if args.throttle is None else args.throttle
     with progress_bars(args) as bar:
         flights = flown.fly(controller, throttle, bar(f"{commands_flown(flown)} commands"))
-    result = figures(flights)
+    result = summary(scored(flights, controller, flown))
     title = f"{controller.name} on {flown.aircraft.name}: {flown_words(flown)}"
     held = flights.hold()
     if args.plot and drawn_as_flown(flown):
@@ -195,6 +196,9 @@ def _print(title: str, result: Evaluation, more: str) -> None:
         _add_response(table, result)
     console = Console()
     console.print(table)
+    if result.holding:
+        aged = ", ".join(f"{value:.2f}" for value in result.holding.mae.value)
+        console.print(f"MAE by age, of {len(result.holding.mae.value)} equal parts before the hover: {aged}")
     effort, margin = result.effort, result.effort_margin
     console.print(
         f"mean output ū {effort.output:.4f} ± {margin.output:.4f}, "
@@ -202,6 +206,13 @@ def _print(title: str, result: Evaluation, more: str) -> None:
         f"Sm {1e6 * result.smoothness:.1f}e-6 ± {1e6 * result.smoothness_margin:.1f}e-6, "
         f"worst MAE of a command and axis {result.worst_mae:.1f} deg/s"
     )
+    if result.mae_least and result.mse_least:
+        mae, mse = (float(values.mean()) for values in (result.tracking.mae, result.tracking.mse))
+        console.print(
+            f"least that any motors could leave: MAE {result.mae_least:.2f}, this is "
+            f"{100 * (mae / result.mae_least - 1):.0f} % above it; MSE {result.mse_least:.1f}, "
+            f"{100 * (mse / result.mse_least - 1):.0f} % above it"
+        )
     note = "Errors in deg/s against the true rate; ± is 95 % confidence of the mean."
     if result.response:
         floor = f"{result.response.floor_deg_s:g} deg/s"
@@ -229,7 +240,7 @@ def _add_holding(table: Table, found: HoldingFigures) -> None:
             f"{value[axis]:.{digits}f} ± {(high - low)[axis] / 2:.{digits}f}" if count[axis] else "none"
             for axis in range(3)
         ]
-        table.add_row(heading, *cells, f"{value.mean():.{digits}f}")
+        table.add_row(heading, *cells, f"{value.mean():.{digits}f}" if count.all() else "none")
 
 
 def _motors(result: Evaluation) -> str:

@@ -16,11 +16,12 @@ from cli.training.evaluation.ranges import check_ranges
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from training.evaluation.robustness import Plan, Robustness
+    from training.evaluation.robustness import CaseResult, JointResult, Plan, Robustness
 
 COLUMN = 34  # [characters], of a controller
-EPISODES = 200
-DRAWS = 200
+EPISODES = {"flight": 50, "pulse": 200}  # commands of a case by task, the first unless the user says
+DRAWS = {"flight": 100, "pulse": 200}
+FLIGHTS_MAX = 300  # at once, in memory: a gigabyte
 THROTTLE_MAX = 0.8
 
 
@@ -34,7 +35,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--aircraft", default="nf1", metavar="NAME|FILE", help="shipped name or a .toml file")
     parser.add_argument(
-        "--episodes", type=int, default=EPISODES, metavar="N", help=f"pulses a case; default: {EPISODES}"
+        "--task",
+        choices=tuple(EPISODES),
+        default="flight",
+        help="five commands one after another and a hover, or single ones; default: flight",
+    )
+    parser.add_argument(
+        "--episodes",
+        type=int,
+        metavar="N",
+        help=f"commands a case; default: {EPISODES['flight']} in flights, {EPISODES['pulse']} single ones",
     )
     parser.add_argument(
         "--seed", type=int, default=0, metavar="S", help="of commands, throttle, noise, draws"
@@ -44,14 +54,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=float,
         default=THROTTLE_MAX,
         metavar="T",
-        help=f"the pilot's thrust is drawn from 0 to this for each pulse; default: {THROTTLE_MAX:g}",
+        help=f"the pilot's thrust is drawn from 0 to this for each; default: {THROTTLE_MAX:g}",
     )
     parser.add_argument(
         "--draws",
         type=int,
-        default=DRAWS,
         metavar="N",
-        help=f"aircraft with every parameter drawn at once, 5 pulses each; default: {DRAWS}",
+        help=f"aircraft with every parameter drawn at once, 5 commands each; default: {DRAWS['flight']} in "
+        f"flights, {DRAWS['pulse']} for single ones",
     )
     parser.add_argument("--mount", choices=MOUNTS, default="centre", help="what holds the aircraft")
     parser.add_argument("--no-noise", action="store_true", help="an ideal gyro")
@@ -73,8 +83,9 @@ def run(args: argparse.Namespace) -> int:
     say_foreign(controllers)
     with progress_bars(args) as bar:
         results = [examine(controller, plan, bar(controller.label)) for controller in controllers]
+    each = "pulses" if plan.commands == 1 else f"flights of {plan.commands} commands and a hover"
     title = (
-        f"Robustness on {plan.aircraft.name}: {plan.episodes} pulses a case, throttle 0 to "
+        f"Robustness on {plan.aircraft.name}: {plan.episodes} {each} a case, throttle 0 to "
         f"{plan.throttle_max:g}, seed {plan.seed}"
     )
     if args.plot:
@@ -93,13 +104,16 @@ def _plan(args: argparse.Namespace) -> Plan:
     from sim.aircraft.model import load_aircraft
     from sim.physics.world import COUNT_MAX, Mount
     from toolchain.errors import TrainingError
-    from training.evaluation.robustness import COMMANDS_PER_DRAW, Plan
+    from training.evaluation.robustness import COMMANDS_PER_DRAW, FLIGHT, Plan
     from training.tasks.task import PulseTask
 
     check_controllers(args.controllers)
+    commands = EPISODES[args.task] if args.episodes is None else args.episodes
+    draws = DRAWS[args.task] if args.draws is None else args.draws
+    flights = args.task == "flight"
     check_ranges(
-        ("--episodes", args.episodes, 2, COUNT_MAX),
-        ("--draws", args.draws, 0, COUNT_MAX // COMMANDS_PER_DRAW),
+        ("--episodes", commands, 2, COUNT_MAX),
+        ("--draws", draws, 0, FLIGHTS_MAX if flights else COUNT_MAX // COMMANDS_PER_DRAW),
         ("--throttle-max", args.throttle_max, 0.0, 1.0),
     )
     if args.seed < 0:
@@ -107,9 +121,9 @@ def _plan(args: argparse.Namespace) -> Plan:
     check_output(args.plot, ".png")
     return Plan(
         aircraft=load_aircraft(args.aircraft),
-        task=PulseTask(),
-        episodes=args.episodes,
-        draws=args.draws,
+        task=FLIGHT if flights else PulseTask(),
+        episodes=max(2, -(-commands // FLIGHT.pulses)) if flights else commands,
+        draws=draws,
         seed=args.seed,
         throttle_max=args.throttle_max,
         mount=Mount(args.mount),
@@ -122,7 +136,6 @@ def _document(args: argparse.Namespace, plan: Plan, results: Sequence[Robustness
     from training.evaluation.robustness import (
         CASE_RATIO_MAX,
         COMMANDS_PER_DRAW,
-        DIVERGENCE,
         HIGH,
         HIGH_RATIO_MAX,
         MEDIAN_RATIO_MAX,
@@ -133,10 +146,11 @@ def _document(args: argparse.Namespace, plan: Plan, results: Sequence[Robustness
         "robustness",
         *args.controllers,
         aircraft=args.aircraft,
-        episodes=args.episodes,
+        task=args.task,
+        episodes=plan.episodes * plan.commands,
         seed=args.seed,
         throttle_max=args.throttle_max,
-        draws=args.draws,
+        draws=plan.draws,
         mount=args.mount if args.mount != "centre" else None,
         no_noise=args.no_noise,
     )
@@ -146,7 +160,7 @@ def _document(args: argparse.Namespace, plan: Plan, results: Sequence[Robustness
         "aircraft_sha256": plan.aircraft.sha256,
         "robustness": {
             "task": plan.task.name,
-            "episodes": plan.episodes,
+            "episodes": plan.episodes * plan.commands,
             "seed": plan.seed,
             "throttle_max": plan.throttle_max,
             "mount": plan.mount.value,
@@ -155,7 +169,7 @@ def _document(args: argparse.Namespace, plan: Plan, results: Sequence[Robustness
             "draws": plan.draws,
             "commands_per_draw": COMMANDS_PER_DRAW,
             "extremes": {name: bounds for name, bounds in asdict(plan.extremes()).items() if bounds},
-            "divergence": DIVERGENCE,
+            "divergence": plan.divergence,
             "bars": {"case": CASE_RATIO_MAX, "median": MEDIAN_RATIO_MAX, "high": HIGH_RATIO_MAX},
             "high_quantile": HIGH,
             "controllers": [document(result) for result in results],
@@ -169,24 +183,26 @@ def _print(title: str, plan: Plan, results: Sequence[Robustness], console: Conso
     from sim.physics.world import Mount
     from training.evaluation.robustness import (
         CASE_RATIO_MAX,
-        DIVERGENCE,
         HIGH_RATIO_MAX,
         MEDIAN_RATIO_MAX,
     )
 
+    flights = plan.commands > 1
     table = Table(title=title, title_justify="left", box=None, pad_edge=False, padding=(0, 2, 0, 0))
     table.add_column("", no_wrap=True)
     table.add_column("bar", justify="right")
     for result in results:
         table.add_column(result.controller.label, justify="right", no_wrap=True)
         table.add_column("|Δu|", justify="right", no_wrap=True)
+        if flights:
+            table.add_column("drift, °", justify="right", no_wrap=True)
     first = [result.cases[0] for result in results]
     table.add_row(
         "nominal, MAE deg/s",
         "",
         *_paired(
             [f"{each.mae.value:.2f} ± {each.mae.high - each.mae.value:.2f}" for each in first],
-            [each.change for each in first],
+            first,
         ),
     )
     for row in zip(*(result.cases[1:] for result in results), strict=True):
@@ -197,7 +213,7 @@ def _print(title: str, plan: Plan, results: Sequence[Robustness], console: Conso
             margin = each.ratio.high - each.ratio.value
             cells.append(f"{mark}{_ratio(float(each.ratio.value))} ± {_ratio(float(margin))}{lost}")
         name = row[0].case.name
-        table.add_row(name, f"{CASE_RATIO_MAX:g}", *_paired(cells, [each.change for each in row]))
+        table.add_row(name, f"{CASE_RATIO_MAX:g}", *_paired(cells, row))
     drawn = [result.joint for result in results if result.joint]
     if drawn:
         count = len(drawn[0].ratios)
@@ -210,23 +226,29 @@ def _print(title: str, plan: Plan, results: Sequence[Robustness], console: Conso
                 f"({_ratio(float(mean.low))} to {_ratio(float(mean.high))})"
                 for mean in means
             ]
-            table.add_row(name, f"{bar:g}", *_paired(quantiles, [each.change for each in drawn]))
+            table.add_row(name, f"{bar:g}", *_paired(quantiles, drawn))
         shares = [f"{each.diverged} (≤ {100 * each.diverged_share.high:.1f} %)" for each in drawn]
-        table.add_row("diverged of the draws", "0", *_paired(shares, None))
+        blank = [""] * (2 if flights else 1)
+        table.add_row("diverged of the draws", "0", *(text for cell in shares for text in (cell, *blank)))
     console.print(table, markup=False)
+    drift = " Drift: in degrees in the hover about the worst axis, mean of the flights." if flights else ""
     held = " Held at its centre, an aircraft's mass has no part." if plan.mount is Mount.CENTRE else ""
     console.print(
         f"Ratios of MAE to the nominal aircraft's on the same commands, with 95 % confidence; ! misses its "
-        f"bar. Divergence: {DIVERGENCE}.{held}",
+        f"bar. Divergence: {plan.divergence}.{drift}{held}",
         style="dim",
         markup=False,
     )
 
 
-def _paired(cells: Sequence[str], changes: Sequence[float] | None) -> list[str]:
-    """Each cell with its |delta u| beside it."""
-    beside = [""] * len(cells) if changes is None else [f"{change:.4f}" for change in changes]
-    return [text for pair in zip(cells, beside, strict=True) for text in pair]
+def _paired(cells: Sequence[str], results: Sequence[CaseResult | JointResult]) -> list[str]:
+    """Each cell with its |delta u| beside it, and the drift of flights."""
+    found = []
+    for text, each in zip(cells, results, strict=True):
+        found += [text, f"{each.change:.4f}"]
+        if each.drift is not None:
+            found.append(f"{each.drift:.1f}")
+    return found
 
 
 def _ratio(value: float) -> str:

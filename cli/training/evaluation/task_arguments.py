@@ -16,9 +16,9 @@ if TYPE_CHECKING:
     from training.tasks.pieces import RecordedPieces
     from training.tasks.task import Task
 
-TASKS = ("flight", "pulse", "episodic", "envelope", "continuous")  # the first unless the user says
+TASKS = ("flight", "pilot", "pulse", "episodic", "envelope", "continuous")  # the first unless the user says
 FLIGHT_COMMANDS = 200  # at most, unless the user says: 20 flights
-CONTINUOUS_EPISODES = 10  # unless the user says: each holds many commands
+LONG_EPISODES = 10  # unless the user says: each holds many commands
 LONG_MAX_S = 10_000.0  # of all such episodes together; all are kept in memory, a gigabyte for this long
 LENGTH_MIN_S, LENGTH_MAX_S = 0.1, 600.0
 FLIGHT_MIN_S = 20.0
@@ -38,14 +38,14 @@ def add_task_arguments(parser: argparse.ArgumentParser, episodes: int) -> None:
         "--task",
         choices=TASKS,
         help="what is commanded; default: flight, ten commands one after another and a hover, a minute in "
-        "all; with --command: pulse",
+        "all; pilot: a pilot's minute, and a hover; with --command: pulse",
     )
     parser.add_argument(
         "--episodes",
         type=int,
         metavar="N",
         help=f"commands; one aircraft each, or for ten in a flight; default: {episodes}, in flights "
-        f"{min(episodes, FLIGHT_COMMANDS)}; of the continuous task episodes, {CONTINUOUS_EPISODES}",
+        f"{min(episodes, FLIGHT_COMMANDS)}; a pilot's minutes or continuous episodes, {LONG_EPISODES}",
     )
     parser.set_defaults(episodes_default=episodes)
     parser.add_argument(
@@ -90,7 +90,7 @@ def task_of(args: argparse.Namespace) -> tuple[Task, int]:
     """What is commanded, and its number of episodes."""
     from sim.physics.world import COUNT_MAX
     from toolchain.errors import TrainingError
-    from training.tasks.flight import FlightTask
+    from training.tasks.flight import FlightTask, PilotTask
     from training.tasks.task import ContinuousTask
 
     if args.commands is None:
@@ -106,7 +106,8 @@ def task_of(args: argparse.Namespace) -> tuple[Task, int]:
         if isinstance(task, FlightTask):
             short, flights = task.of_commands(episodes)
             task, episodes = (short if args.length is None else task), flights
-        if isinstance(task, (FlightTask, ContinuousTask)) and episodes * task.duration_s > LONG_MAX_S:
+        long = isinstance(task, (FlightTask, PilotTask, ContinuousTask))
+        if long and episodes * task.duration_s > LONG_MAX_S:
             raise TrainingError(
                 f"{episodes} episodes of {task.duration_s:g} s, expected at most {LONG_MAX_S:g} s "
                 f"together; ask for fewer, or for shorter ones with --length"
@@ -125,7 +126,7 @@ def task_of(args: argparse.Namespace) -> tuple[Task, int]:
 
 def _default_episodes(args: argparse.Namespace, task: Task) -> int:
     """The number of episodes, or of commands in flights."""
-    from training.tasks.flight import FlightTask
+    from training.tasks.flight import FlightTask, PilotTask
     from training.tasks.task import ContinuousTask
 
     default: int = args.episodes_default
@@ -133,7 +134,7 @@ def _default_episodes(args: argparse.Namespace, task: Task) -> int:
         return 1
     if isinstance(task, FlightTask):
         return min(default, FLIGHT_COMMANDS)
-    return min(default, CONTINUOUS_EPISODES) if isinstance(task, ContinuousTask) else default
+    return min(default, LONG_EPISODES) if isinstance(task, (PilotTask, ContinuousTask)) else default
 
 
 def _commanded(args: argparse.Namespace) -> Task:
@@ -194,7 +195,7 @@ def _pieces(args: argparse.Namespace) -> RecordedPieces:
 
 def flown_words(flown: Conditions) -> str:
     """What is flown, for titles."""
-    from training.tasks.flight import FlightTask
+    from training.tasks.flight import FlightTask, PilotTask
     from training.tasks.named_command import NamedCommand
     from training.tasks.pieces import RecordedPieces
     from training.tasks.task import ContinuousTask
@@ -211,6 +212,9 @@ def flown_words(flown: Conditions) -> str:
         flights = f"{flown.episodes} flights" if flown.episodes > 1 else "a flight"
         commands = f"{task.pulses} commands" if task.pulses > 1 else "a command"
         return f"{flights} of {commands} and a hover, {task.duration_s:g} s, seed {flown.seed}"
+    if isinstance(task, PilotTask):
+        flights = f"{flown.episodes} flights" if flown.episodes > 1 else "a flight"
+        return f"{flights} of a pilot's minute and a hover, {task.duration_s:g} s, seed {flown.seed}"
     if isinstance(task, ContinuousTask):
         episodes = f"{flown.episodes} episodes" if flown.episodes > 1 else "an episode"
         return f"{episodes} of {task.name}, {task.length_s:g} s, seed {flown.seed}"
@@ -250,10 +254,11 @@ def task_name(task: Task) -> str:
 
 def drawn_as_flown(flown: Conditions) -> bool:
     """Whether a plot shows the first episode as it was flown, rather than all of them on one scale."""
+    from training.tasks.flight import PilotTask
     from training.tasks.named_command import NamedCommand
     from training.tasks.task import ContinuousTask
 
-    return isinstance(flown.task, (NamedCommand, ContinuousTask))
+    return isinstance(flown.task, (NamedCommand, ContinuousTask, PilotTask))
 
 
 def task_document(flown: Conditions) -> dict[str, Any]:
@@ -266,7 +271,7 @@ def task_document(flown: Conditions) -> dict[str, Any]:
     if isinstance(task, NamedCommand):
         return {**found, "command_deg_s": list(task.command_deg_s)}
     if isinstance(task, FlightTask):
-        return {**found, "length_s": task.duration_s, "flights": flown.episodes}
+        return {**found, "length_s": task.duration_s, "commands_per_flight": task.pulses}
     if isinstance(task, ContinuousTask):
         return {**found, "length_s": task.length_s, "limit_deg_s": task.limit_deg_s}
     return found

@@ -18,6 +18,10 @@ if TYPE_CHECKING:
 FIGURES = (  # heading, figure, digits
     ("MAE mean", "mae", 3),
     ("MSE mean", "mse", 1),
+    ("MAE, least possible", "mae_least", 3),
+    ("  above it", "mae_above", 3),
+    ("MSE, least possible", "mse_least", 1),
+    ("  above it", "mse_above", 1),
     ("motors |Δ|, 1 ms", "motor_change", 5),
     ("outputs |Δu|, 1 ms", "change", 5),
     ("peak, %", "peak", 1),
@@ -27,13 +31,27 @@ FIGURES = (  # heading, figure, digits
     ("drift, °", "drift", 1),
 )
 AXIS_FIGURES = (("MAE", "mae", 2), ("rest late", "rest_late", 2), ("drift, °", "drift", 1))
-MEAN_FIGURES = ("mae", "mse", "motor_change", "rest_late", "drift")  # over all thrusts
+MEAN_FIGURES = (
+    "mae",
+    "mse",
+    "mae_least",
+    "mae_above",
+    "mse_least",
+    "mse_above",
+    "motor_change",
+    "rest_late",
+    "drift",
+)  # over all thrusts
+LEAST_NOTE = (
+    "Least possible: by any motors' values, each figure by its own, from the command's step on, from the "
+    "thrust at rest of that controller, without noise."
+)
 NOTE = (
     "Each controller flies at the throttle that gives this thrust at rest, of the aircraft's weight; (*) "
     "marks the nearest that it can. Motors: their fractions after mix and idle; s.d. at rest: how far they "
     "swing without any command, where their mean change in 1 ms hides a slow swing. Errors in deg/s against "
     "the true rate; ± is 95 % confidence. Differences are paired, command by command; ≈ marks those that "
-    "such confidence does not tell from none."
+    f"such confidence does not tell from none. {LEAST_NOTE}"
 )
 REST_NOTE = (
     "At rest: zero command with gyro noise; motors: their mean fraction, beside the ideal idle + (1 - "

@@ -78,15 +78,15 @@ def test_drift_is_what_pybullet_turned_the_body_by() -> None:
         p.resetBasePositionAndOrientation(body, [0, 0, 0], start.as_quat(), physicsClientId=client)
         spin = start.apply(np.deg2rad([4.7, 0.0, 0.0]))
         p.resetBaseVelocity(body, [0, 0, 0], spin, physicsClientId=client)
-        rates = np.zeros((1, HOVER, 3))
+        rates = np.zeros((1, BEFORE + HOVER, 3))
         for k in range(HOVER):
             p.stepSimulation(physicsClientId=client)
             attitude = Rotation.from_quat(p.getBasePositionAndOrientation(body, physicsClientId=client)[1])
-            rates[0, k] = attitude.inv().apply(p.getBaseVelocity(body, physicsClientId=client)[1])
+            rates[0, BEFORE + k] = attitude.inv().apply(p.getBaseVelocity(body, physicsClientId=client)[1])
     finally:
         p.disconnect(client)
     turned = np.rad2deg((start.inv() * attitude).as_rotvec())
-    found = holding(np.zeros_like(rates), rates, STEP_S, 0, 0)
+    found = holding(np.zeros_like(rates), rates, STEP_S, 5, BEFORE)
     assert turned[0] == pytest.approx(47.0, rel=1e-3)
     assert found.drift[0] == pytest.approx(turned, abs=0.05)
 

@@ -285,3 +285,39 @@ def test_no_battery_and_no_body_are_fine_when_left_out(tmp_path: Path) -> None:
     figures, found = examine(bare)
     assert figures.endurance is None
     assert {v.level for v in found} == {Level.OK}
+
+
+WEAK = (r"^speed_curve_rpm = .*$", "speed_curve_rpm = [-1000, 9000, 0]")
+IN_GRAMS = [(rf"^mass_kg = {mass}$", f"mass_kg = {1000 * float(mass):g}") for mass in ("0.194", "0.066")]
+
+
+@pytest.mark.parametrize(
+    ("changes", "told"),
+    [
+        (IN_GRAMS[:1], "'battery' has 194 of them: if grams are meant, write 0.194"),
+        (IN_GRAMS, "'battery' has 194 of them: if grams are meant, write 0.194"),
+        ([WEAK], "check mass_kg of the parts"),
+        ([WEAK, IN_GRAMS[0]], "check mass_kg of the parts"),  # not with grams either
+    ],
+)
+def test_grams_are_named_when_they_are_what_keeps_it_down(changes: list[tuple[str, str]], told: str) -> None:
+    (verdict,) = (v for v in verdicts(changed(NF1, *changes), Level.ERROR) if v.subject == "thrust")
+    assert "cannot lift itself" in verdict.message and told in verdict.message
+
+
+def test_motors_are_named_by_place_and_turning_direction() -> None:
+    def told(name: str) -> list[str]:
+        return [v.message for v in examine(load_aircraft(name))[1] if v.subject == "motors"]
+
+    places = "1 rear right {}, 2 front right {}, 3 rear left {}, 4 front left {}: propellers {}"
+    assert told("nf1") == [places.format("cw", "ccw", "ccw", "cw", "in, as Betaflight has it")]
+    assert told("nf1:props-out") == [places.format("ccw", "cw", "cw", "ccw", "out")]
+    assert told("hexa") == []
+
+
+def test_rotors_in_another_order_are_warned_of() -> None:
+    nf1 = load_aircraft("nf1")
+    swapped = dataclasses.replace(nf1, rotors=(nf1.rotors[3], *nf1.rotors[1:3], nf1.rotors[0]))
+    (verdict,) = verdicts(swapped, Level.WARNING)
+    assert verdict.subject == "motors" and verdict.message.startswith("1 front left cw, 2 front right ccw")
+    assert "expected 1 rear right, 2 front right, 3 rear left, 4 front left" in verdict.message

@@ -62,6 +62,21 @@ def test_a_turn_goes_once_around_when_flown_by_the_sticks(name: str, axis: int) 
     assert np.delete(turned, axis).tolist() == [0, 0]
 
 
+def test_turns_go_once_around_each_axis_both_ways_at_both_rates() -> None:
+    scenario = load_scenario("turns", 0)
+    channels, _ = scenario.timeline(1000)
+    rates = np.rad2deg(sticks.setpoint(channels))
+    ends = np.cumsum(scenario.steps(1000))
+    parts = [rates[begin:end] for begin, end in zip([0, *ends[:-1]], ends, strict=True)]
+    assert all(not part.any() for part in parts[::2])
+    found = set()
+    for part in parts[1::2]:
+        (axis,) = np.flatnonzero(part.any(axis=0))
+        assert abs(part[:, axis].sum() / 1000) == pytest.approx(360, abs=1)
+        found.add((int(axis), round(part[0, axis] / 10) * 10))
+    assert found == {(axis, rate) for axis in range(3) for rate in (-1000, -720, 720, 1000)}
+
+
 def test_a_file_is_flown_as_written_when_it_is_good(tmp_path: Path) -> None:
     path = tmp_path / "left.toml"
     path.write_text(GOOD)

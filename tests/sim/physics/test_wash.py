@@ -14,6 +14,9 @@ import pytest
 from numpy.typing import NDArray
 
 from sim.aircraft.model import Aircraft, load_aircraft
+from sim.analysis.manoeuvre import shake
+from sim.control.motors import motor_commands
+from sim.control.pid import aircraft_pid, pid_settings
 from sim.physics.air import Wash, wash_band
 from sim.physics.library import library, pointer
 from sim.physics.rotor import propulsion_struct, target_speed, thrust_and_torque
@@ -67,7 +70,7 @@ def test_the_noise_has_unit_variance_and_half_its_density_at_the_ends_of_the_ban
 
 def test_rotors_shake_each_for_itself() -> None:
     wash, _ = noise(COUNT, 1, 1000)
-    together = np.corrcoef(shaken(wash, np.array([0.0, 0.0, -INDUCED])).T)
+    together: Array = np.asarray(np.corrcoef(shaken(wash, np.array([0.0, 0.0, -INDUCED])).T))
     assert np.abs(together[np.triu_indices(4, 1)]).max() < SIGMAS / math.sqrt(COUNT)
 
 
@@ -128,3 +131,29 @@ def test_a_descent_is_shaken_as_the_seed_says() -> None:
     assert first.tobytes() == same.tobytes()
     assert np.abs(first - other).max() > 0.01
     assert np.abs(calm[:2]).max() < 1e-3 < 0.02 < np.abs(first[:2]).max()
+
+
+def test_the_pid_catches_a_fall_and_its_gyro_shows_the_band() -> None:
+    """A second of hover, 0.9 s of closed throttle, then the catch, which is shaken."""
+    settings = pid_settings(NF1, "flying")
+    pid = aircraft_pid(NF1, 1, 1000, "flying")
+    twin = Twin(NF1, mount=Mount.FREE, noise=False, rng=np.random.default_rng(4))
+    legs = ((1.0, 0.27), (0.9, 0.0), (0.6, 0.37))  # throttles of 1, little and 2 times the weight
+    gyro: list[Array] = []
+    with closing(twin):
+        for duration_s, throttle in legs:
+            thrust = np.full(1, throttle, np.float32)
+            for _ in range(round(duration_s * 1000)):
+                gyro.append(np.rad2deg(twin.gyro[0]))
+                output = pid.step(np.zeros((1, 3), np.float32), twin.gyro.astype(np.float32), thrust)
+                twin.step(motor_commands(output, thrust, settings.idle, settings.mix))
+    rows = np.array(gyro)
+    hover, catch = rows[500:1000], rows[1900:]
+    assert shake(hover, 1e-3) < 0.1
+    assert shake(catch, 1e-3) > 2.0
+    power = (np.abs(np.fft.rfft(catch[:, :2] * np.hanning(len(catch))[:, None], axis=0)) ** 2).mean(axis=1)
+    frequency = np.fft.rfftfreq(len(catch), 1e-3)
+    inside = power[(frequency >= 20.0) & (frequency <= 80.0)].mean()
+    assert inside > 20.0 * power[(frequency >= 120.0) & (frequency <= 300.0)].mean()
+    yaw = np.abs(catch[:, 2]).mean()
+    assert yaw < 0.3 * np.abs(catch[:, :2]).mean(), "thrust turns about the level axes"

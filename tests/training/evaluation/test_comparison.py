@@ -226,6 +226,12 @@ def test_compare_prints_figures_differences_and_json(
     assert f"{pid['means']['mae']['value']:.2f} ± " in table
     assert "less PID tuned" in table
     assert "every sample, %" in table
+    least, above = (pid["means"][f"mae_{word}"]["value"] for word in ("least", "above"))
+    assert pid["mae_least"] == pytest.approx(least)
+    assert above > 0.0
+    assert least + above == pytest.approx(np.mean(pid["mae"]))
+    row = next(line for line in table.splitlines() if line.startswith("MAE, least possible"))
+    assert f"{least:.2f} ± " in row
 
 
 def test_compare_gives_the_figures_of_evaluate(capsys: Capture) -> None:

@@ -9,9 +9,11 @@ import pytest
 
 from cli.main import main
 from sim.aircraft.model import load_aircraft
+from training.config.randomization import Randomization
 from training.evaluation.controllers import ControllerSpec, load_controller
 from training.evaluation.evaluation import Flights
 from training.evaluation.robustness import Plan, episode_figures, examine, quantile_of, ratio_of
+from training.tasks.flight import Course, FlightTask
 from training.tasks.task import PulseTask
 
 NF1 = load_aircraft("nf1")
@@ -111,6 +113,42 @@ def test_figures_of_an_episode_are_those_of_its_samples() -> None:
     assert figures.change == pytest.approx([0.4])
 
 
+@pytest.mark.parametrize(("drift_deg_s", "lost"), [(8.9, False), (-9.1, True), (np.nan, True)])
+def test_a_flight_diverges_when_it_drifts_farther_than_on_its_side(drift_deg_s: float, lost: bool) -> None:
+    rate = np.zeros((15_000, 3))
+    rate[:5000, 0] = np.deg2rad(4.0)  # of the five commands of 10 deg/s
+    rate[5000:, 2] = np.deg2rad(drift_deg_s)
+    flown = flights(rate)
+    flown.setpoint[:, 5000:] = 0.0
+    figures = episode_figures(replace(flown, course=Course(5, 10.0)))
+    assert figures.mae == pytest.approx([2.0])
+    assert figures.drift == pytest.approx([abs(drift_deg_s) * 10.0], nan_ok=True)
+    assert figures.diverged.tolist() == [lost]
+
+
+def test_flights_are_flown_once_a_draw_and_tell_their_drift(
+    capsys: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    quick = FlightTask(pulses=5, idle_s=0.0, command_s=0.1, rest_s=0.1, hover_s=10.0)
+    monkeypatch.setattr("training.evaluation.robustness.FLIGHT", quick)
+    monkeypatch.setattr("training.evaluation.robustness.EXTREMES", Randomization(lag=(1.0, 2.0)))
+    words = ["robustness", "pid:tuned", "--episodes", "10", "--draws", "2", "--seed", "3"]
+    assert main([*words, "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert "--aircraft nf1 --task flight --episodes 10 --seed 3" in document["command"]
+    told = document["robustness"]
+    assert (told["task"], told["episodes"], told["draws"]) == ("flight", 10, 2)
+    assert "a drift of more than 90 deg in 10 s of hover" in told["divergence"]
+    (tuned,) = told["controllers"]
+    assert set(tuned["cases"]) == {"nominal", "lag x 2"}
+    assert 0.0 < tuned["cases"]["nominal"]["drift"] < 30.0  # [deg], a gyro's bias in ten seconds
+    assert len(tuned["joint"]["ratios"]) == 2
+    assert main(words) == 0
+    printed = capsys.readouterr().out
+    assert "2 flights of 5 commands and a hover a case" in printed
+    assert "drift, °" in printed
+
+
 def test_a_ratios_interval_holds_the_true_ratio() -> None:
     """The interval holds the true ratio in 95 of 100 cases."""
     rng = np.random.default_rng(0)
@@ -140,12 +178,13 @@ def test_prints_a_table_and_the_same_as_json(
 ) -> None:
     monkeypatch.setattr("training.tasks.task.PulseTask", lambda: TINY)
     plot = tmp_path / "plot.png"
-    words = ["robustness", "pid:tuned", "pid:published", "--episodes", "4", "--draws", "5", "--seed", "3"]
+    words = ["robustness", "pid:tuned", "pid:published", "--task", "pulse", "--episodes", "4", "--draws", "5"]
+    words += ["--seed", "3"]
     assert main([*words, "--json", "--plot", str(plot)]) == 0
     document = json.loads(capsys.readouterr().out)
     assert plot.read_bytes().startswith(b"\x89PNG")
     assert document["command"] == (
-        "neuroflight robustness pid:tuned pid:published --aircraft nf1 --episodes 4 --seed 3 "
+        "neuroflight robustness pid:tuned pid:published --aircraft nf1 --task pulse --episodes 4 --seed 3 "
         "--throttle-max 0.8 --draws 5"
     )
     assert document["aircraft_sha256"] == NF1.sha256
@@ -169,7 +208,8 @@ def test_prints_a_table_and_the_same_as_json(
     [
         (["pid", "pid"], "2 controllers, 1 of them different"),
         (["pid", "--episodes", "1"], "--episodes 1, expected 2 to 4096"),
-        (["pid", "--draws", "820"], "--draws 820, expected 0 to 819"),
+        (["pid", "--task", "pulse", "--draws", "820"], "--draws 820, expected 0 to 819"),
+        (["pid", "--draws", "301"], "--draws 301, expected 0 to 300"),
         (["pid", "--throttle-max", "1.1"], "--throttle-max 1.1, expected 0 to 1"),
         (["pid", "--throttle-max", "nan"], "--throttle-max nan, expected 0 to 1"),
         (["pid", "--seed", "-1"], "--seed -1, expected 0 or more"),

@@ -2,21 +2,22 @@
 
 import dataclasses
 import json
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from cli.main import main
-from sim.aircraft.model import load_aircraft, shipped
+from sim.aircraft.model import FOLDER, load_aircraft, shipped
 from sim.control.pid import aircraft_pid, pid_settings
 from sim.physics.twin import Twin
 from sim.physics.world import Mount
 from toolchain.contract import AXES, GRAVITY, Mix
 from training.evaluation.evaluation import figures, record
-from training.pid_tuning.trial import Limits, Loop, Trial, Trials, throttles, training_commands
-from training.pid_tuning.tuning import POPULATION, Tuning, idle_limit, tune
+from training.pid_tuning.dissertation import DissertationTrials
+from training.pid_tuning.flying import CHANGE, IDLE, FlyingTrials
+from training.pid_tuning.trial import Limits, Trial
+from training.pid_tuning.tuning import POPULATION, Tuning, idle_limit, streams, tune
 from training.tasks.task import EpisodicTask, PulseTask
 
 NF1 = load_aircraft("nf1")
@@ -31,7 +32,9 @@ def tuning() -> Tuning:
         if flown >= 2 * POPULATION:
             raise KeyboardInterrupt
 
-    return tune(NF1, LIMITS, Loop(1000), seed=3, commands=2, budget=1000, progress=progress)
+    draw, search = streams(3)
+    trials = DissertationTrials.of(NF1, LIMITS, 3, draw, commands=2)
+    return tune(trials, budget=1000, rng=search, progress=progress)
 
 
 def test_best_so_far_is_kept_when_the_search_is_interrupted(tuning: Tuning) -> None:
@@ -40,35 +43,19 @@ def test_best_so_far_is_kept_when_the_search_is_interrupted(tuning: Tuning) -> N
     assert tuning.best.cost == min(trial.cost for trial in tuning.trials)
 
 
-def test_search_begins_with_given_settings_and_ends_in_full_flights_when_the_gyro_is_averaged() -> None:
+def test_search_by_flying_terms_begins_with_given_settings_and_keeps_to_its_terms() -> None:
     given = pid_settings(NF1, "tuned")
-    loop = Loop(1000, Mix.CENTRED, gyro_mean=True, throttle_max=0.8)
-    limits = Limits(0.12, 0.0045, 0.055, of_motors=True)
-    best_of: list[Trial] = []
-    found = tune(
-        NF1,
-        limits,
-        loop,
-        seed=1,
-        commands=2,
-        budget=2 * POPULATION,
-        progress=lambda flown, best: best_of.append(best),
-        start=given,
-    )
-    dressed = replace(given, idle=0.055, tpa_rate=0.0, tpa_breakpoint=0.0, nominal_voltage=None)
-    dressed = replace(dressed, mix=Mix.CENTRED, gyro_mean=True)
+    draw, search = streams(1)
+    trials = FlyingTrials(NF1, Limits(1.0, CHANGE, IDLE, of_motors=True), draw, pulses=1)
+    found = tune(trials, budget=2 * POPULATION, rng=search, progress=lambda flown, best: None, begin=[given])
     start = found.start.settings
-    assert replace(start, gains=dressed.gains) == dressed
-    gains = np.array(start.gains)
-    assert gains == pytest.approx(np.maximum(given.gains, (1e-3, 1e-2, 1e-4)), abs=1e-4)
+    assert np.array(start.gains) == pytest.approx(np.maximum(given.gains, (1e-3, 1e-2, 1e-4)), abs=1e-4)
     assert len(found.trials) == 2 * POPULATION
-    assert {(t.settings.mix, t.settings.gyro_mean) for t in found.trials} == {(Mix.CENTRED, True)}
-    draw, _, thrust = (np.random.default_rng(s) for s in np.random.SeedSequence([1, 1]).spawn(3))
-    still = replace(NF1, gyro=replace(NF1.gyro, bias=0.0))
-    full = Trials(still, loop, limits, 1, training_commands(2, draw), throttles(2, 0.8, thrust))
-    (again,) = full.fly([found.best.settings])
-    assert again.mae == pytest.approx(found.best.mae, rel=0.02)  # other noise in a world of its own
-    assert best_of[0].cost != best_of[1].cost
+    assert {(t.settings.mix, t.settings.gyro_mean, t.settings.idle) for t in found.trials} == {
+        (Mix.CENTRED, True, IDLE)
+    }
+    assert found.best.cost < found.start.cost
+    assert trials.fly([found.best.settings]) == [found.best]
 
 
 def test_search_improves_on_every_rule(tuning: Tuning) -> None:
@@ -157,67 +144,57 @@ def test_tuned_pid_meets_its_bar_when_it_flies_unseen_pulses() -> None:
     assert result.effort.change <= 0.012
 
 
-def test_command_writes_the_settings_of_the_same_search(
-    tuning: Tuning, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+def test_command_writes_the_settings_of_the_same_search_by_the_dissertations_terms(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     target, plot = tmp_path / "new" / "nf1.toml", tmp_path / "plot.png"
-    words = [
-        "tune-pid",
-        "--seed",
-        "3",
-        "--budget",
-        "16",
-        "--commands",
-        "2",
-        "--check",
-        "2",
-        "--max-idle",
-        "0.2",
-    ]
-    status = main([*words, "--write", str(target), "--plot", str(plot), "--name", "mine", "--json"])
-    captured = capsys.readouterr()
-    document = json.loads(captured.out)
+    words = ["tune-pid", "--terms", "dissertation", "--seed", "3", "--budget", "1", "--check", "2"]
+    words += ["--max-idle", "0.2", "--write", str(target), "--plot", str(plot), "--name", "mine", "--json"]
+    status = main(words)
+    document = json.loads(capsys.readouterr().out)
     assert status == (0 if document["figures"]["tuned"]["change"] <= LIMITS.change else 1)
-    assert document["candidates"] == POPULATION
-    first = [tuning.start, *tuning.trials[:POPULATION]]
+    draw, search = streams(3)
+    trials = DissertationTrials.of(NF1, LIMITS, 3, draw)
+    found = tune(trials, budget=1, rng=search, progress=lambda flown, best: None).best.settings
     settings = pid_settings(load_aircraft(target), "mine")
-    found = min(first, key=lambda trial: trial.cost).settings
     assert settings == dataclasses.replace(found, nominal_voltage=NF1.propulsion.supply_voltage)
     assert [document["settings"][axis] for axis in AXES] == [list(gains) for gains in settings.gains]
-    assert "neuroflight tune-pid --aircraft nf1 --seed 3 --commands 2 --budget 16" in target.read_text()
+    told = "neuroflight tune-pid --aircraft nf1 --seed 3 --terms dissertation --budget 1 --max-idle 0.2"
+    assert told in document["command"]
+    assert told in target.read_text()
     assert plot.read_bytes().startswith(b"\x89PNG")
 
 
-def test_command_writes_mix_and_filter_when_it_is_told_them(
+def test_command_writes_a_pid_to_fly_when_it_is_told_nothing_but_the_aircraft(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    target = tmp_path / "nf1.toml"
-    words = ["tune-pid", "--budget", "1", "--commands", "2", "--check", "2", "--max-idle", "0.05"]
-    words += ["--mix", "centred", "--gyro-filter", "mean", "--throttle-max", "0.6", "--start", "tuned"]
-    status = main([*words, "--max-motor-change", "0.006", "--write", str(target), "--json"])
+    source = FOLDER / "nf1.toml"
+    target = tmp_path / "mine.toml"
+    target.write_text(source.read_text().split("# Found by")[0])  # no PID
+    words = ["tune-pid", "--aircraft", str(target), "--write", str(target)]
+    status = main([*words, "--budget", "1", "--check", "1", "--json"])
     captured = capsys.readouterr()
     document = json.loads(captured.out)
-    assert status == (0 if document["figures"]["tuned"]["change"] <= 0.006 else 1)
-    assert document["limits"]["change_of"] == "motors"
-    assert (document["mix"], document["gyro_filter"], document["throttle_max"]) == ("centred", "mean", 0.6)
-    settings = pid_settings(load_aircraft(target), "tuned")
-    assert (settings.mix, settings.gyro_mean, settings.idle <= 0.05) == (Mix.CENTRED, True, True)
+    kept = all(figures["change"] <= CHANGE for figures in document["figures"].values())
+    assert status == (0 if kept else 1)
+    assert list(document["figures"]) == ["thrust 0.36", "thrust 1", "thrust 2", "thrust 4"]
+    assert document["limits"] == {"output": 1.0, "change": CHANGE, "change_of": "motors", "idle": IDLE}
+    mine = load_aircraft(target)
+    settings = pid_settings(mine)
+    assert next(iter(dict(mine.pids))) == "flying"
+    assert (settings.mix, settings.gyro_mean, settings.idle) == (Mix.CENTRED, True, IDLE)
     text = target.read_text()
-    assert document["command"] in text
-    for option in ("--mix centred", "--gyro-filter mean", "--throttle-max 0.6", "--start tuned"):
-        assert option in document["command"]
-    assert "at throttles from 0 to 0.6: MAE" in text
-    assert "mean change of the motor values in 1 ms" in text
+    assert "# Found by `neuroflight tune-pid --aircraft mine.toml --seed 1 --budget 1`." in text
+    assert (
+        "1 unseen commands each, ten in a flight and 15 s of hover, at 0.36, 1, 2, 4 times the weight" in text
+    )
 
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--throttle-max", "1.5"], "--throttle-max 1.5, expected 0 to 1"),
-        (["--max-motor-change", "0"], "--max-motor-change 0"),
-        (["--start", "none"], "no PID 'none'; it has: "),
+        (["--max-output", "0.2"], "--max-output: a limit of --terms dissertation"),
         (["--budget", "0"], "--budget 0, expected 1 to 100000"),
-        (["--commands", "1"], "--commands 1, expected 2 to 341"),
         (["--seed", "-1"], "--seed -1"),
         (["--max-idle", "0.6"], "--max-idle 0.6, expected 0 to 0.5"),
         (["--max-change", "nan"], "--max-change nan"),

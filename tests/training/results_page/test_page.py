@@ -100,6 +100,7 @@ def robust(*controllers: Document) -> Document:
         "aircraft": "nf1",
         "aircraft_sha256": "ab" * 32,
         "robustness": {
+            "task": "pulse",
             "throttle_max": 0.8,
             "episodes": 200,
             "draws": 100,
@@ -385,6 +386,19 @@ def test_equal_thrust_has_a_row_a_thrust_and_controller_their_mean_and_the_throt
     assert f"| {name} | 0.06 (0.055 / 0.055) | 2.50 (0.500 / 0.527) | 6.50 (1.000 / 1.000) |" in page
     assert "| -0.028 at 0.5 | yes |" in page or "| -0.027 at 0.5 | yes |" in page
     assert "| no: 0 to 0.5 |" in page
+
+
+def test_equal_thrust_of_flights_tells_what_holds(lifted: Document) -> None:
+    mean = {"value": 2.5, "low": 2.25, "high": 2.75}
+    for level in lifted["equal_thrust"]:
+        for each in level["controllers"]:
+            for figures in (each["means"], each.get("difference", {})):
+                figures |= {"rest_late": mean, "drift": mean}
+    page = render([Stored("equal.json", lifted | {"task": "flight"})])
+    assert "Flights of a minute: ten pulses one after another" in page
+    assert "| 0.00375 | 2.50 ± 0.25 | 2.5 ± 0.2 |" in page
+    assert "| rest late | of the first's | drift, ° | of the first's |" in page
+    assert "Flights of a minute" not in render([Stored("equal.json", lifted)])
 
 
 def test_thrust_against_throttle_stands_alone_beside_a_comparison(lifted: Document) -> None:

@@ -1,5 +1,6 @@
 """Flights of commands one after another, flown by controllers whose drift is known."""
 
+import json
 from dataclasses import replace
 from functools import cache
 
@@ -8,12 +9,13 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from cli.main import main
 from sim.aircraft.model import load_aircraft
 from sim.control.pid import aircraft_pid, pid_settings
 from toolchain.errors import TrainingError
 from training.evaluation.comparison import by_axis, differences, values
 from training.evaluation.evaluation import Flights, record, scores
-from training.tasks.flight import FlightTask
+from training.tasks.flight import FlightTask, PilotTask
 from training.tasks.sticks import OnSticks
 from training.tasks.task import PulseTask
 
@@ -70,6 +72,26 @@ def test_a_longer_flight_has_more_pulses(length_s: float, pulses: int) -> None:
     task = FlightTask().of_length(length_s)
     assert (task.pulses, task.duration_s) == (pulses, pytest.approx(length_s))
     assert task.hover_s >= 15.0
+
+
+def test_a_pilots_minute_moves_as_hands_do_and_ends_with_centred_sticks() -> None:
+    flown = np.rad2deg(PilotTask().episodes(2, np.random.default_rng(4), 500))
+    assert flown.shape == (2, 37_500, 3)
+    assert not flown[:, 30_000:].any()
+    assert not np.array_equal(flown[0], flown[1])
+    assert 150.0 < np.abs(flown).max() <= 1000.0
+    changes = np.flatnonzero(np.diff(flown[0, :30_000], axis=0).any(axis=1)) + 1
+    assert np.all(changes % 10 == 0)  # the receiver's 50 Hz
+    assert len(changes) > 2900
+
+
+def test_a_pilots_minute_is_told_by_its_fifths(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["evaluate", "pid:tuned", "--task", "pilot", "--episodes", "2", "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert (told["task"], told["episodes"], told["throttle"]) == ("pilot", 2, 0.3)
+    assert len(told["holding"]["mae"]["value"]) == 5
+    assert np.mean(told["holding"]["mae"]["value"]) == pytest.approx(np.mean(told["mae"]))
+    assert told["response"] is None
 
 
 def test_a_hover_too_short_for_the_drift_is_refused() -> None:

@@ -19,10 +19,10 @@ KNOT_S = 0.15  # in which the air around a tumbling aircraft changes
 CALM = 0.3  # of the aircraft
 LEAST = 0.03  # of the largest standard deviation
 YAW = 0.2  # of the standard deviation in roll and pitch: the drag of rotors above the centre of mass tilts
-WASH_HZ = (20.0, 80.0)  # of prop wash, sim/physics/air.py: half power, of propellers of 5 inches
+WASH_HZ = (3.3, 80.0)  # of prop wash, sim/physics/air.py: half power, of propellers of 5 inches
 WASH_YAW = 0.1  # of the standard deviation in roll and pitch: drag torques have short levers
 WASHED = 0.5  # of the aircraft
-WASH_BEGUN_S = 0.1  # before the episode: some times the memory of the band-pass
+WASH_BEGUN_S = 0.3  # before the episode: some times the memory of the band-pass
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,6 +107,6 @@ def washes(count: int, steps: int, rate_hz: int, largest: float, rng: np.random.
     above, below = butter(1, WASH_HZ, "bandpass", fs=rate_hz)
     white = rng.standard_normal((count, begun + steps, 3))
     band = lfilter(above, below, white, axis=1)[:, begun:]
-    low, high = WASH_HZ
-    unit = math.sqrt(rate_hz / (math.pi * (high - low)))  # white noise through a band of this width
-    return (band * (unit * sigma[:, None, None] * (1.0, 1.0, WASH_YAW))).astype(np.float32)
+    unit = math.sqrt(rate_hz / (math.pi * (WASH_HZ[1] - WASH_HZ[0])))  # of white noise through such a band
+    shaken: Array = (band * (unit * sigma[:, None, None] * (1.0, 1.0, WASH_YAW))).astype(np.float32)
+    return shaken

@@ -173,4 +173,22 @@ struct open_loop {
 size_t open_loop_memory(const struct plan *p, const struct open_loop *o);
 void open_loop_run(const struct plan *p, const struct block *b, const struct open_loop *o, real *memory);
 
+/* ---- a PID in the place of the policy: training/pid_tuning ---- */
+
+enum { COMMANDS_KEPT = 64 }; /* control steps; no command may act later */
+
+struct pid_trial {
+	real p[3], i[3], d[3];  /* motor fractions for one rad/s, rad, rad/s^2; roll, pitch, yaw */
+	real integral_max[3];   /* [rad] */
+	real smoothing;         /* share of a new derivative that its low-pass takes over in a control step */
+	const real *mixer;      /* (M, 3), share of each motor in roll, pitch, yaw; no rows */
+	const real *moment;     /* rows (3) [N m], lasting, from outside */
+	size_t begin;           /* control step from which on figures count, at least 1 */
+};
+
+/* Flies a block with a PID, without a derivative; of the block's arrays it needs those of aircraft, commands and noise.
+ * figures: rows (7), means over control steps: |error| of roll, pitch, yaw [rad/s], their squares, and the change of a
+ * motor's fraction in a control step. */
+void pid_trial_run(const struct plan *p, const struct block *b, const struct pid_trial *trial, real *figures);
+
 #endif

@@ -1,0 +1,182 @@
+"""docs/own-aircraft.md, section 7: its very commands on a 5-inch's file, to a flashed emulated board."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shlex
+import subprocess
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cli.main import parser
+from sim.aircraft.model import parse_aircraft
+from sim.design.airworthiness import Level, examine
+from tests.cli.test_readme import PORT, powered
+from tests.cli.test_readme import clone as clone
+from tests.conftest import ROOT
+
+HEADING = "7. From the file to the board"
+LIMIT_S = 900.0  # of a command that hangs
+MINUTES_MAX = (
+    10.0  # of the whole way, on an idle machine; asserted where TIMED is set, as CI shares its cores
+)
+TIMED = "NEUROFLIGHT_TIMED" in os.environ
+
+
+def five_inch() -> str:
+    """A plausible 5-inch as somebody would write it who has a scale and a ruler: no PID, no thrust stand."""
+    arm, height, lines = 0.079, 0.028, ["format = 1", 'name = "mine"', "centre_of_thrust_m = [0, 0, 0.028]"]
+    parts = {
+        "plates": (0.083, (0.0, 0.0, 0.018), (0.16, 0.042, 0.036)),
+        "arms": (0.094, (0.0, 0.0, 0.003), (0.17, 0.17, 0.006)),
+        "stack": (0.058, (0.0, 0.0, 0.014), (0.05, 0.038, 0.02)),
+        "camera and antenna": (0.071, (0.01, 0.0, 0.02), (0.16, 0.03, 0.02)),
+        "battery": (0.212, (0.003, 0.0, 0.055), (0.078, 0.038, 0.038)),
+    }
+    for name, (mass, place, box) in parts.items():
+        lines += ["[[part]]", f'name = "{name}"', f"mass_kg = {mass}", f"position_m = {list(place)}"]
+        lines.append(f"box_m = {list(box)}")
+    lines += ["[motor_part]", "mass_kg = 0.0335", "cylinder_m = [0.0138, 0.02]"]
+    lines += ["[propeller_part]", "mass_kg = 0.0045", "centre_of_mass_m = [0, 0, 0]"]
+    lines.append("inertia_kg_m2 = [1.9e-6, 1.9e-6, 3.8e-6]")
+    for x, y, spin in ((-1, -1, "cw"), (1, -1, "ccw"), (-1, 1, "ccw"), (1, 1, "cw")):
+        lines += ["[[rotor]]", f"motor_m = [{x * arm}, {y * arm}, 0.008]"]
+        lines += [f"propeller_m = [{x * arm}, {y * arm}, {height}]", f'spin = "{spin}"']
+    lines += ["[propulsion]", "speed_curve_rpm = [-17000, 47000, 150]", "c_t = 0.143", "c_q = 0.0127"]
+    lines += ["propeller_diameter_m = 0.1295", "air_density_kg_m3 = 1.2", "supply_voltage_v = 23.5"]
+    lines += ["rotor_inertia_kg_m2 = 7.4e-6", "drag_coefficient = 8e-5", "rolling_coefficient = 1e-6"]
+    lines += [
+        "delay_s = 0.0015",
+        "[propulsion.response]",
+        'kind = "first_order"',
+        "time_constant_up_s = 0.025",
+    ]
+    lines += ["time_constant_down_s = 0.033", "[gyro]", "noise_deg_s = [1.3, 1.0, 1.4]", "bias_deg_s = 0.25"]
+    lines += ["[battery]", "cells = 6", "capacity_ah = 1.3", "rest_voltage_v = 25.2", "resistance_ohm = 0.03"]
+    lines += ["[body]", "size_m = [0.19, 0.19, 0.074]", "centre_m = [0, 0, 0.037]"]
+    return "\n".join(lines) + "\n"
+
+
+def commands() -> list[str]:
+    """Every line of the section's block, in order."""
+    text = (ROOT / "docs" / "own-aircraft.md").read_text()
+    found = re.search(rf"^## {re.escape(HEADING)}\n.*?^```\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
+    assert found is not None
+    return found[1].splitlines()
+
+
+def test_the_file_is_one_that_a_check_has_nothing_against() -> None:
+    aircraft = parse_aircraft(five_inch().encode(), "mine.toml")
+    assert not aircraft.pids
+    assert {verdict.level for verdict in examine(aircraft)[1]} == {Level.OK}
+    assert 0.5 < aircraft.mass_properties.mass < 0.8
+
+
+@pytest.mark.parametrize("line", commands())
+def test_a_printed_step_calls_commands_that_are_understood(line: str) -> None:
+    calls = [line.removeprefix("neuroflight ")]
+    if line.startswith("make "):
+        told = subprocess.run(
+            [*shlex.split(line), "--dry-run", "--always-make"],
+            cwd=ROOT,
+            capture_output=True,
+            text=True,
+            check=True,
+        ).stdout.replace("\\\n", " ")
+        calls = re.findall(r"-m cli\.main (.+)", told)
+    assert calls
+    for call in calls:
+        parser().parse_args(shlex.split(call))
+
+
+class Shell:
+    """Runs lines in a clone, as they are printed but for the port."""
+
+    def __init__(self, clone: Path, port: str = PORT) -> None:
+        self._clone, self._port = clone, port
+
+    def __call__(self, line: str, code: int = 0) -> str:
+        typed = re.sub("^neuroflight", ".venv/bin/neuroflight", line).replace(PORT, self._port)
+        done = subprocess.run(
+            ["sh", "-c", typed],
+            cwd=self._clone,
+            capture_output=True,
+            text=True,
+            timeout=LIMIT_S,
+            env=os.environ | {"PYTHONPATH": str(self._clone)},  # an editable installation is of another tree
+        )
+        print(f"$ {line}\n{done.stdout}{done.stderr}")
+        assert (done.returncode == 0) == (code == 0), line
+        return done.stdout if code == 0 else done.stderr
+
+    def json(self, line: str) -> Any:
+        """What a line with --json tells."""
+        return json.loads(self(line))
+
+
+@pytest.mark.slow
+def test_the_steps_lead_from_a_file_to_a_flashed_board(clone: Path, tmp_path: Path) -> None:
+    chip, own = tmp_path / "chip.bin", clone / "mine.toml"
+    run = Shell(clone)
+    run("make firmware")  # the board flies the NF1 until now
+    with powered(chip, "--boot0") as port:
+        Shell(clone, port)(f"neuroflight rescue --port {PORT}")
+    own.write_text(five_inch())
+    report = clone / "build" / "MATEKF722" / "report.json"
+    began = time.monotonic()
+    with powered(chip) as port:
+        board = Shell(clone, port)
+        for line in commands():
+            if "--other-aircraft" in line:  # not without it
+                refusal = board(line.replace("--other-aircraft", ""), code=1)
+                assert "the board flies the aircraft 'nf1', the image is for 'mine'" in refusal
+            board(line)
+        minutes = (time.monotonic() - began) / 60
+        assert minutes < MINUTES_MAX or not TIMED, minutes
+        known = json.loads(report.read_text())
+        digest = parse_aircraft(own.read_bytes(), str(own)).sha256
+        assert known["aircraft"]["own"] and known["aircraft"]["file"] == str(own)
+        assert known["policy"]["aircraft_sha256"] == known["aircraft"]["sha256"] == digest
+        assert known["pid"]["aircraft"] == "mine"
+        info = board(f"neuroflight msp --port {PORT} info")
+        assert f"aircraft mine, digest {digest[:12]}" in info
+        assert "PID built in" in " ".join(board(f"neuroflight msp --port {PORT} status").split())
+
+        # What must not happen by a slip: another's policy, another's PID, the NF1's image on this board.
+        image = (report.parent / "neuroflight.nfi").read_bytes()
+        nf1 = "training/policies/nf1/policy.onnx"
+        assert "--other-aircraft" in run(f"make firmware AIRCRAFT=mine.toml POLICY={nf1}", code=1)
+        assert "--aircraft FILE" in run("make firmware POLICY=runs/mine-1/policy.onnx", code=1)
+        assert "--other-aircraft" in run("make firmware AIRCRAFT=nf1 POLICY=runs/mine-1/policy.onnx", code=1)
+        assert (report.parent / "neuroflight.nfi").read_bytes() == image
+        assert "no policy is named" in run("make firmware 2>&1")
+        assert "is for 'nf1'" in board(f"make flash PORT={PORT}", code=1)
+
+    (compare,) = (line for line in commands() if " compare " in line)
+    (level,) = run.json(f"{compare} --json")["equal_thrust"]
+    policy, pid, betaflight = (np.mean(each["mae"]) for each in level["controllers"])
+    assert policy < betaflight and policy < pid
+
+
+@pytest.mark.slow
+def test_propellers_out_are_trained_and_flown_by_name(clone: Path) -> None:
+    """On the host, and in the image on an emulated board; the policy for propellers in is refused."""
+    run = Shell(clone)
+    run("neuroflight train --aircraft nf1:props-out --steps 8000000 --out runs/out")
+    for target, on in (("HOST", "host"), ("MATEKF722", "emulator")):
+        run(f"neuroflight build --target {target} --policy runs/out/policy.onnx")
+        flown = run.json(f"neuroflight fly --on {on} --scenario pulses --count 4 --json")
+        assert flown["aircraft"] == "nf1-props-out" and flown["policy_refused"] is None
+        mae = flown["flights"]["firmware"]["tracking"]["mae"]
+        assert max(mae) < 5.0
+    nf1 = "training/policies/nf1/policy.onnx"
+    assert "--other-aircraft" in run(f"make host AIRCRAFT=nf1:props-out POLICY={nf1}", code=1)
+    assert "flies the twin of another" in run(
+        "neuroflight fly --on host --aircraft nf1 --scenario pulses --count 1 2>&1 || true"
+    )

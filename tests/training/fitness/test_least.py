@@ -1,0 +1,40 @@
+"""A check tells how far its flights are above the least error that motors could leave."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from sim.aircraft.model import load_aircraft
+from toolchain.contract import GRAVITY
+from training.evaluation.evaluation import Flights
+from training.evaluation.floor import floors
+from training.fitness.course import FLIGHT, Condition, Course, Leg
+from training.fitness.flying import LegFigures, with_least
+
+NF1 = load_aircraft("nf1")
+IDLE = 0.055
+
+
+def test_legs_in_the_aircraft_of_the_file_have_a_least_error_and_others_have_none() -> None:
+    legs = (Leg("heavy", 2.0, Condition("slow rotors")), Leg("hover", 1.0))
+    setpoint = FLIGHT.episodes(2, np.random.default_rng(1), 1000)
+    thrust = np.array([2.0, 1.0], np.float32)
+    flown = Flights(
+        setpoint=setpoint,
+        rate=setpoint,
+        output=np.zeros((*setpoint.shape[:2], 4), np.float32),
+        step_s=1e-3,
+        lift=np.broadcast_to(GRAVITY * thrust[:, None], setpoint.shape[:2]),
+        course=FLIGHT.course,
+        samples=4,
+    )
+    own = LegFigures(2.0, 200.0, (0.0,) * 3, (0.0,) * 3, (0.0,) * 3, 0.0)
+    varied, as_filed = with_least((own, own), Course(NF1, legs, ()), flown, IDLE)
+    assert varied == own
+    before_hover = setpoint[1:, flown.commanded]
+    expected = floors(NF1, before_hover, 1e-3, thrust=1.0, idle=IDLE, samples=4)
+    assert expected is not None
+    assert as_filed.mae_least == pytest.approx(expected.mae[0], rel=1e-4)
+    assert as_filed.mse_least == pytest.approx(expected.mse[0], rel=1e-4)
+    assert (as_filed.mae, as_filed.mse) == (own.mae, own.mse)

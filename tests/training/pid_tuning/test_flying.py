@@ -1,0 +1,121 @@
+"""Trial flights of a PID tuning by flying terms: the C flights against the twin, and what costs."""
+
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+import pytest
+
+from sim.aircraft.model import Aircraft, load_aircraft
+from sim.analysis.metrics import effort
+from sim.control.pid import Pid, mixer, pid_settings
+from sim.physics.variation import Variation
+from toolchain.contract import Mix
+from training.evaluation.evaluation import record
+from training.learners.pathwise.flights import LANES
+from training.pid_tuning import flying
+from training.pid_tuning.flying import AS_FILED, HARDER, LATE_S, LEVELS, SLOW, FlyingTrials, throttle_for
+from training.pid_tuning.trial import Limits
+from training.tasks.task import Setpoints
+
+NF1 = load_aircraft("nf1")
+FLYING = pid_settings(NF1, "flying")
+LIMITS = Limits(1.0, flying.CHANGE, flying.IDLE, of_motors=True)
+
+
+@dataclass(frozen=True, eq=False)
+class Given:
+    """Setpoints as they are."""
+
+    name: ClassVar[str] = "given"
+    setpoint: Setpoints
+
+    @property
+    def duration_s(self) -> float:
+        """See Task."""
+        return 1e-3 * self.setpoint.shape[1]
+
+    def episodes(self, count: int, rng: np.random.Generator, rate_hz: int) -> Setpoints:
+        """See Task."""
+        return self.setpoint
+
+
+def twin_figures(aircraft: Aircraft, trials: FlyingTrials) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return MAE, MSE and change of the same flights, flown in the twin without the lasting moments."""
+    flights = AS_FILED + HARDER
+    delay = aircraft.propulsion.delay + np.array([flight.late_s for flight in flights])
+    slow = np.array([flight.slow for flight in flights])
+    flown = record(
+        Pid(mixer(aircraft), FLYING, LANES, 1000),
+        replace(aircraft, gyro=replace(aircraft.gyro, bias=0.0)),
+        Given(np.ascontiguousarray(trials.setpoint.transpose(2, 0, 1))),
+        episodes=LANES,
+        seed=3,
+        control_rate_hz=1000,
+        throttle=np.array([throttle_for(aircraft, f.level, FLYING.idle) for f in flights], np.float32),
+        idle=FLYING.idle,
+        mix=Mix.CENTRED,
+        gyro_mean=True,
+        variation=replace(Variation.nominal(LANES, aircraft.propulsion.delay), delay_s=delay, lag=slow),
+    )
+    error = np.rad2deg((flown.setpoint - flown.rate)[:, 500:].astype(np.float64))
+    assert flown.motors is not None
+    change = np.array([effort(motors[499:], 1e-3).change for motors in flown.motors])
+    return np.abs(error).mean(axis=(1, 2)), (error**2).mean(axis=(1, 2)), change
+
+
+@pytest.mark.parametrize("name", ["nf1", "hexa"])
+def test_flights_are_those_of_the_twin(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(flying, "OFF_CENTRE", 0.0)
+    aircraft = load_aircraft(name)
+    trials = FlyingTrials(aircraft, LIMITS, np.random.default_rng(5), pulses=1)
+    trials.moment[:] = 0.0
+    mae, mse, change = trials.figures(FLYING)
+    twin_mae, twin_mse, twin_change = twin_figures(aircraft, trials)
+    for own, twin in ((mae, twin_mae), (mse, twin_mse), (change, twin_change)):
+        assert own == pytest.approx(twin, rel=0.05)  # other noise
+        assert own.mean() == pytest.approx(twin.mean(), rel=0.015)
+
+
+def test_flights_are_at_each_thrust_and_harder_ones_differ_from_the_file() -> None:
+    for level in LEVELS:
+        assert [flight.level for flight in AS_FILED].count(level) == len(AS_FILED) / len(LEVELS)
+    assert len(AS_FILED) + len(HARDER) == LANES
+    assert {flight.late_s for flight in HARDER} == {0.0, LATE_S}
+    assert {flight.slow for flight in HARDER} == {1.0, SLOW}
+    assert all(flight.off_centre for flight in HARDER)
+
+
+def test_integral_is_what_holds_a_lasting_moment() -> None:
+    trials = FlyingTrials(NF1, LIMITS, np.random.default_rng(5), pulses=1)
+    roll, pitch, yaw = ((p, max(i, 10.0), d) for p, i, d in FLYING.gains)
+    steady = replace(FLYING, gains=(roll, pitch, yaw))
+    without, held = (trials.figures(settings)[0] for settings in (FLYING, steady))
+    hard = slice(len(AS_FILED), len(AS_FILED) + 2)  # not slow, commands as usual
+    assert (held[hard] < 0.75 * without[hard]).all()
+
+
+def test_cost_rises_beyond_the_limit_and_a_swinging_candidate_costs_most() -> None:
+    rng = np.random.default_rng
+    free, tight = (
+        FlyingTrials(NF1, replace(LIMITS, change=change), rng(5), pulses=1) for change in (0.1, 0.003)
+    )
+    (loose,), (bound,) = free.fly([FLYING]), tight.fly([FLYING])
+    assert (loose.mae, loose.change) == (bound.mae, bound.change)
+    assert bound.cost == pytest.approx(loose.cost * (bound.change / (0.97 * 0.003)) ** 3)
+    roll, pitch, yaw = ((8 * p, i, 8 * d) for p, i, d in FLYING.gains)
+    (swinging,) = free.fly([replace(FLYING, gains=(roll, pitch, yaw))])
+    assert swinging.cost > 2.5 * loose.cost
+
+
+def test_same_figures_when_it_flies_alone_or_among_others() -> None:
+    trials = FlyingTrials(NF1, LIMITS, np.random.default_rng(5), pulses=1)
+    (alone,) = trials.fly([FLYING])
+    assert trials.fly([replace(FLYING, derivative_cutoff_hz=60.0), FLYING])[1] == alone
+
+
+def test_throttle_gives_the_thrust_and_leaves_room_to_steer() -> None:
+    iris = load_aircraft("iris")
+    assert throttle_for(iris, 0.0, 0.055) == 0.0
+    assert throttle_for(iris, 50.0, 0.055) == flying.THROTTLE_MAX
+    assert throttle_for(NF1, 1.0, 0.055) == pytest.approx(0.229, abs=0.003)  # see docs/which-controller.md
