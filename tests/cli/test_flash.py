@@ -396,15 +396,19 @@ def checked_build(nfi: Path, folder: Path, edit: Callable[[dict[str, Any]], obje
     """A copy of a build's images whose report holds the stamp that a check gives, after an edit of it."""
     image = Path(shutil.copy(nfi, folder / nfi.name))
     report = json.loads(nfi.with_name("report.json").read_text())
-    policy, words = report["policy"], {"aircraft": "nf1", "aircraft_sha256": "a" * 64, "fit": True}
-    facts = {"policy_sha256": policy["sha256"], "figures": {"bars": [{"seen": 1.0}]}, **words}
-    report["check"] = stamp_document(**facts)
+    report["check"] = stamp_document(
+        policy_sha256=report["policy"]["sha256"],
+        aircraft="nf1",
+        aircraft_sha256="a" * 64,
+        fit=True,
+        figures={"bars": [{"seen": 1.0}]},
+    )
     edit(report)
     image.with_name("report.json").write_text(json.dumps(report))
     return image
 
 
-def resealed(report: dict[str, Any], **words: object) -> None:
+def resealed(report: dict[str, Any], **words: Any) -> None:
     """Give a report the stamp of another check."""
     check = {key: value for key, value in report["check"].items() if key not in ("format", "rules", "seal")}
     figures = {"bars": check.pop("bars")}

@@ -31,6 +31,8 @@ HELD = 0.01  # of the commanded rate, beyond the better reference's error
 OVERSHOOT = 0.1  # of the command; a reference's if that is more
 BACK_DEG_S = 5.0  # beyond the better reference's error, half a second after a full turn
 TILT_DEG = 5.0  # on the ground
+# Lift of four rotors, of the weight, at whose speed one lifts a third of it: at a half it tips the aircraft.
+GROUND_LIFT = 4.0 / 3.0
 
 
 @dataclass(frozen=True)
@@ -100,7 +102,12 @@ def bars(policy: Flown, references: Sequence[Flown], lift: float) -> tuple[Bar, 
         ("error in a turn", "deg/s", f"{better}, and {100 * HELD:g} % of the rate", flown.held()),
         ("overshoot of a turn", "of command", f"{OVERSHOOT:g}, or the worse reference's", flown.overshoot()),
         ("error after a turn", "deg/s", f"{better}, and {BACK_DEG_S:g}", flown.back()),
-        ("motor on the ground", "fraction", "as in a hover, or a reference's", flown.ground_motor()),
+        (
+            "motor on the ground",
+            "fraction",
+            "a third of the weight, or a reference's",
+            flown.ground_motor(),
+        ),
         ("tilt on the ground", "deg", f"{TILT_DEG:g}, or a reference's", flown.ground_tilt()),
     )
     held = (Bar(name, unit, source, tuple(cases)) for name, unit, source, cases in found)
@@ -232,8 +239,8 @@ class _Beside:
         )
 
     def ground_motor(self) -> Iterator[Case]:
-        seen, hover = self.policy.ground_motor, self._hover_fraction()
-        limit = max(hover, *(each.ground_motor for each in self.references))
+        seen, hover = self.policy.ground_motor, self._fraction(1.0)
+        limit = max(self._fraction(GROUND_LIFT), *(each.ground_motor for each in self.references))
         told = (
             f"on the ground with the throttle closed a motor turns at {100 * seen:.0f} %, in a hover at "
             f"{100 * hover:.0f} %: it may tip over before take-off"
@@ -245,11 +252,11 @@ class _Beside:
         limit = max(TILT_DEG, *(each.ground_turned for each in self.references))
         yield Case("", seen, limit, f"tips by {seen:.0f} deg on the ground with the throttle closed")
 
-    def _hover_fraction(self) -> float:
-        """Motor fraction of a transparent controller that lifts the weight."""
+    def _fraction(self, lift: float) -> float:
+        """Motor fraction of a transparent controller that lifts so much of the weight."""
         for (low, before), (high, after) in pairwise(self.references[0].lift):
-            if before <= 1.0 <= after:
-                throttle = low + (high - low) * (1.0 - before) / (after - before)
+            if before <= lift <= after:
+                throttle = low + (high - low) * (lift - before) / (after - before)
                 return self.references[0].idle + (1.0 - self.references[0].idle) * throttle
         return 1.0
 

@@ -14,6 +14,7 @@ from typing import ClassVar
 import numpy as np
 
 from sim.aircraft.model import Aircraft
+from sim.design.figures import Endurance, aircraft_figures
 from sim.physics.variation import Variation
 from toolchain.contract import RATE_FULL_STICK_DEG_S
 from training.tasks.flight import FlightTask
@@ -49,7 +50,7 @@ CONDITIONS = (
     Condition("2 ms less delay", delay_s=-0.002),
     Condition("2 ms more delay", delay_s=0.002),
 )
-BATTERY = (Condition("an empty battery", charge=0.0), Condition("a full battery", charge=1.0))
+EMPTY_RESERVE = 1.5  # times what a hover draws in a flight: so much an empty battery holds at its beginning
 
 
 @dataclass(frozen=True)
@@ -77,8 +78,11 @@ class Turn:
     @property
     def name(self) -> str:
         """In a sentence."""
-        words = (("roll to the right", "roll to the left"), ("forward flip", "backward flip"))
-        words = (*words, ("turn to the left", "turn to the right"))
+        words = (
+            ("roll to the right", "roll to the left"),
+            ("forward flip", "backward flip"),
+            ("turn to the left", "turn to the right"),
+        )
         word = words[self.axis][self.rate_deg_s < 0]
         return f"a {word} of {abs(self.rate_deg_s):g} deg/s at {self.thrust:g} times the weight"
 
@@ -140,16 +144,16 @@ class Course:
         )
 
 
-def course(aircraft: Aircraft, lift: float) -> Course:
-    """The course for an aircraft that lifts at most `lift` times its weight."""
-    most = LIFT_SHARE * lift
+def course(aircraft: Aircraft, lift: float | None = None) -> Course:
+    """The course for an aircraft that lifts at most `lift` times its weight; None: as its figures say."""
+    figures = aircraft_figures(aircraft)
+    most = LIFT_SHARE * (figures.thrust_to_weight if lift is None else lift)
     thrusts = [thrust for thrust in THRUSTS if thrust < most] or [most]
     if len(thrusts) < len(THRUSTS):
         thrusts.append(most)
     legs = [Leg(f"{thrust:.3g} times the weight", thrust) for thrust in dict.fromkeys(thrusts)]
     hover = min(1.0, most)
-    battery = aircraft.battery is not None and aircraft.propulsion.supply_voltage is not None
-    for condition in (*CONDITIONS, *(BATTERY if battery else ())):
+    for condition in (*CONDITIONS, *_batteries(aircraft, figures.endurance)):
         legs.append(Leg(condition.name, hover, condition))
     turn_thrusts = dict.fromkeys(min(thrust, most) for thrust in TURN_THRUSTS)
     turns = [
@@ -157,3 +161,19 @@ def course(aircraft: Aircraft, lift: float) -> Course:
         for thrust, rate, axis, sign in product(turn_thrusts, TURN_RATES_DEG_S, range(3), (1, -1))
     ]
     return Course(aircraft, tuple(legs), tuple(turns))
+
+
+def _batteries(aircraft: Aircraft, endurance: Endurance | None) -> tuple[Condition, ...]:
+    """A battery that is about empty at the end of a flight, and a full one.
+
+    None where the aircraft has none that affects its thrust. Begun at 0 it would collapse on the way, and no
+    controller flies then.
+    """
+    battery = aircraft.battery
+    if battery is None or aircraft.propulsion.supply_voltage is None or endurance is None:
+        return ()
+    left = EMPTY_RESERVE * endurance.current * FLIGHT.duration_s / battery.capacity
+    return (
+        Condition("an empty battery", charge=min(1.0, left)),
+        Condition("a full battery", charge=1.0),
+    )

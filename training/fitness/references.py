@@ -14,7 +14,6 @@ from multiprocessing.connection import Connection
 from typing import TYPE_CHECKING
 
 from sim.aircraft.model import Aircraft
-from sim.design.figures import aircraft_figures
 from toolchain.errors import AircraftError, NeuroflightError, TrainingError
 from training.checkpoints.monitor_process import interrupts_ignored
 from training.fitness.course import Course, course
@@ -35,7 +34,7 @@ class References:
         Raises AircraftError where there is no reference at all.
         """
         self.aircraft, self._betaflight = aircraft, betaflight
-        self.course: Course = course(aircraft, aircraft_figures(aircraft).thrust_to_weight)
+        self.course: Course = course(aircraft)
         self._missing = [missing] if missing else []
         if not aircraft.pids:
             tune = f"neuroflight tune-pid --aircraft {named} --write FILE.toml"
