@@ -208,8 +208,8 @@ def swap(args: argparse.Namespace) -> int:
         candidates.check_fits(
             candidate,
             policies,
-            network=flown and flown.network,
-            aircraft_sha256=flown and flown.aircraft_sha256,
+            network=flown.network if flown else None,
+            aircraft_sha256=flown.aircraft_sha256 if flown else None,
             mend=f"make firmware TARGET={target_name} POLICY={args.policy}",
             other_aircraft=args.other_aircraft,
         )

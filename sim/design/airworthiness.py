@@ -128,9 +128,11 @@ def _motors(aircraft: Aircraft, figures: Figures) -> Iterator[Verdict]:
             f"that order",
         )
         return
-    way = {PROPS_IN: ": propellers in, as Betaflight has it", PROPS_OUT: ": propellers out"}.get(
-        tuple(turns), ""
-    )
+    ways: dict[tuple[str, ...], str] = {
+        PROPS_IN: ": propellers in, as Betaflight has it",
+        PROPS_OUT: ": propellers out",
+    }
+    way = ways.get(tuple(turns), "")
     yield Verdict(Level.OK, "motors", found + way)
 
 

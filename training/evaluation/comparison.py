@@ -252,15 +252,16 @@ def _errors(flights: Flights) -> tuple[Array, NDArray[np.floating]]:
     return np.asarray(np.arange(steps) * flights.step_s, np.float64), np.rad2deg(error)
 
 
-def _rests(flights: Flights) -> tuple[Array, NDArray[np.floating]]:
+def _rests(flights: Flights) -> tuple[Array, Array]:
     """Middles of the pieces of REST_S in which no flight's sticks move, (B,), and |rate| there, (E, B)."""
     length = round(REST_S / flights.step_s)
     pieces = flights.rate.shape[1] // length
     resting = np.all([settled(one, flights.step_s) for one in flights.setpoint], axis=0)
     whole = np.flatnonzero(resting[: pieces * length].reshape(pieces, length).all(axis=1))
     rate = np.abs(flights.rate[:, : pieces * length]).reshape(len(flights.rate), pieces, -1)
-    found = np.rad2deg(rate.mean(axis=2, dtype=np.float64)[:, whole])
-    return (whole + 0.5) * length * flights.step_s, found
+    found: Array = np.rad2deg(rate.mean(axis=2, dtype=np.float64)[:, whole]).astype(np.float64)
+    middles: Array = (whole + 0.5) * length * flights.step_s
+    return middles, found
 
 
 def as_flown(flights: Flights) -> tuple[Array, Example]:

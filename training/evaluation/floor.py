@@ -139,7 +139,7 @@ def _least(
     None where a command changes before the one before it could be reached.
     """
     away = np.rad2deg(np.abs(found.wanted - found.held))
-    sums = (delay + 1.0) * (away**2 if squared else away).mean(axis=1)
+    sums: Array = (delay + 1.0) * (away**2 if squared else away).mean(axis=1)
     left = found.last - found.step
     free = np.maximum(left - math.ceil(delay) - 1, 1)  # control steps whose error the motors can change
     open_ones, length = np.arange(len(left)), round(FIRST_S / motors.dt)

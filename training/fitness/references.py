@@ -11,7 +11,7 @@ import os
 import signal
 import sys
 from multiprocessing.connection import Connection
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Self
 
 from sim.aircraft.model import Aircraft
 from toolchain.errors import AircraftError, NeuroflightError, TrainingError
@@ -48,7 +48,7 @@ class References:
         self._link: Connection | None = None
         self._flown: tuple[Flown, ...] | None = None
 
-    def __enter__(self) -> References:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:

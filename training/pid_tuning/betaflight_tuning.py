@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from typing import ClassVar
@@ -226,7 +226,7 @@ class _Flights:
         with ExitStack() as ends, ThreadPoolExecutor(len(candidates)) as pool:
             booting = [pool.submit(self._arm, settings) for settings in candidates]
             for future in booting:
-                ends.callback(lambda future=future: None if future.exception() else future.result().close())
+                ends.callback(_close, future)
             yield [future.result() for future in booting]
 
     def _arm(self, settings: Settings) -> ArmedBetaflight:
@@ -280,3 +280,9 @@ def as_tune(settings: Settings, name: str = "candidate") -> Tune:
         tuple((key, str(value)) for key, value in settings.items()),
         tuple(f"{name}:{number}" for number in range(1, len(settings) + 1)),
     )
+
+
+def _close(booting: Future[ArmedBetaflight]) -> None:
+    """End a Betaflight, unless it never came up."""
+    if booting.exception() is None:
+        booting.result().close()

@@ -211,9 +211,9 @@ def _at_thrusts(
             for name, by_command in {**figures, **drawn}.items()
             if by_command is not None and np.isfinite(by_command).all()
         }
-        means["drift"] = _drift(entry.scores)
+        drift = _drift(entry.scores)
         asked = None if level.wanted == CLOSED else level.wanted
-        found.append(AtThrust(asked, trim.rest.throttle, float(trim.rest.thrust.value), **means))
+        found.append(AtThrust(asked, trim.rest.throttle, float(trim.rest.thrust.value), drift=drift, **means))
         if asked is not None:
             for name, by_command in {**figures, "output": own["output"]}.items():
                 each[name].append(by_command)

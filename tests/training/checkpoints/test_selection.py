@@ -58,7 +58,7 @@ def test_the_rule_chooses_among_seeds_the_first_of_equals() -> None:
 )
 def test_invalid_limits_are_rejected(limits: dict[str, float]) -> None:
     with pytest.raises(TrainingError, match=f"selection {next(iter(limits))}"):
-        TrainingConfig(selection=SelectionLimits(**limits))
+        TrainingConfig(selection=SelectionLimits(**limits))  # type: ignore[arg-type]
 
 
 def test_metrics_are_equal_after_json() -> None:

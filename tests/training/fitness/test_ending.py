@@ -53,7 +53,7 @@ def judge(monkeypatch: pytest.MonkeyPatch) -> Judge:
             good = len(seen) in fit
             seen.append(sha256)
             case = Case("", 0.5 if good else 2.0, 1.0, f"swings at 65 Hz in a {AXES[1]} turn")
-            return Verdict(sha256, aircraft, (), (), (Bar("swing", "of range", "a test", (case,)),))
+            return Verdict(sha256, aircraft, (), (), (Bar("swing", "of range", "a test", (case,)),), {})
 
         monkeypatch.setattr(training.fitness.ending, "check", check)
         monkeypatch.setattr(training.fitness.references, "References", NoReferences)

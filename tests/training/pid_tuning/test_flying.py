@@ -33,7 +33,7 @@ class Given:
     @property
     def duration_s(self) -> float:
         """See Task."""
-        return 1e-3 * self.setpoint.shape[1]
+        return 1e-3 * float(self.setpoint.shape[1])
 
     def episodes(self, count: int, rng: np.random.Generator, rate_hz: int) -> Setpoints:
         """See Task."""
