@@ -260,7 +260,7 @@ def _rests(flights: Flights) -> tuple[Array, Array]:
     whole = np.flatnonzero(resting[: pieces * length].reshape(pieces, length).all(axis=1))
     rate = np.abs(flights.rate[:, : pieces * length]).reshape(len(flights.rate), pieces, -1)
     found: Array = np.rad2deg(rate.mean(axis=2, dtype=np.float64)[:, whole]).astype(np.float64)
-    middles: Array = (whole + 0.5) * length * flights.step_s
+    middles: Array = np.asarray((whole + 0.5) * length * flights.step_s, np.float64)
     return middles, found
 
 
