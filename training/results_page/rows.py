@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -31,6 +32,7 @@ ENTRIES = (
     ("manoeuvres", "contenders"),
     ("transparency",),
 )  # where a file names several controllers
+ROOT = Path(__file__).resolve().parents[2]
 SHIPPED = "training/policies/"
 
 
@@ -109,7 +111,8 @@ def controller_label(stored: Stored) -> str:
         own = stored.text("betaflight_settings") if stored.has("betaflight_settings") else None
         label = "Betaflight 4.6, its defaults" if own is None else f"Betaflight 4.6, `{own}`"
     else:
-        label = f"PID `{stored.text('pid')}`" if stored.has("pid") else _policy_label(name)
+        sha256 = stored.text("policy_sha256") if stored.has("policy_sha256") else None
+        label = f"PID `{stored.text('pid')}`" if stored.has("pid") else _policy_label(name, sha256)
     idle = stored.number("idle") if stored.has("idle") else 0.0
     return f"{label}, idle {idle:g}" if idle else label
 
@@ -130,10 +133,13 @@ def digests(stored: Stored) -> Sequence[str]:
     return list(dict.fromkeys(found))
 
 
-def _policy_label(name: str) -> str:
+def _policy_label(name: str, sha256: str | None) -> str:
     path = Path(name)
     if name.startswith(SHIPPED):
-        return f"shipped policy ({path.parent.name})"
+        file = ROOT / name
+        now = hashlib.sha256(file.read_bytes()).hexdigest() if file.is_file() else None
+        which = "shipped policy" if sha256 in (None, now) else "policy shipped before"
+        return f"{which} ({path.parent.name})"
     return (
         f"policy `{path.parent.name}`"
         if path.name == "policy.onnx" and path.parent.name

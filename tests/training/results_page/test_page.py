@@ -295,6 +295,10 @@ def test_pulses_stand_above_the_dissertations_when_flown_on_the_nf1() -> None:
         ),
         ({"pid": "a", "mount": "rig", "throttle": 0.3}, "PID `a`, mount rig, throttle 0.3"),
         ({"controller": "training/policies/nf1-high-idle/policy.onnx"}, "shipped policy (nf1-high-idle)"),
+        (
+            {"controller": "training/policies/nf1/policy.onnx", "policy_sha256": "cd" * 32},
+            "policy shipped before (nf1)",
+        ),
         ({"controller": "mine.onnx"}, "policy `mine.onnx`"),
         ({"controller": "runs/iris/ppo-m1/policy.onnx"}, "policy `ppo-m1`"),
         ({"pid": "a", "idle": 0.23, "throttle": 0.3}, "PID `a`, idle 0.23, throttle 0.3"),
