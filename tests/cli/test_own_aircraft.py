@@ -144,6 +144,7 @@ def test_the_steps_lead_from_a_file_to_a_flashed_board(clone: Path, tmp_path: Pa
         assert known["aircraft"]["own"] and known["aircraft"]["file"] == str(own)
         assert known["policy"]["aircraft_sha256"] == known["aircraft"]["sha256"] == digest
         assert known["pid"]["aircraft"] == "mine"
+        assert known["check"]["fit"] and known["check"]["aircraft_sha256"] == digest
         info = board(f"neuroflight msp --port {PORT} info")
         assert f"aircraft mine, digest {digest[:12]}" in info
         assert "PID built in" in " ".join(board(f"neuroflight msp --port {PORT} status").split())
