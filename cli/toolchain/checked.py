@@ -1,4 +1,4 @@
-"""The interlock of `build`: an image for a board holds what a check found fit, unless the user says so."""
+"""The interlock of `build`: no image for a board holds what a check found unfit, unless the user says so."""
 
 from __future__ import annotations
 
