@@ -1,4 +1,4 @@
-"""The interlock of `flash` and `rescue`: what a check found unfit goes onto no board, unless the user insists.
+"""The interlock of `flash` and `rescue`: what a check found unfit goes onto no board, save by `--unchecked`.
 
 A policy that no check has seen is told as UNCHECKED and goes.
 
