@@ -32,7 +32,8 @@ TERMS = (
     "previous_action~40Hz@2,throttle@16,throttle~5Hz,rate_error@1"
 )
 REPORT = (
-    '{"policy": {"network": "19-16-4 tanh", "sha256": "", "idle": %g, "mix": "attitude-first"}, '
+    '{"policy": {"network": "19-16-4 tanh", "sha256": "", "file": "", "aircraft": "nf1", '
+    '"aircraft_sha256": "", "idle": %g, "mix": "attitude-first"}, '
     '"pid": null, "files": []}'
 )
 BUSY = Scenario(
