@@ -164,7 +164,7 @@ def upright(of: Aircraft) -> Aircraft:
 @pytest.mark.parametrize("slope", [0.0, -1.0])
 def test_a_punch_out_ends_where_thrust_left_weight_and_drag_balance(slope: float) -> None:
     of = upright(aircraft(f"[{slope}, 0]")) if slope else upright(PLAIN)
-    twin = Twin(of, mount=Mount.FREE, noise=False, rng=np.random.default_rng(1))
+    twin = Twin(of, mount=Mount.FREE, noise=False, wash=False, rng=np.random.default_rng(1))
     for _ in range(6000):
         twin.step(np.ones((1, 4)))
     # Full speed is 24,983 rpm = 2616.21 rad/s: 25.6536 N at rest; J = v / 53.9389 m/s; drag area 0.017 m^2.

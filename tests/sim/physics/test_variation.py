@@ -28,7 +28,12 @@ def varied(count: int, **changes: object) -> Variation:
 
 
 def twin(variation: Variation | None, count: int = 0, aircraft: Aircraft = NF1, **options: object) -> Twin:
-    options = {"noise": False, "rng": np.random.default_rng(1), **options}
+    options = {
+        "noise": False,
+        "wash": False,
+        "rng": np.random.default_rng(1),
+        **options,
+    }  # each draws its own
     number = len(variation) if variation is not None else count
     return Twin(aircraft, number, variation=variation, **options)  # type: ignore[arg-type]
 
