@@ -64,18 +64,22 @@ def floors(
     idle: float,
     samples: int = 1,
     charge: float | None = None,
+    held: Array | None = None,
 ) -> Floors | None:
     """The least errors of the commands `setpoint` (E, T, 3) [rad/s] in control steps of `step_s` [s].
 
     thrust: of all rotors before a change of the command, in parts of the weight: one for all, or that of
     each change (C,), see `changes`; idle: least motor fraction, 0..1; samples: steps of the twin in a
     control step, which decide when a command acts; charge: of the battery, 0..1, whose voltage is taken as
-    that without load; None: the bench supply. None where no floor is known: a command changes before the one
-    before it could be reached, as a pilot's sticks do all the time.
+    that without load; None: the bench supply; held: the rates that each change begins from (C, 3) [rad/s],
+    None: the commands before. None where no floor is known: a command changes before the one before it could
+    be reached, as a pilot's sticks do all the time.
     """
     found, steps = changes(setpoint), setpoint.shape[1]
     if len(found.step) and (found.last - found.step).min() * step_s < SHORTEST_S:
         return None
+    if held is not None:
+        found = replace(found, held=held)
     weight = aircraft.mass_properties.mass * GRAVITY
     before = np.where(found.step == 0, 0.0, np.maximum(thrust, LEAST_THRUST) * weight)
     motors = Motors(aircraft, step_s, samples, *_limits(aircraft, idle, charge))
@@ -99,7 +103,9 @@ def scored(flights: Flights, controller: Contender, conditions: Conditions) -> S
 def floors_of(
     flights: Flights, aircraft: Aircraft, *, idle: float, charge: float | None = None
 ) -> Floors | None:
-    """The least errors with the thrust that a controller had before each change; see `floors`.
+    """The least errors with the thrust and the rates that a controller had before each change; see `floors`.
+
+    Rates, not commands: who is still on the way when the next command comes may have less of it to go.
 
     Of aircraft that turn about their centre of mass.
     """
@@ -119,6 +125,7 @@ def floors_of(
         idle=idle,
         samples=flights.samples,
         charge=charge,
+        held=flights.rate[:, flights.commanded][found.episode, found.step].astype(np.float64),
     )
 
 

@@ -1,6 +1,7 @@
 """The Gymnasium environment of one aircraft."""
 
 import copy
+import json
 import math
 import pickle
 import warnings
@@ -17,7 +18,7 @@ from stable_baselines3.common.env_checker import check_env as check_env_of_sb3
 
 from tests.conftest import ROOT
 from toolchain.errors import AircraftError, TrainingError
-from training.config.config_file import load_config, recipes
+from training.config.config_file import recipes
 from training.config.training_config import TrainingConfig, WorldConfig
 from training.envs.gym_env import AttitudeEnv
 from training.tasks.reward import NormalizedReward
@@ -144,8 +145,11 @@ def test_every_recipe_is_an_environment(recipe: str, make: Any) -> None:
 
 def test_the_shipped_policys_configuration_is_a_file_too(make: Any) -> None:
     env = make(config=ROOT / "training/policies/nf1/training.json")
-    config, recipe = env.unwrapped.batch.setup.config, load_config("nf1")
-    assert (config.task, config.world, config.observation) == (recipe.task, recipe.world, recipe.observation)
+    config = env.unwrapped.batch.setup.config
+    told = json.loads((ROOT / "training/policies/nf1/training.json").read_text())["config"]
+    assert (config.observation, config.task.name) == (told["observation"], told["task"]["name"])
+    assert config.task.length_s == told["task"]["length_s"]
+    assert config.world.randomization.delay_s == tuple(told["world"]["randomization"]["delay_s"])
     assert (config.idle, config.mix, config.gyro_filter) == (0.055, "centred", "mean")
 
 
