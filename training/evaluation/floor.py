@@ -117,6 +117,8 @@ def floors_of(
     total = np.cumsum(flights.lift, axis=1, dtype=np.float64)
     total = np.concatenate([np.zeros((len(total), 1)), total], axis=1)
     force = total[found.episode, found.step] - total[found.episode, found.step - rows]
+    last = np.maximum(found.step - 1, 0)
+    held = flights.rate[:, flights.commanded][found.episode, last].astype(np.float64)
     return floors(
         aircraft,
         setpoint,
@@ -125,7 +127,7 @@ def floors_of(
         idle=idle,
         samples=flights.samples,
         charge=charge,
-        held=flights.rate[:, flights.commanded][found.episode, found.step].astype(np.float64),
+        held=held,
     )
 
 
