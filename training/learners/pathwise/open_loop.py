@@ -204,4 +204,6 @@ def _at_rest(motors: Motors, speed: Array) -> Array:
     low, high = (
         next_speed(speed, settles, motors.dt, propulsion) for settles in (motors.slowest, motors.fastest)
     )
-    return np.clip((speed - low) / (high - low), MARGIN, 1.0 - MARGIN)
+    # From standstill the torque's limit may leave nothing to decide: any decision is as good.
+    part = np.divide(speed - low, high - low, out=np.full_like(speed, 0.5), where=high > low)
+    return np.clip(part, MARGIN, 1.0 - MARGIN)
