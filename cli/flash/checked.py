@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from toolchain.policy.check_stamp import Stamp
 
 OPTION = "--unchecked"
-HELP = "write it though no `neuroflight policy check` found its policy fit to fly"
+HELP = "write it though `neuroflight policy check` found its policy unfit, or its stamp is void"
 TOLD = "UNCHECKED: nobody knows whether this policy flies"
 
 

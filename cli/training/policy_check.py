@@ -29,7 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="that it is to fly: shipped name or a .toml file",
     )
     parser.add_argument(
-        "--no-stamp", action="store_true", help="write no POLICY.check.json, which build and flash ask for"
+        "--no-stamp", action="store_true", help="write no POLICY.check.json, which build and flash read"
     )
     parser.add_argument(
         "--build", type=Path, metavar="DIR", help="Betaflight's build; default: build/BETAFLIGHT"
@@ -118,7 +118,7 @@ def print_verdict(verdict: Verdict, policy: Path) -> None:
     table = Table(box=None, padding=(0, 2, 0, 0))
     for name in ("", "seen", "at most"):
         table.add_column(name, justify="left" if not name else "right", no_wrap=True)
-    for name in ("unit", "where", "limit from", ""):
+    for name in ("unit", "where", ""):
         table.add_column(name, overflow="fold")
     for bar in verdict.bars:
         worst = bar.worst
@@ -128,7 +128,6 @@ def print_verdict(verdict: Verdict, policy: Path) -> None:
             f"{worst.limit:.3g}",
             bar.unit,
             worst.where,
-            bar.source,
             "" if bar.met else "FAILED",
         )
     console.print(table)

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from training.evaluation.evaluation import Evaluation
     from training.pid_tuning.betaflight_tuning import Limits, Settings, Tuning
 
-USUAL: dict[str, float] = {"commands": 12, "budget": 720, "max_motor_change": 0.0045, "throttle_max": 0.8}
+USUAL: dict[str, float] = {"commands": 12, "budget": 720, "max_change": 0.0045, "throttle_max": 0.8}
 CHECKED = 100
 COMMANDS_MAX, CHECKED_MAX = 100, 500  # a Betaflight each, and candidates of a generation at a time
 BUDGET_MAX = 100_000
@@ -39,9 +39,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--check", type=int, default=CHECKED, metavar="N", help="unseen pulses for the final figures"
     )
     parser.add_argument(
-        "--max-motor-change",
+        "--max-change",
         type=float,
-        default=USUAL["max_motor_change"],
+        default=USUAL["max_change"],
         metavar="DU",
         help="mean |change| of a motor value in 1 ms",
     )
@@ -76,7 +76,7 @@ def run(args: argparse.Namespace) -> int:
 
     aircraft = load_aircraft(args.aircraft)
     built = built_betaflight(args, aircraft)
-    limits = Limits(args.max_motor_change, args.throttle_max)
+    limits = Limits(args.max_change, args.throttle_max)
     tuning = _tune(args, built, aircraft, limits)
     if tuning.interrupted:
         print(f"interrupted after {len(tuning.trials)} candidates; the best is kept", file=sys.stderr)
@@ -110,7 +110,7 @@ def _check(args: argparse.Namespace) -> None:
         ("--commands", args.commands, 2, COMMANDS_MAX),
         ("--budget", args.budget, 1, BUDGET_MAX),
         ("--check", args.check, 1, CHECKED_MAX),
-        ("--max-motor-change", args.max_motor_change, 1e-4, 1.0),
+        ("--max-change", args.max_change, 1e-4, 1.0),
         ("--throttle-max", args.throttle_max, 0.0, 1.0),
     )
     check_output(args.write, ".txt")
@@ -204,7 +204,7 @@ def _document(
         "commands": args.commands,
         "candidates": len(tuning.trials),
         "interrupted": tuning.interrupted,
-        "max_motor_change": args.max_motor_change,
+        "max_change": args.max_change,
         "throttle_max": args.throttle_max,
         "settings": dict(tuning.best.settings),
         "unseen": args.check,

@@ -1,4 +1,4 @@
-"""Betaflight's settings by the search that finds a PID's, on the same flights, with the same cost.
+"""Betaflight's settings by the search that finds a PID's (CMA-ES), on pulses at many throttles in the twin.
 
 What is searched is what pilots tune: the sliders of its app (P and I, I, D, pitch over roll, filters of the
 gyro and of D), yaw's P and I, the cutoff of I-term relax, TPA and thrust linearisation. Left as they are:
