@@ -57,3 +57,19 @@ class Randomization:
         return Variation(
             **{name: factor(getattr(self, name)) for name in factors}, delay_s=delay, charge=charge
         )
+
+    def draw_near(self, count: int, rng: np.random.Generator, delay_s: float) -> Variation:
+        """Draw `count` aircraft as `draw`, then bring each nearer to its file by a share of its own, 0..1.
+
+        All deviations at their ends at once are rare then, as they are among real aircraft; a policy that
+        must fly those corners as well as the middle flies the aircraft of the file by some percent worse.
+        The battery's charge, which every flight goes through, stays as drawn.
+        """
+        drawn, alike = self.draw(count, rng, delay_s), Variation.nominal(count, delay_s)
+        share = rng.random(count)
+        near = {
+            field.name: getattr(alike, field.name)
+            + share * (getattr(drawn, field.name) - getattr(alike, field.name))
+            for field in fields(drawn)
+        }
+        return Variation(**near | {"charge": drawn.charge})

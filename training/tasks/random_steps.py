@@ -39,8 +39,9 @@ class RandomStepsTask:
     the time already passed does not predict it.
 
     `batch` also weights the control steps: transients after changes weigh as little in a short episode with
-    many changes as in a pulse of 4.5 s with its two changes. In wide episodes effort does not count, and held
-    commands do; the way to them, which the motors' limits decide too, as much as `wide_transient` says.
+    many changes as in a pulse of 4.5 s with its two changes. In wide episodes held commands count, their
+    effort too, or motors learn to swing in fast turns; of the way to them, which the motors' limits decide
+    too, the error counts as much as `wide_transient` says, and effort not at all.
     """
 
     name: ClassVar[str] = "random-steps"
@@ -104,7 +105,8 @@ class RandomStepsTask:
         usual = ~wide[:, None]
         of_wide = np.where(held, self.wide_weight, self.wide_transient)
         error = counts * np.where(usual, 1.0, of_wide)
-        return setpoints, StepWeights(error, usual * counts, usual * counts)
+        effort = counts * np.where(usual, 1.0, held * self.wide_weight)
+        return setpoints, StepWeights(error, usual * counts, effort)
 
     def _steps(
         self, count: int, rng: np.random.Generator, rate_hz: int, *, exact: bool

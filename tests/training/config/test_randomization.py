@@ -45,6 +45,18 @@ def test_draws_fill_their_ranges_and_stay_inside() -> None:
     assert np.corrcoef(drawn.mass, drawn.inertia)[0, 1] == pytest.approx(0.0, abs=0.06)
 
 
+def test_most_aircraft_drawn_near_differ_little_and_all_at_once() -> None:
+    drawn = replace(WIDE, charge=(0.2, 1.0)).draw_near(4000, np.random.default_rng(0), 0.002)
+    low, high = WIDE.lag
+    assert (drawn.lag > low).all() and (drawn.lag < high).all()
+    # |log lag| over its end is the product of two uniform draws: below a half with 0.5 + 0.5 ln 2.
+    far = np.abs(np.log(drawn.lag)) / np.log(high)
+    assert (far < 0.5).mean() == pytest.approx(0.85, abs=0.03)
+    others = np.abs(np.log(drawn.inertia)) / np.log(WIDE.inertia[1])
+    assert np.corrcoef(far, others)[0, 1] > 0.2, "far from its file in one thing, an aircraft is so in others"
+    assert np.mean(drawn.charge < 0.6) == pytest.approx(0.5, abs=0.03), "batteries are as empty as ever"
+
+
 def test_what_is_not_randomized_stays_as_the_file_says() -> None:
     drawn = Randomization(lag=(0.5, 2.0)).draw(3, np.random.default_rng(0), 0.002)
     assert drawn.mass.tolist() == [1.0, 1.0, 1.0]

@@ -62,15 +62,14 @@ def test_transients_of_a_batch_have_their_share_of_the_weight() -> None:
     assert counts[transient].sum() / counts.sum() == pytest.approx(0.2)
 
 
-def test_wide_episodes_have_weight_only_where_they_hold_and_none_for_effort() -> None:
+def test_wide_episodes_have_weight_only_where_they_hold_for_effort_as_for_errors() -> None:
     task = RandomStepsTask(wide_share=0.5, wide_factor=4.0, wide_weight=0.3)
     setpoints, weights = task.batch(400, np.random.default_rng(5), RATE_HZ)
-    wide = ~weights.effort.any(axis=1)
+    wide = ~weights.square.any(axis=1)
     size = [np.sqrt(np.square(setpoints[which][:, -1]).mean()) for which in (wide, ~wide)]
     assert wide.mean() == pytest.approx(0.5, abs=0.08)
     assert size[0] / size[1] == pytest.approx(4.0, rel=0.15)
-    assert not weights.square[wide].any()
-    assert np.array_equal(weights.error[~wide], weights.effort[~wide])
+    assert np.array_equal(weights.error, weights.effort), "motors that swing in a held turn count"
     for setpoint, counts in zip(setpoints[wide], weights.error[wide], strict=True):
         assert not any(counts[change : change + 150].any() for change in changes(setpoint))
     held = [weights.error[which, 60:100].max() for which in (wide, ~wide)]  # before any change
@@ -82,11 +81,12 @@ def test_the_way_to_a_wide_command_weighs_as_much_as_it_is_said_to() -> None:
         RandomStepsTask(wide_share=0.5, wide_transient=part).batch(100, np.random.default_rng(5), RATE_HZ)[1]
         for part in (0.0, 1.0, 2.0)
     ]
-    usual = weights[0].effort.any(axis=1)
+    usual = weights[0].square.any(axis=1)
     ways = [each.error - weights[0].error for each in weights]
     assert not ways[1][usual].any() and ways[1][~usual].any()
     assert np.array_equal(ways[2], 2.0 * ways[1])
-    assert set(np.unique(ways[1][~usual])) <= {0.0, *np.unique(weights[0].effort)}
+    assert set(np.unique(ways[1][~usual])) <= {0.0, *np.unique(weights[0].square)}
+    assert np.array_equal(weights[2].effort, weights[0].effort), "the way is flown as fast as motors can"
 
 
 def test_commands_stay_within_full_stick_when_they_are_wide() -> None:

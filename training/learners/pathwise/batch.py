@@ -63,7 +63,7 @@ def draw(config: TrainingConfig, pathwise: PathwiseConfig, delay_s: float, rng: 
         setpoint=setpoint,
         step_weights=step_weights,
         throttle=world.draw_throttles(count, setpoint.shape[1], rate_hz, rng),
-        variation=world.randomization.draw(count, rng, delay_s),
+        variation=world.randomization.draw_near(count, rng, delay_s),
         seed=int(rng.integers(2**63)),
         disturbance=_moments(pathwise, setpoint.shape[1], rate_hz, rng),
     )
