@@ -1,9 +1,13 @@
-"""The units of the network's inputs in which a policy is learned: differences of what is nearly the same.
+"""The units in which a policy is learned: differences of inputs that are nearly the same, and what steers.
 
 A low-passed or predicted rate is nearly the rate. What it tells beside it, an acceleration or a moment from
 outside, is a small difference, which a first layer makes of large weights that nearly cancel: a descent finds
 them late or never. So the learner's parameters weigh the differences, enlarged. The network that flies has
 the same inputs as ever; its first layer is converted.
+
+More than four motors can be driven in patterns that turn nothing. A mix that lets no motor stop makes lift of
+them, and faster rotors leave smaller errors: a hexacopter learned to fly with 1.6 times its weight of lift
+under a closed throttle. So the last layer keeps only what turns the aircraft, and what all motors share.
 """
 
 from __future__ import annotations
@@ -14,6 +18,8 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from sim.aircraft.model import Aircraft
+from sim.physics.rotor import rotor_geometry
 from toolchain.contract import ObservationTerm
 from training.learners.network.shape import Shape
 
@@ -25,8 +31,11 @@ LARGER = np.float32(10.0)  # brings differences to the size of the other inputs
 class Basis:
     """Converts parameters between how they are learned and how the network has them."""
 
-    def __init__(self, shape: Shape, terms: Sequence[ObservationTerm], motors: int) -> None:
-        self._shape = shape
+    def __init__(
+        self, shape: Shape, terms: Sequence[ObservationTerm], motors: int, steering: Array | None = None
+    ) -> None:
+        """steering: see the function; None: the motors have no other patterns."""
+        self._shape, self._steering = shape, steering
         self._pairs = _pairs(terms, motors)
 
     def network(self, learned: Array) -> Array:
@@ -36,7 +45,7 @@ class Basis:
         for own, other in self._pairs:
             first[:, other] -= LARGER * first[:, own]
             first[:, own] *= LARGER
-        return parameters
+        return self._steered(parameters)
 
     def learned(self, network: Array) -> Array:
         """The inverse of `network`."""
@@ -49,11 +58,32 @@ class Basis:
 
     def gradient(self, found: Array) -> Array:
         """The gradient by what is learned, of the one by the network's parameters."""
-        gradient = found.copy()
+        gradient = self._steered(found.copy())
         first = self._shape.split(gradient)[0]
         for own, other in reversed(self._pairs):
             first[:, own] = LARGER * (first[:, own] - first[:, other])
         return gradient
+
+    def _steered(self, parameters: Array) -> Array:
+        """`parameters` with the last layer, or the gradient by it, brought to what steers, in place."""
+        if self._steering is not None:
+            for part in self._shape.split(parameters)[-2:]:
+                part[:] = self._steering @ part
+        return parameters
+
+
+def steering(aircraft: Aircraft) -> Array | None:
+    """Return the projection (M, M) of M motors' values onto what turns the aircraft or lifts it evenly.
+
+    None where every pattern does one or the other, as with four rotors.
+    """
+    geometry, motors = rotor_geometry(aircraft), aircraft.motor_count
+    turns = np.hstack([geometry.thrust_wrench[:, 3:5], geometry.torque_wrench[:, 5:6]])
+    patterns, sizes, _ = np.linalg.svd(
+        np.hstack([turns / np.linalg.norm(turns, axis=0), np.ones((motors, 1))])
+    )
+    kept = patterns[:, : len(sizes)][:, sizes > 1e-6 * sizes[0]]
+    return None if kept.shape[1] == motors else (kept @ kept.T).astype(np.float32)
 
 
 def _pairs(terms: Sequence[ObservationTerm], motors: int) -> list[tuple[slice, slice]]:

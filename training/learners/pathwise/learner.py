@@ -29,7 +29,7 @@ from toolchain.errors import TrainingError
 from training.config.pathwise_config import PathwiseConfig
 from training.config.training_config import OBSERVATION_SCALES, TrainingConfig
 from training.learners.network.shape import Shape
-from training.learners.pathwise.basis import Basis
+from training.learners.pathwise.basis import Basis, steering
 from training.learners.pathwise.batch import draw
 from training.learners.pathwise.descent import Good, Setback, State, adapted, descended, guarded
 from training.learners.pathwise.flights import Flights
@@ -50,7 +50,7 @@ class PathwiseLearner:
         self._delay_s, self._config, self._pathwise = aircraft.propulsion.delay, config, pathwise
         surroundings = _surroundings(aircraft, config, pathwise)
         self._shape = surroundings.shape
-        self._basis = Basis(self._shape, surroundings.terms, aircraft.motor_count)
+        self._basis = Basis(self._shape, surroundings.terms, aircraft.motor_count, steering(aircraft))
         self._flights = Flights(surroundings)
         self._batch_steps = pathwise.aircraft * surroundings.steps
         self._updates = math.ceil(config.steps / self._batch_steps)
