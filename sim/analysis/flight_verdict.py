@@ -60,9 +60,10 @@ def verdict_of_several(flights: Sequence[tuple[str, Flight, Sequence[str]]]) -> 
     if bad:
         words = "; ".join(f"in {where} it {', it '.join(found[:SEVERAL])}" for where, found in bad)
         return f"{_capital(worst.name)}: {len(bad)} of {len(flights)} flights went wrong: {words}."
+    hovered = any(flight.holding for _, flight, _ in flights)  # else nobody knows of a drift
     return (
-        f"{_capital(worst.name)} flew all {len(flights)} to their end without drift or swing; the most mean "
-        f"error was {worst.figures.tracking.mae.mean():.1f} deg/s, in {name}."
+        f"{_capital(worst.name)} flew all {len(flights)} to their end without {'drift or ' if hovered else ''}"
+        f"swing; the most mean error was {worst.figures.tracking.mae.mean():.1f} deg/s, in {name}."
     )
 
 

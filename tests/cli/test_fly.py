@@ -196,7 +196,7 @@ def test_a_flight_is_at_hover_unless_the_pilot_says_another_throttle(
         traces[name] = tmp_path / f"{name}.npz"
         told = flown(capsys, "--count", "1", "--trace", str(traces[name]), *words)
         assert (told["scenario"], told["duration_s"], told["episodes"]) == ("flight", 19.5, 1)
-        assert np.allclose(load_trace(traces[name]).throttle, told["throttle"], atol=1e-3)
+        assert np.allclose(load_trace(traces[name]).throttle[100:], told["throttle"], atol=1e-3)
         where = " at hover" if name == "hover" else " with the throttle closed"
         assert told["verdict"].startswith(f"Policy nf1 followed 1 command{where} with ")
         assert len(told["flights"]["firmware"]["holding"]["drift"][0]) == 3

@@ -132,6 +132,8 @@ def test_the_sentence_on_several_names_the_flights_that_went_wrong() -> None:
         "Policy nf1 flew all 2 to their end without drift or swing; the most mean error was 0.6 deg/s, in "
         "roll."
     )
+    blind = replace(good, holding=None, hover_rows=0)
+    assert " to their end without swing; " in verdict_of_several([("roll", blind, ()), ("flip", blind, ())])
     told = verdict_of_several([("roll", good, ()), ("flight", bad, ()), ("flip", good, ("was REFUSED",))])
     assert told.startswith("Policy nf1: 2 of 3 flights went wrong: in flight it DRIFTS: 46 deg")
     assert told.endswith("; in flip it was REFUSED.")
