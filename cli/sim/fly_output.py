@@ -200,5 +200,5 @@ def print_several(
     if report is not None:
         words += f"\nflown was the file to be flashed, {report.image}\nsha256 {report.sha256}"
     print_table(title, rows, words)
-    told = [(each.name, one.flight, _told(one)) for each, one in zip(scenarios, flown, strict=True)]
-    print(f"\n{verdict_of_several(told)}")
+    flights = [(each.name, one.flight, _told(one)) for each, one in zip(scenarios, flown, strict=True)]
+    print(f"\n{verdict_of_several(flights)}")

@@ -11,6 +11,7 @@ from collections.abc import Iterator, Sequence
 from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sim.analysis.flight_report import Flight
 from sim.analysis.holding import DRIFT_S
@@ -61,9 +62,10 @@ def verdict_of_several(flights: Sequence[tuple[str, Flight, Sequence[str]]]) -> 
         words = "; ".join(f"in {where} it {', it '.join(found[:SEVERAL])}" for where, found in bad)
         return f"{_capital(worst.name)}: {len(bad)} of {len(flights)} flights went wrong: {words}."
     hovered = any(flight.holding for _, flight, _ in flights)  # else nobody knows of a drift
+    without = "drift or swing" if hovered else "swing"
     return (
-        f"{_capital(worst.name)} flew all {len(flights)} to their end without {'drift or ' if hovered else ''}"
-        f"swing; the most mean error was {worst.figures.tracking.mae.mean():.1f} deg/s, in {name}."
+        f"{_capital(worst.name)} flew all {len(flights)} to their end without {without}; the most mean error "
+        f"was {worst.figures.tracking.mae.mean():.1f} deg/s, in {name}."
     )
 
 
@@ -140,7 +142,7 @@ def _swings(flight: Flight, beside: Flight | None) -> Iterator[str]:
 def _windows(flight: Flight) -> Iterator[tuple[slice, float]]:
     """Rows of the flight that are measured, and the limit of the motors' change in them."""
     trace = flight.trace
-    running = (trace.dshot > 0).all(axis=1)
+    running: NDArray[np.bool_] = np.all(trace.dshot > 0, axis=1)
     entry, least = round(ENTRY_S / trace.step_s), max(3, round(HELD_S / trace.step_s))
     rows = len(trace.t)
     if rows >= least and running.all():
