@@ -317,6 +317,7 @@ def _interval(mean: Mean, factor: float, digits: int, axis: int | None = None) -
 def _difference(mean: Mean, factor: float, digits: int) -> str:
     from training.evaluation.comparison import significant
 
-    mark = "" if significant(mean) or not mean.count else "≈ "
+    known = significant(mean) and bool(mean.low < mean.high)  # a single flight has no interval
+    mark = "" if known or not mean.count else "≈ "
     sign = "+" if mean.value > 0 else ""
     return f"{mark}{sign}{_interval(mean, factor, digits)}"

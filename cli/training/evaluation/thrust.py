@@ -197,4 +197,5 @@ def _interval(mean: Mean, digits: int, axis: int | tuple[()] = ()) -> str:
 def _difference(mean: Mean, digits: int) -> str:
     from training.evaluation.comparison import significant
 
-    return f"{'' if significant(mean) else '≈ '}{'+' if mean.value > 0 else ''}{_interval(mean, digits)}"
+    known = significant(mean) and bool(mean.low < mean.high)  # a single flight has no interval
+    return f"{'' if known else '≈ '}{'+' if mean.value > 0 else ''}{_interval(mean, digits)}"
