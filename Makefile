@@ -9,7 +9,7 @@ SEED     ?= 1
 OUT      ?= runs/$(subst :,-,$(subst .toml,,$(notdir $(AIRCRAFT))))-$(SEED)
 SHIPPED   = training/policies/$(AIRCRAFT)/policy.onnx
 POLICY   ?= $(if $(wildcard $(SHIPPED)),$(SHIPPED),$(OUT)/policy.onnx)
-SCENARIO ?= pulses
+SCENARIO ?= flight
 COUNT    ?= 10
 ON       ?= host
 JOBS     ?= auto
@@ -89,12 +89,12 @@ train: $(READY) ## a policy from the twin: AIRCRAFT=nf1 [ALGORITHM=ppo] [CONFIG=
 	@$(RUN) train --aircraft "$(AIRCRAFT)" $(CONFIG:%=--config %) $(ALGORITHM:%=--algorithm %) $(STEPS:%=--steps %) \
 	  --seed $(SEED) --out "$(OUT)" $(ARGS)
 
-fly: host ## a firmware against the twin: [ON=host] [SCENARIO=pulses] [COUNT=10] [SEED=] [ARGS="--trace FILE.npz"]
+fly: host ## a firmware against the twin: [ON=host] [SCENARIO=flight] [COUNT=10] [SEED=] [ARGS="--trace FILE.npz"]
 	@$(RUN) fly --on $(ON) $(TWIN) --scenario $(SCENARIO) --count $(COUNT) --seed $(SEED) $(ARGS)
 
-emulate: firmware ## the image to be flashed flies on an emulated board: roll, flip, Split-S, 60 s of commands
+emulate: firmware ## the image to be flashed flies on an emulated board: roll, flip, Split-S, a minute of commands and hover
 	@$(RUN) fly --on emulator --build build/$(TARGET) $(TWIN) --seed $(SEED) \
-	  --scenario roll flip sim/scenarios/split_s.toml pulses --count 14 $(ARGS)
+	  --scenario roll flip sim/scenarios/split_s.toml flight $(ARGS)
 
 test: firmware host peers ## the tests, on all cores: [JOBS=4] [ARGS=tests/sim]
 	@$(PYTEST) $(ARGS)

@@ -78,6 +78,11 @@ def print_table(title: str, rows: Sequence[tuple[str, ...]], note: str = "", *, 
     Console().print(shown)
 
 
+def with_margin(value: float, margin: float, digits: int) -> str:
+    """Return a mean and its margin; the mean alone where a single flight leaves no margin to tell."""
+    return f"{value:,.{digits}f} ± {margin:,.{digits}f}" if margin > 0.0 else f"{value:,.{digits}f}"
+
+
 def plain(value: object) -> object:
     """Dictionaries of arrays as JSON has them."""
     if isinstance(value, Mapping):

@@ -20,7 +20,14 @@ from cli.sim.fly_emulator import (
     say,
 )
 from cli.sim.fly_jobs import Crew, Show, usable_cores
-from cli.sim.fly_output import Flown, conditions, document, print_flight, print_several
+from cli.sim.fly_output import (
+    Flown,
+    conditions,
+    document,
+    print_flight,
+    print_several,
+    sentence,
+)
 from cli.sim.fly_ports import (
     RECEIVERS,
     Entry,
@@ -32,6 +39,7 @@ from cli.sim.fly_ports import (
     quiet,
 )
 from cli.sim.fly_telemetry import add_telemetry_arguments, asks_telemetry, check_telemetry, save_telemetry
+from cli.sim.fly_thrust import Thrust, add_throttle_argument, chosen_thrust
 from toolchain.contract import GYRO_RATE_DEFAULT_HZ, GYRO_RATES_HZ
 from toolchain.errors import NeuroflightError
 
@@ -46,7 +54,6 @@ MOUNTS = ("centre", "rig", "free")
 FIRMWARES = ("reference", "host", "emulator", "betaflight")
 CONTROLLERS = ("policy", "pid")
 DEFAULT_AIRCRAFT = "nf1"
-COUNT, COUNT_BETAFLIGHT = 100, 10  # commands of `pulses`
 # Options that belong to one flight.
 OUTPUTS = ("trace", "plot", "telemetry", "telemetry_plot", "report", "blackbox")
 SINGLE = (*OUTPUTS, "profile", "gdb", "serial", "fault", "card")
@@ -79,9 +86,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--scenario",
         nargs="+",
-        default=["pulse"],
+        default=["flight"],
         metavar="NAME|FILE",
-        help="pulse, pulses, roll, flip, sticks, a .toml file, or a flight's recorded commands: a trace "
+        help="flight (ten commands and a hover, the default), pulse, pulses, roll, flip, turns, sticks, "
+        "freestyle, a .toml file, or a flight's recorded commands: a trace "
         "(.npz), a table (.csv), a blackbox log (.bbl, .bfl, .txt; FILE:N for its log N); of several only "
         "the firmware's flights, a row each",
     )
@@ -91,8 +99,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--count",
         type=int,
         metavar="N",
-        help=f"commands of `pulses`; default: {COUNT}, with betaflight {COUNT_BETAFLIGHT}",
+        default=10,
+        help="commands of `flight` and `pulses` (10)",
     )
+    add_throttle_argument(parser)
     parser.add_argument(
         "--aircraft",
         metavar="NAME|FILE",
@@ -162,15 +172,17 @@ def run(args: argparse.Namespace) -> int:
     aircraft = load_aircraft(args.aircraft or (DEFAULT_AIRCRAFT if known is None else known.file))
     if (note := foreign_note(args, firmware, aircraft)) is not None:
         say(note)
-    scenarios = _scenarios(args)
+    thrust = chosen_thrust(args, aircraft, firmware)
+    scenarios = _scenarios(args, thrust)
     prepare(args, aircraft)
     if len(scenarios) > 1:
-        return _run_several(args, aircraft, scenarios)
+        return _run_several(args, aircraft, scenarios, thrust)
     (scenario,) = scenarios
     flown = _fly_all(args, aircraft, scenario)
     flights = [one.flight for one in flown]
     title = f"{aircraft.name}: {scenario.name}, seed {args.seed}"
-    note = ", ".join(conditions(args, scenario, flown[0].refused))
+    note = ", ".join(conditions(args, scenario, thrust, flown[0].refused))
+    verdict = sentence(scenario, thrust, flown)
     try:
         if args.trace:
             save_trace(args.trace, flights[0].trace)
@@ -178,12 +190,13 @@ def run(args: argparse.Namespace) -> int:
             save_plot(args.plot, flights, title)
         save_telemetry(args, flown[0].esc, flights[0].trace.control_rate_hz, title)
         if args.report:
-            save_report(args.report, flights, title, note + emulator_words(flown[0].report))
+            words = f"{note}{emulator_words(flown[0].report)}. {verdict}"
+            save_report(args.report, flights, title, words)
     finally:  # the figures of a flight are not lost with a file that its disk does not take
         if args.json:
-            print(json.dumps(document(args, aircraft, scenario, flown), indent=2))
+            print(json.dumps(document(args, aircraft, scenario, thrust, flown), indent=2))
         else:
-            print_flight(title, note, flown)
+            print_flight(title, note, flown, verdict)
     return exit_code(args, flown[0].report)
 
 
@@ -210,18 +223,19 @@ def _check(args: argparse.Namespace) -> None:
                 raise NeuroflightError(f"--{option}: belongs to one flight; give one scenario")
 
 
-def _scenarios(args: argparse.Namespace) -> list[Scenario]:
+def _scenarios(args: argparse.Namespace, thrust: Thrust) -> list[Scenario]:
     """The scenarios, in the order of flight."""
     from sim.physics.world import Mount
     from sim.recorded.files import load_flight
 
     mount = None if args.mount is None else Mount(args.mount)
-    default_count = COUNT_BETAFLIGHT if args.on == "betaflight" else COUNT
-    count = default_count if args.count is None else args.count
+    throttle = thrust.value or 0.0
     taken, told = part(args), header_lines(args)
     scenarios = []
     for name in args.scenario:
-        scenario, warnings = load_flight(name, args.seed, count, mount, taken, told, cut=args.cut_rates)
+        scenario, warnings = load_flight(
+            name, args.seed, args.count, mount, taken, told, cut=args.cut_rates, throttle=throttle
+        )
         scenarios.append(scenario)
         for words in warnings:
             say(words)
@@ -240,7 +254,9 @@ def _scenarios(args: argparse.Namespace) -> list[Scenario]:
     return scenarios
 
 
-def _run_several(args: argparse.Namespace, aircraft: Aircraft, scenarios: list[Scenario]) -> int:
+def _run_several(
+    args: argparse.Namespace, aircraft: Aircraft, scenarios: list[Scenario], thrust: Thrust
+) -> int:
     """The firmware's flight of each, in one table."""
     tasks = [_task(args, aircraft, scenario) for scenario in scenarios]
     names = [scenario.name for scenario in scenarios]
@@ -256,11 +272,12 @@ def _run_several(args: argparse.Namespace, aircraft: Aircraft, scenarios: list[S
             flown = crew.results([show(name) for name in names])
     if args.json:
         documents = [
-            document(args, aircraft, scenario, [one]) for scenario, one in zip(scenarios, flown, strict=True)
+            document(args, aircraft, scenario, thrust, [one])
+            for scenario, one in zip(scenarios, flown, strict=True)
         ]
         print(json.dumps(documents, indent=2))
     else:
-        print_several(f"{aircraft.name}, seed {args.seed}", args, scenarios, flown)
+        print_several(f"{aircraft.name}, seed {args.seed}", args, scenarios, thrust, flown)
     return 0
 
 
@@ -329,6 +346,7 @@ def _fly(
     import numpy as np
 
     from sim.analysis.flight_report import Flight
+    from sim.analysis.holding import holding
     from sim.analysis.metrics import figures
     from sim.analysis.stick_flight import stick_figures
     from sim.flight.esc_record import EscRecord
@@ -388,7 +406,19 @@ def _fly(
         report = None if entry.report is None else entry.report(scenario.duration_s)
         refused = None if entry.refused is None else entry.refused()
     progress(1.0)
-    flight = Flight(entry.name, trace, figures(trace, scenario.episodes(), entry.idle, entry.mix))
+    hover = round(scenario.hover_s * entry.port.control_rate_hz)
+    before, held = len(trace.t) - hover, None
+    if hover:
+        count, step_s = scenario.episodes(), 1.0 / entry.port.control_rate_hz
+        held = holding(trace.setpoint[None], trace.rate[None], step_s, count, before)
+    name = entry.flies(scenario)
+    flight = Flight(
+        f"{name}, then PID" if refused else name,
+        trace,
+        figures(trace.first(before), scenario.episodes(), entry.idle, entry.mix),
+        held,
+        hover,
+    )
     by_eye = stick_figures(scenario, motion, entry.port.control_rate_hz) if scenario.by_eye else None
     topics = esc.topics if asks_telemetry(args) else None
     return Flown(flight, report, log, by_eye, topics, refused.name if refused else None)

@@ -13,6 +13,7 @@ from cli.sim.fly_telemetry import telemetry_document
 
 if TYPE_CHECKING:
     from cli.sim.fly_telemetry import Topics
+    from cli.sim.fly_thrust import Thrust
     from sim.aircraft.model import Aircraft
     from sim.analysis.flight_report import Flight
     from sim.analysis.stick_flight import StickFigures
@@ -41,9 +42,13 @@ class Flown:
     refused: str | None = None  # why the policy had to leave the flight to the PID
 
 
-def conditions(args: argparse.Namespace, scenario: Scenario, refused: str | None = None) -> list[str]:
+def conditions(
+    args: argparse.Namespace, scenario: Scenario, thrust: Thrust, refused: str | None = None
+) -> list[str]:
     """The conditions of the flight, in words. refused: why the policy was, if it was."""
     words = [f"{scenario.duration_s:g} s", f"mount {scenario.mount.value}", f"gyro {args.gyro_hz} Hz"]
+    if thrust.value is not None:
+        words.append(f"throttle {thrust.value:g}{', which holds the weight' if thrust.holds else ''}")
     if args.battery is not None:
         words.append(f"battery charged to {100 * args.battery:g} %")
     if any(args.wind):
@@ -62,14 +67,20 @@ def conditions(args: argparse.Namespace, scenario: Scenario, refused: str | None
 
 def refusal(cause: str) -> str:
     """What flew where the policy was refused for that cause, in words."""
-    return f"its policy until that was REFUSED ({cause.lower().replace('_', ' ')}), then its PID"
+    return f"its policy until that was REFUSED ({_cause(cause)}), then its PID"
+
+
+def _cause(name: str) -> str:
+    """Return a FallbackCause in words."""
+    return name.lower().replace("_", " ")
 
 
 def document(
-    args: argparse.Namespace, aircraft: Aircraft, scenario: Scenario, flown: list[Flown]
+    args: argparse.Namespace, aircraft: Aircraft, scenario: Scenario, thrust: Thrust, flown: list[Flown]
 ) -> dict[str, Any]:
     """The JSON document of one scenario."""
     from cli.output import plain
+    from sim.flight.scenario import AT_THROTTLE
 
     report, log = flown[0].report, flown[0].log
     return {
@@ -80,6 +91,8 @@ def document(
         "seed": args.seed,
         "episodes": scenario.episodes(),
         "duration_s": scenario.duration_s,
+        "throttle": thrust.value if scenario.name in AT_THROTTLE else None,
+        "verdict": sentence(scenario, thrust, flown),
         "mount": scenario.mount.value,
         "gyro_rate_hz": args.gyro_hz,
         "battery": args.battery,
@@ -100,7 +113,45 @@ def document(
 
 def _flight_document(one: Flown) -> dict[str, Any]:
     by_eye = {} if one.sticks is None else {"sticks": asdict(one.sticks)}
-    return {**asdict(one.flight.figures), "armed": one.flight.armed, **by_eye, **telemetry_document(one.esc)}
+    held = {} if one.flight.holding is None else {"holding": asdict(one.flight.holding)}
+    return {
+        "controller": one.flight.name,
+        **asdict(one.flight.figures),
+        "armed": one.flight.armed,
+        **held,
+        **by_eye,
+        **telemetry_document(one.esc),
+    }
+
+
+def sentence(scenario: Scenario, thrust: Thrust, flown: list[Flown]) -> str:
+    """Return the verdict on the firmware's flight, beside the PID's if there is one."""
+    from sim.analysis.flight_verdict import verdict
+
+    first, *others = flown
+    beside = others[0].flight if others else None
+    return verdict(_commanded(scenario, thrust), first.flight, beside, _told(first))
+
+
+def _commanded(scenario: Scenario, thrust: Thrust) -> str:
+    """Return what was flown, in words."""
+    from sim.flight.scenario import AT_THROTTLE
+
+    where = thrust.where if scenario.name in AT_THROTTLE else ""
+    if scenario.episode_s is None:
+        return f"the scenario {scenario.name}{where}"
+    count = scenario.episodes()
+    return f"{count} command{'' if count == 1 else 's'}{where}"
+
+
+def _told(one: Flown) -> list[str]:
+    """Return the faults that are known otherwise than by its trace."""
+    told = []
+    if one.refused is not None:
+        told.append(f"was REFUSED in flight ({_cause(one.refused)}), and the PID flew on")
+    if one.sticks is not None and not one.sticks.landed:
+        told.append("did not come to stand upright on the ground")
+    return told
 
 
 def _stick_rows(flown: list[Flown]) -> list[tuple[str, ...]]:
@@ -115,8 +166,8 @@ def _stick_rows(flown: list[Flown]) -> list[tuple[str, ...]]:
     return [*rows, ("stands at the end", *("yes" if each.landed else "no" for each in all_figures))]
 
 
-def print_flight(title: str, note: str, flown: list[Flown]) -> None:
-    """A column a flight, and the emulated board's report of the first."""
+def print_flight(title: str, note: str, flown: list[Flown], verdict: str) -> None:
+    """A column a flight, the emulated board's report of the first, and the verdict on it."""
     from sim.analysis.flight_report import table
 
     report = flown[0].report
@@ -125,12 +176,15 @@ def print_flight(title: str, note: str, flown: list[Flown]) -> None:
         print_table("", by_eye)
     if rows := [*log_rows(flown[0].log), *([] if report is None else emulator_rows(report))]:
         print_table("", [("", ""), *rows], "", left=True)
+    print(f"\n{verdict}")
 
 
 def print_several(
-    title: str, args: argparse.Namespace, scenarios: list[Scenario], flown: list[Flown]
+    title: str, args: argparse.Namespace, scenarios: list[Scenario], thrust: Thrust, flown: list[Flown]
 ) -> None:
-    """A row a flight, and the part of the emulated board's report that all share."""
+    """A row a flight, the part of the emulated board's report that all share, and the verdict."""
+    from sim.analysis.flight_verdict import verdict_of_several
+
     report = flown[0].report
     headings = EMULATOR_HEADINGS if report else ("armed",)
     rows: list[tuple[str, ...]] = [("", "length", "MAE, deg/s", *headings)]
@@ -139,10 +193,12 @@ def print_several(
         armed = (f"{100 * one.flight.armed:.1f} %",)
         told = armed if one.report is None else emulator_cells(one.report)
         rows.append((scenario.name, f"{scenario.duration_s:g} s", mae, *told))
-    words = ", ".join(conditions(args, scenarios[0])[2:])
+    words = ", ".join(conditions(args, scenarios[0], thrust)[2:])
     for scenario, one in zip(scenarios, flown, strict=True):
         if one.refused is not None:
             words += f"\n{scenario.name}: {refusal(one.refused)}"
     if report is not None:
         words += f"\nflown was the file to be flashed, {report.image}\nsha256 {report.sha256}"
     print_table(title, rows, words)
+    flights = [(each.name, one.flight, _told(one)) for each, one in zip(scenarios, flown, strict=True)]
+    print(f"\n{verdict_of_several(flights)}")

@@ -18,6 +18,7 @@ from toolchain.errors import NeuroflightError
 
 if TYPE_CHECKING:
     from sim.aircraft.model import Aircraft
+    from sim.flight.scenario import Scenario
     from sim.ports.betaflight.build import Betaflight
     from sim.ports.emulator_report import EmulatedReport
     from sim.ports.port import FirmwarePort
@@ -34,7 +35,7 @@ BETAFLIGHT, BOARD = BUILD.with_name("BETAFLIGHT"), BUILD.with_name("MATEKF722")
 class Entry:
     """A firmware or controller behind its port, freshly booted."""
 
-    name: str
+    name: str  # of its policy, or of the only controller that it has
     port: FirmwarePort
     idle: float  # motor fraction of its armed motors at zero thrust
     mix: Mix | None  # of its outputs and the throttle; None: by another rule than ours
@@ -44,6 +45,14 @@ class Entry:
     ends: ExitStack = field(default_factory=ExitStack)  # what is attached to its port
     log: FlightLog | None = None  # of its flight, which is kept
     refused: Callable[[], FallbackCause] | None = None  # why its policy was; None: it has none
+    pid: str | None = None  # of the PID that its switch chooses; None: it has no switch
+
+    def flies(self, scenario: Scenario) -> str:
+        """Return the name of what the pilot's switch chooses in this flight."""
+        by_pid = [segment.pid for segment in scenario.segments]
+        if self.pid is None or not any(by_pid):
+            return self.name
+        return self.pid if all(by_pid) else f"{self.name} and PID"
 
     def close(self) -> None:
         """End it."""
@@ -130,11 +139,21 @@ def _open_firmware(args: argparse.Namespace, aircraft: Aircraft, log: FlightLog 
         if isinstance(port, ReferencePort):
             log.source = port.reference.blackbox
     try:
+        policy, pid = _names(product)
         motors = built_motors(product, pid=args.controller == "pid")
-        return Entry("firmware", port, motors.idle, motors.mix, log=log, refused=port.refused)
+        return Entry(policy, port, motors.idle, motors.mix, log=log, refused=port.refused, pid=pid)
     except NeuroflightError:
         port.close()
         raise
+
+
+def _names(product: Path) -> tuple[str, str]:
+    """Return the names of the policy and of the PID in `product`, a file of a build."""
+    from toolchain.image.report import built
+    from toolchain.policy.label import policy_label
+
+    found = built(product)
+    return policy_label(found.policy_file), f"firmware's PID {found.pid}"
 
 
 def open_pid(args: argparse.Namespace, aircraft: Aircraft, control_rate_hz: int) -> Entry:
@@ -152,7 +171,8 @@ def open_pid(args: argparse.Namespace, aircraft: Aircraft, control_rate_hz: int)
         mix=settings.mix,
         gyro_mean=settings.gyro_mean,
     )
-    return Entry("PID", port, settings.idle, settings.mix, kept=False)
+    name = f"PID {next(iter(dict(aircraft.pids)))}"
+    return Entry(name, port, settings.idle, settings.mix, kept=False)
 
 
 def quiet(args: argparse.Namespace) -> bool:
@@ -178,13 +198,14 @@ def _open_emulator(args: argparse.Namespace, settings: dict[str, float], log: Fl
                 save_profile(args.profile, port.board)
             return told
 
+        policy, pid = _names(image)
         motors = built_motors(image, pid=args.controller == "pid")
         undo.pop_all()
         if log is not None:
             log.told = port.logged
         told = partial(keep_profile, args, port.board)
         return Entry(
-            "firmware",
+            policy,
             port,
             motors.idle,
             motors.mix,
@@ -193,6 +214,7 @@ def _open_emulator(args: argparse.Namespace, settings: dict[str, float], log: Fl
             ends=ends,
             log=log,
             refused=port.refused,
+            pid=pid,
         )
 
 
@@ -231,4 +253,4 @@ def _open_betaflight(args: argparse.Namespace, aircraft: Aircraft) -> Entry:
 
     settings = aircraft_settings(aircraft)
     betaflight = build_betaflight(args.build or BETAFLIGHT, lambda _: None)
-    return Entry("Betaflight", BetaflightPort(betaflight, args.gyro_hz, settings), IDLE, mix=None)
+    return Entry("Betaflight 4.6", BetaflightPort(betaflight, args.gyro_hz, settings), IDLE, mix=None)

@@ -1,4 +1,7 @@
-"""neuroflight tune-pid: PID gains for an aircraft, by Ziegler and Nichols' rules, then by CMA-ES."""
+"""neuroflight tune-pid: PID gains for an aircraft, by Ziegler and Nichols' rules, then by CMA-ES.
+
+Or, with `--of betaflight`, settings of Betaflight by the same search.
+"""
 
 from __future__ import annotations
 
@@ -9,18 +12,28 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cli.training.tune_pid_report import DISSERTATION, FLYING, TERMS, USUAL, comment, document, print_tables
+from cli.training.tune_pid_betaflight import check_betaflight, tune_betaflight_of
+from cli.training.tune_pid_report import (
+    BETAFLIGHT,
+    DISSERTATION,
+    FLYING,
+    SUBJECTS,
+    TERMS,
+    USUAL,
+    comment,
+    document,
+    print_tables,
+)
+from cli.training.tune_pid_search import Show, by_thrust, final_flights, flights_bar, search_bar
 from toolchain.errors import TrainingError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     import numpy as np
     from numpy.typing import NDArray
 
     from sim.aircraft.model import Aircraft, PidSettings
     from training.evaluation.evaluation import Evaluation, Flights
-    from training.pid_tuning.trial import Limits, Trial
+    from training.pid_tuning.trial import Limits
     from training.pid_tuning.tuning import Tuning
     from training.tasks.task import Task
 
@@ -30,6 +43,13 @@ BUDGET_MAX = 100_000
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
     parser.add_argument("--aircraft", default="nf1", metavar="NAME|FILE", help="shipped name or a .toml file")
+    parser.add_argument(
+        "--of",
+        choices=SUBJECTS,
+        default=SUBJECTS[0],
+        help="what is tuned: the PID that stands beside a policy, or Betaflight, so that `compare` can fly "
+        "one as a pilot would have it",
+    )
     parser.add_argument(
         "--terms",
         choices=TERMS,
@@ -45,14 +65,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--check",
         type=int,
         metavar="N",
-        help="unseen commands for the final figures; default: flying 50 at each thrust, dissertation 1000",
+        help="unseen commands for the final figures; default: 50 at each thrust, dissertation 1000",
     )
     parser.add_argument(
         "--max-change",
         type=float,
         metavar="DU",
-        help="mean |change| in 1 ms; flying: of a motor value, default 0.0045; dissertation: of an output, "
-        "0.012",
+        help="mean |change| in 1 ms of a motor value, default 0.0045; dissertation: of an output, 0.012",
     )
     parser.add_argument(
         "--max-output", type=float, metavar="U", help="dissertation: mean output, fraction above idle (0.12)"
@@ -65,12 +84,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "quarters of the weight",
     )
     parser.add_argument(
-        "--write", type=Path, metavar="FILE.toml", help="put the settings into a copy of the aircraft's file"
+        "--write",
+        type=Path,
+        metavar="FILE",
+        help="put the settings into a copy of the aircraft's file, FILE.toml; Betaflight's into FILE.txt, "
+        "for `betaflight:FILE.txt` and the command line of its app",
     )
     parser.add_argument(
         "--name", metavar="NAME", help="of the [pid.NAME] table that is written; default: flying, or tuned"
     )
     parser.add_argument("--plot", type=Path, metavar="FILE.png", help="draw responses and search")
+    parser.add_argument(
+        "--build", type=Path, metavar="DIR", help="Betaflight's build; default: build/BETAFLIGHT"
+    )
     parser.add_argument("--json", action="store_true", help="print JSON instead of tables")
 
 
@@ -86,6 +112,8 @@ def run(args: argparse.Namespace) -> int:
     from training.pid_tuning.tuning_plot import draw
 
     aircraft = load_aircraft(args.aircraft)
+    if args.of == BETAFLIGHT:
+        return tune_betaflight_of(args, aircraft)
     limits = _limits(args, aircraft)
     tuning = _tune(args, aircraft, limits)
     if tuning.interrupted:
@@ -125,9 +153,16 @@ def _check(args: argparse.Namespace) -> None:
     check_ranges(
         ("--seed", args.seed, 0, 2**32 - 1),
         ("--budget", args.budget, 1, BUDGET_MAX),
+        ("--max-change", args.max_change, 1e-4, 1.0),
+    )
+    if args.of == BETAFLIGHT:
+        check_betaflight(args)
+        return
+    if args.build is not None:
+        raise TrainingError("--build: of Betaflight; add --of betaflight")
+    check_ranges(
         ("--check", args.check, 1, COUNT_MAX),
         ("--max-output", args.max_output, 1e-3, 1.0),
-        ("--max-change", args.max_change, 1e-4, 1.0),
         ("--max-idle", args.max_idle, 0.0, IDLE_MAX),
     )
     if args.terms == FLYING and args.max_output is not None:
@@ -160,22 +195,12 @@ def _limits(args: argparse.Namespace, aircraft: Aircraft) -> Limits:
 
 
 def _tune(args: argparse.Namespace, aircraft: Aircraft, limits: Limits) -> Tuning:
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
-
     from training.pid_tuning.dissertation import DissertationTrials
     from training.pid_tuning.flying import FlyingTrials
     from training.pid_tuning.tuning import streams, tune
 
     draw, search = streams(args.seed)
-    columns = (TextColumn("{task.description:<44}"), BarColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task("ultimate gains", total=args.budget)
-
-        def show(flown: int, best: Trial) -> None:
-            figures = f"MAE {best.mae:.2f}  |Δu| {best.change:.4f}"
-            bar.update(task, completed=min(flown, args.budget), description=f"search  {figures}")
-
+    with search_bar(args.budget, "ultimate gains") as show:
         if args.terms == DISSERTATION:
             trials = DissertationTrials.of(aircraft, limits, args.seed, draw)
             return tune(trials, budget=args.budget, rng=search, progress=show)
@@ -198,63 +223,23 @@ def _fly_unseen(args: argparse.Namespace, aircraft: Aircraft, tuning: Tuning) ->
     By the dissertation's terms of the first rule and of the tuned settings, in pulses; by flying terms of
     the tuned settings at each thrust, in flights.
     """
-    import numpy as np
-    from rich.console import Console
-    from rich.progress import Progress
-
-    from sim.analysis.holding import DRIFT_S
     from training.evaluation.evaluation import figures
-    from training.pid_tuning.flying import LEVELS, PULSES, throttle_for
-    from training.tasks.flight import FlightTask
+    from training.pid_tuning.flying import LEVELS
     from training.tasks.task import PulseTask
 
     checked = {}
-    with Progress(console=Console(stderr=True), transient=True) as bar:
-
-        def progress(what: str) -> Callable[[int, int], None]:
-            task = bar.add_task(what)
-
-            def show(done: int, total: int) -> None:
-                bar.update(task, completed=done, total=total)
-
-            return show
-
-        best = tuning.best.settings
+    best = tuning.best.settings
+    with flights_bar() as bar:
         if args.terms == DISSERTATION:
             rule, first = next(iter(tuning.rules.items()))
             for name, settings in ((rule, first.settings), ("tuned", best)):
-                show = progress(f"{name}: {args.check} unseen commands")
+                show = bar(f"{name}: {args.check} unseen commands")
                 flown = _flights(args, aircraft, settings, PulseTask(), args.check, 0.0, show)
                 checked[name] = figures(flown)
             return checked
-        task, count = FlightTask(pulses=PULSES, hover_s=DRIFT_S).of_commands(args.check)
-        throttle = [throttle_for(aircraft, level, best.idle) for level in LEVELS]
-        show = progress(f"{args.check} unseen commands at each of {len(LEVELS)} thrusts")
-        levels = np.repeat(np.array(throttle, np.float32), count)
-        flown = _flights(args, aircraft, best, task, len(levels), levels, show)
-        for number, level in enumerate(LEVELS):
-            evaluation = figures(_some(flown, slice(number * count, (number + 1) * count)))
-            assert evaluation.motor_change is not None  # `record` keeps the motors
-            change = float(evaluation.motor_change.value)
-            checked[f"thrust {level:g}"] = replace(
-                evaluation, effort=replace(evaluation.effort, change=change)
-            )
-    return checked
-
-
-def _some(flights: Flights, episodes: slice) -> Flights:
-    """Return some of the episodes, with all that figures but those of power are made of."""
-    assert flights.motors is not None  # `record` keeps them
-    return replace(
-        flights,
-        setpoint=flights.setpoint[episodes],
-        rate=flights.rate[episodes],
-        output=flights.output[episodes],
-        motors=flights.motors[episodes],
-        lift=None,
-        power=None,
-        current=None,
-    )
+        task, levels = final_flights(aircraft, best.idle, args.check)
+        show = bar(f"{args.check} unseen commands at each of {len(LEVELS)} thrusts")
+        return by_thrust(_flights(args, aircraft, best, task, len(levels), levels, show))
 
 
 def _flights(
@@ -264,7 +249,7 @@ def _flights(
     task: Task,
     count: int,
     throttle: float | NDArray[np.float32],
-    progress: Callable[[int, int], None],
+    progress: Show,
 ) -> Flights:
     from sim.control.pid import Pid, mixer
     from training.evaluation.evaluation import record

@@ -12,12 +12,14 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
     from rich.console import Console
+    from rich.table import Table
 
     from sim.aircraft.model import Aircraft, PidSettings
     from training.evaluation.evaluation import Evaluation
     from training.pid_tuning.trial import Limits
     from training.pid_tuning.tuning import Tuning
 
+PID, BETAFLIGHT = SUBJECTS = ("pid", "betaflight")
 FLYING, DISSERTATION = TERMS = ("flying", "dissertation")
 # Defaults that decide what is found; a command is told without them.
 USUAL: dict[str, object] = {"terms": FLYING, "budget": 720}
@@ -34,16 +36,24 @@ def comment(args: argparse.Namespace, checked: dict[str, Evaluation]) -> str:
             f"{evaluation.tracking.mse.mean():.0f}, mean output {effort.output:.3f}, mean change in 1 ms "
             f"{effort.change:.4f}."
         )
+    return f"{found}{flights_told(args, checked)}\n{figures_told(checked)}"
+
+
+def flights_told(args: argparse.Namespace, checked: dict[str, Evaluation]) -> str:
+    """Return what the figures at several thrusts are of."""
+    thrusts = ", ".join(name.removeprefix("thrust ") for name in checked)
+    what = f"{args.check:,} unseen commands each, five in a flight and then a hover"
+    return f"{what}, at {thrusts} times the weight:"
+
+
+def figures_told(checked: dict[str, Evaluation]) -> str:
+    """Return the figures at several thrusts, in a sentence."""
     mae, mse = (
         ", ".join(f"{getattr(item.tracking, name).mean():.{digits}f}" for item in checked.values())
         for name, digits in (("mae", 2), ("mse", 0))
     )
     change = max(item.effort.change for item in checked.values())
-    return (
-        f"{found}{args.check:,} unseen commands each, five in a flight and then a hover, at "
-        f"{', '.join(name.removeprefix('thrust ') for name in checked)} times the weight:\n"
-        f"MAE {mae} deg/s, MSE {mse}; mean change of the motor values in 1 ms at most {change:.4f}."
-    )
+    return f"MAE {mae} deg/s, MSE {mse}; mean change of the motor values in 1 ms at most {change:.4f}."
 
 
 def command(args: argparse.Namespace) -> str:
@@ -52,6 +62,7 @@ def command(args: argparse.Namespace) -> str:
     usual_name = "flying" if args.terms == FLYING else "tuned"
     return command_line(
         "tune-pid",
+        of=None if args.of == PID else args.of,
         aircraft=Path(args.aircraft).name,
         seed=args.seed,
         **given,
@@ -69,7 +80,8 @@ def _settings(settings: PidSettings) -> dict[str, Any]:
     return {"idle": settings.idle, "derivative_cutoff_hz": settings.derivative_cutoff_hz, **gains}
 
 
-def _figures(evaluation: Evaluation) -> dict[str, Any]:
+def figures_document(evaluation: Evaluation) -> dict[str, Any]:
+    """Return the figures as JSON data."""
     return {
         "mae": list(evaluation.tracking.mae),
         "mse": list(evaluation.tracking.mse),
@@ -107,7 +119,7 @@ def document(
         "rules": {rule: _settings(trial.settings) for rule, trial in tuning.rules.items()},
         "settings": _settings(tuning.best.settings),
         "unseen": args.check,
-        "figures": {name: _figures(evaluation) for name, evaluation in checked.items()},
+        "figures": {name: figures_document(evaluation) for name, evaluation in checked.items()},
     }
 
 
@@ -138,12 +150,8 @@ def print_tables(
     table = Table(title=f"{args.check:,} unseen {what}, seed {args.seed}", title_justify="left")
     for heading in ("", *checked):
         table.add_column(heading, justify="right" if heading else "left")
-    errors = [evaluation.tracking for evaluation in checked.values()]
+    add_errors(table, checked)
     efforts = [evaluation.effort for evaluation in checked.values()]
-    table.add_row("MAE, deg/s", *(_each(item.mae, 2) for item in errors))
-    table.add_row("  average", *(f"{item.mae.mean():.2f}" for item in errors))
-    table.add_row("MSE, (deg/s)²", *(_each(item.mse, 0) for item in errors))
-    table.add_row("  average", *(f"{item.mse.mean():,.0f}" for item in errors))
     if args.terms == DISSERTATION:
         table.add_row("mean output ū", *(f"{item.output:.3f}" for item in efforts))
     of = "" if args.terms == DISSERTATION else " of the motor values"
@@ -151,6 +159,15 @@ def print_tables(
     console.print(table)
     if args.write:
         console.print(f"[pid.{args.name}] is in {args.write}", markup=False, highlight=False)
+
+
+def add_errors(table: Table, checked: dict[str, Evaluation]) -> None:
+    """Add the rows of errors, a column for each evaluation."""
+    errors = [evaluation.tracking for evaluation in checked.values()]
+    table.add_row("MAE, deg/s", *(_each(item.mae, 2) for item in errors))
+    table.add_row("  average", *(f"{item.mae.mean():.2f}" for item in errors))
+    table.add_row("MSE, (deg/s)²", *(_each(item.mse, 0) for item in errors))
+    table.add_row("  average", *(f"{item.mse.mean():,.0f}" for item in errors))
 
 
 def _each(values: NDArray[np.float64], digits: int) -> str:

@@ -46,6 +46,7 @@ def mean_of(values: Array, valid: NDArray[np.bool_], each: int = 1) -> Mean:
     freedom = np.maximum(flights - 1, 1)
     share = flights / some  # of a flight in its sum
     margin = student(freedom) * np.sqrt((residual**2).sum(axis=0) / freedom / flights) * share
+    margin = np.where(flights > 1, margin, 0.0)  # else what rounding leaves of it
     return Mean(mean, mean - margin, mean + margin, count.astype(np.int64))
 
 

@@ -15,6 +15,7 @@ from matplotlib.ticker import ScalarFormatter
 from numpy.typing import NDArray
 
 from sim.analysis.confidence import Mean
+from sim.analysis.holding import DRIFT_S, Holding
 from sim.analysis.metrics import Figures
 from sim.analysis.response import ResponseFigures
 from sim.flight.trace import Trace
@@ -49,9 +50,11 @@ td { font-variant-numeric: tabular-nums }
 class Flight:
     """A flown scenario: trace and figures."""
 
-    name: str  # of what flew: "firmware", "PID"
+    name: str  # of the controller that flew: "policy nf1", "PID flying"
     trace: Trace
-    figures: Figures
+    figures: Figures  # of the time before its hover
+    holding: Holding | None = None  # of a flight that ends in a hover
+    hover_rows: int = 0  # the rows of that
 
     @property
     def armed(self) -> float:
@@ -71,6 +74,8 @@ def table(flights: Sequence[Flight]) -> list[tuple[str, ...]]:
     add("  mean of the axes", [f"{item.mae.mean():.2f}" for item in tracking])
     add("  against the gyro", [_axes(flight.figures.gyro_mae, 2) for flight in flights])
     add("MSE, (deg/s)²", [_axes(item.mse, 0) for item in tracking])
+    if all(flight.holding for flight in flights):
+        _add_holding(add, [flight.holding for flight in flights if flight.holding])
     add("IAE", [_axes(item.iae, 0) for item in tracking])
     add("ISE", [_axes(item.ise, 0) for item in tracking])
     add("ITAE", [_axes(item.itae, 0) for item in tracking])
@@ -81,6 +86,13 @@ def table(flights: Sequence[Flight]) -> list[tuple[str, ...]]:
         _add_response(add, [flight.figures.response for flight in flights])
     add("armed", [f"{100 * flight.armed:.1f} %" for flight in flights])
     return rows
+
+
+def _add_holding(add: Callable[[str, Sequence[str]], None], held: Sequence[Holding]) -> None:
+    """Rows about centred sticks: early in the flight, and in the hover at its end."""
+    add("rest early, deg/s", [_axes(each.early[0], 2) for each in held])
+    add("rest late, deg/s", [_axes(each.hover[0], 2) for each in held])
+    add(f"drift in {DRIFT_S:g} s, deg", [_axes(each.drift[0], 1) for each in held])
 
 
 def _add_response(

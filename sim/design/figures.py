@@ -88,6 +88,15 @@ def aircraft_figures(aircraft: Aircraft) -> Figures:
     )
 
 
+def hover_throttle(aircraft: Aircraft, idle: float) -> float | None:
+    """The pilot's throttle that holds the weight, on the bench supply, behind motors that idle at `idle`.
+
+    None: the aircraft cannot hover. The mixer adds throttle above the idle, to all motors alike.
+    """
+    hover = aircraft_figures(aircraft).hover
+    return None if hover is None else float(np.clip((hover.throttle.mean() - idle) / (1.0 - idle), 0.0, 1.0))
+
+
 def thrust_map(aircraft: Aircraft, ratio: Array) -> Array:
     """Thrust and moments of a newton of each rotor: thrust, roll, pitch, yaw, (4, M).
 

@@ -38,7 +38,8 @@ COMMAND_SIGMA_DEG_S = 100.0  # Koch 2019, ch. 5: training and test commands from
 PULSE_IDLE_S, PULSE_HOLD_S, PULSE_REST_S = 0.5, 2.0, 2.0  # Koch 2019, ch. 5
 PULSE_S = PULSE_IDLE_S + PULSE_HOLD_S + PULSE_REST_S
 TURN_DEG_S = 720.0  # rate of the acrobatic figures: a full turn in half a second
-TURNS_THROTTLE = 0.3  # about that of a hover
+HOVER_S = 15.0  # of centred sticks at the end of `flight`
+COMMANDS = 10  # of `flight` and `pulses`
 FILE_BYTES_MAX = 1 << 20
 SEGMENTS_MAX = 10_000
 SEGMENT_S_MIN, SEGMENT_S_MAX = 0.001, 3600.0  # one control step at 1 kHz to an hour
@@ -65,6 +66,7 @@ class Scenario:
     segments: tuple[Segment, ...]
     mount: Mount = Mount.CENTRE
     episode_s: float | None = None  # length of each of its equal episodes; None: the whole is one
+    hover_s: float = 0.0  # of centred sticks at its end, behind the episodes; 0: none
 
     def under_pid(self) -> Scenario:
         """The same flight with the pilot's switch at the PID."""
@@ -107,35 +109,47 @@ class Scenario:
 
     def episodes(self) -> int:
         """Number of equal episodes that the figures are averaged over."""
-        return 1 if self.episode_s is None else round(self.duration_s / self.episode_s)
+        return 1 if self.episode_s is None else round((self.duration_s - self.hover_s) / self.episode_s)
 
 
-def pulses(seed: int, count: int, name: str = "pulses") -> Scenario:
+def pulses(seed: int, count: int, name: str = "pulses", throttle: float = 0.0) -> Scenario:
     """`count` commands one after another: still, then a command drawn for each axis, then still again."""
     rng = np.random.default_rng(seed)
     drawn = rng.normal(0.0, COMMAND_SIGMA_DEG_S, (count, 3))
     segments: list[Segment] = []
     for roll, pitch, yaw in drawn.clip(-RATE_FULL_STICK_DEG_S, RATE_FULL_STICK_DEG_S).tolist():
-        segments += Segment(PULSE_IDLE_S), Segment(PULSE_HOLD_S, (roll, pitch, yaw)), Segment(PULSE_REST_S)
+        segments += (
+            Segment(PULSE_IDLE_S, throttle=throttle),
+            Segment(PULSE_HOLD_S, (roll, pitch, yaw), throttle),
+            Segment(PULSE_REST_S, throttle=throttle),
+        )
     return Scenario(name, tuple(segments), episode_s=PULSE_S)
 
 
-def turn(name: str, axis: int) -> Scenario:
+def flight(seed: int, count: int, throttle: float = 0.0) -> Scenario:
+    """The same commands, and then a hover, which shows whether the aircraft holds with centred sticks."""
+    commands = pulses(seed, count, "flight", throttle)
+    hover = Segment(HOVER_S, throttle=throttle)
+    return replace(commands, segments=(*commands.segments, hover), hover_s=HOVER_S)
+
+
+def turn(name: str, axis: int, throttle: float = 0.0) -> Scenario:
     """One full turn about `axis` and back to still."""
     rates = [0.0, 0.0, 0.0]
     rates[axis] = TURN_DEG_S
-    fast = Segment(360 / TURN_DEG_S, (rates[0], rates[1], rates[2]))
-    return Scenario(name, (Segment(PULSE_IDLE_S), fast, Segment(PULSE_IDLE_S)))
+    still = Segment(PULSE_IDLE_S, throttle=throttle)
+    fast = Segment(360 / TURN_DEG_S, (rates[0], rates[1], rates[2]), throttle)
+    return Scenario(name, (still, fast, still))
 
 
-def turns() -> Scenario:
+def turns(throttle: float = 0.0) -> Scenario:
     """Full turns about each axis, both ways, at TURN_DEG_S and at full stick, with a rest behind each."""
-    segments = [Segment(PULSE_IDLE_S, throttle=TURNS_THROTTLE)]
+    segments = [Segment(PULSE_IDLE_S, throttle=throttle)]
     for rate, axis, sign in product((TURN_DEG_S, float(RATE_FULL_STICK_DEG_S)), range(3), (1.0, -1.0)):
         rates = [0.0, 0.0, 0.0]
         rates[axis] = sign * rate
-        segments.append(Segment(360 / rate, (rates[0], rates[1], rates[2]), TURNS_THROTTLE))
-        segments.append(Segment(PULSE_IDLE_S, throttle=TURNS_THROTTLE))
+        segments.append(Segment(360 / rate, (rates[0], rates[1], rates[2]), throttle))
+        segments.append(Segment(PULSE_IDLE_S, throttle=throttle))
     return Scenario("turns", tuple(segments))
 
 
@@ -161,33 +175,48 @@ def freestyle(seed: int) -> Scenario:
     return Scenario("freestyle", tuple(segments))
 
 
-BUILDERS: dict[str, tuple[str, Callable[[int, int], Scenario]]] = {
-    "pulse": ("one command: 0.5 s still, 2 s held, 2 s still", lambda seed, _: pulses(seed, 1, "pulse")),
-    "pulses": ("commands like `pulse`'s, one after another (100 unless --count)", pulses),
-    "roll": ("a full turn to the right in half a second", lambda *_: turn("roll", 0)),
-    "flip": ("a full turn forward in half a second", lambda *_: turn("flip", 1)),
-    "turns": ("twelve full turns: each axis, both ways, at 720 and 1,000 deg/s", lambda *_: turns()),
+AT_THROTTLE: dict[str, tuple[str, Callable[[int, int, float], Scenario]]] = {  # that the pilot chooses
+    "flight": (f"{COMMANDS} commands one after another (unless --count), then a hover of 15 s", flight),
+    "pulse": (
+        "one command: 0.5 s still, 2 s held, 2 s still",
+        lambda seed, _, throttle: pulses(seed, 1, "pulse", throttle),
+    ),
+    "pulses": (
+        f"commands like `pulse`'s, one after another ({COMMANDS} unless --count)",
+        lambda seed, count, throttle: pulses(seed, count, throttle=throttle),
+    ),
+    "roll": ("a full turn to the right in half a second", lambda _, __, throttle: turn("roll", 0, throttle)),
+    "flip": ("a full turn forward in half a second", lambda _, __, throttle: turn("flip", 1, throttle)),
+    "turns": (
+        "twelve full turns: each axis, both ways, at 720 and 1,000 deg/s",
+        lambda _, __, throttle: turns(throttle),
+    ),
+}
+BUILDERS: dict[str, tuple[str, Callable[[int, int, float], Scenario]]] = {
+    **AT_THROTTLE,
     "sticks": (
         "take-off to landing by eye, in free flight: fly it with --ground",
         lambda *_: sticks_flight(),
     ),
     "freestyle": (
         "a minute of cruising and aerobatics, drawn from the seed",
-        lambda seed, _: freestyle(seed),
+        lambda seed, *_: freestyle(seed),
     ),
 }
 
 
-def load_scenario(name: str, seed: int, count: int = 100, mount: Mount | None = None) -> Scenario:
+def load_scenario(
+    name: str, seed: int, count: int = COMMANDS, mount: Mount | None = None, throttle: float = 0.0
+) -> Scenario:
     """A scenario by name, drawn from `seed`, or from the file at that path; `mount` overrides its own.
 
-    Raises ScenarioError naming what is unknown or malformed.
+    throttle: of those of AT_THROTTLE. Raises ScenarioError naming what is unknown or malformed.
     """
-    if count < 1 or count * 3 > SEGMENTS_MAX:
-        raise ScenarioError(f"count: got {count}, expected 1 to {SEGMENTS_MAX // 3} commands")
+    if count < 1 or count * 3 + 1 > SEGMENTS_MAX:
+        raise ScenarioError(f"count: got {count}, expected 1 to {(SEGMENTS_MAX - 1) // 3} commands")
     if seed < 0:
         raise ScenarioError(f"seed: got {seed}, expected 0 or more")
-    scenario = BUILDERS[name][1](seed, count) if name in BUILDERS else _read(Path(name))
+    scenario = BUILDERS[name][1](seed, count, throttle) if name in BUILDERS else _read(Path(name))
     return scenario if mount is None else replace(scenario, mount=mount)
 
 

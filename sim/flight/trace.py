@@ -65,6 +65,10 @@ class Trace:
         # Differences of even times vary in the last bit, and results with them: return one exact value.
         return first if abs(first - usual) < EVEN * usual else usual
 
+    def first(self, rows: int) -> Trace:
+        """The beginning of the flight."""
+        return Trace(**{name: getattr(self, name)[:rows] for name in COLUMNS})
+
     def by_gyro(self) -> Trace:
         """The flight as a log tells it: no true rate, the gyro stands in its place."""
         return replace(self, rate=self.gyro.astype(np.float64))

@@ -76,10 +76,11 @@ def load_flight(
     told: Mapping[str, str] | None = None,
     *,
     cut: bool = False,
+    throttle: float = 0.0,
 ) -> tuple[Scenario, tuple[str, ...]]:
     """Load a scenario by name or from its file, or recorded commands; return it with notes for the user.
 
-    part, told, cut: only for recorded commands, see `load_commands`.
+    part, told, cut: only for recorded commands, see `load_commands`; throttle: see `load_scenario`.
     Raises ScenarioError as `load_scenario` and `load_commands` do.
     """
     if not is_recording(name):
@@ -87,7 +88,7 @@ def load_flight(
             raise ScenarioError(
                 f"--from, --to, --header and --cut-rates: of recorded commands, got the scenario {name}"
             )
-        return load_scenario(name, seed, count, mount), ()
+        return load_scenario(name, seed, count, mount, throttle), ()
     commands = load_commands(Path(name), part, told, cut=cut)
     return commands.scenario(mount), commands.warnings()
 

@@ -6,12 +6,14 @@ import json
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from cli.main import main
 from cli.sim import fly_ports as command
 from sim.aircraft.model import FOLDER, load_aircraft
 from sim.control.pid_table import pid_table
+from sim.design.figures import aircraft_figures
 from sim.flight.trace import load_trace
 from tests.conftest import build_beside
 from tests.modelled_policy import modelled_policy
@@ -44,9 +46,10 @@ def test_it_prints_both_figures_and_writes_the_files_when_all_is_well(
     arguments = ["fly", "--on", port, "--scenario", short, "--gyro-hz", "2000"]
     assert main([*arguments, "--trace", str(trace), "--plot", str(plot), "--report", str(report)]) == 0
     out = capsys.readouterr().out
-    assert "firmware" in out
-    assert "PID" in out
+    heading = out.splitlines()[1]
+    assert heading.split("policy nf1")[1].strip() == "PID flying"
     assert "MAE, deg/s" in out
+    assert out.splitlines()[-1].startswith("Policy nf1 followed the scenario short with ")
     assert len(load_trace(trace).t) == 100
     assert plot.read_bytes().startswith(b"\x89PNG")
     assert "short" in report.read_text()
@@ -81,6 +84,8 @@ def test_it_flies_the_aircraft_of_the_build_and_says_that_its_policy_was_refused
         told = " ".join(capsys.readouterr().out.split())
         assert "mine: story" in told
         assert "its policy until that was REFUSED (wrong way), then its PID" in told
+        assert ", then PID PID flying MAE, deg/s" in told  # the columns
+        assert ", but it was REFUSED in flight (wrong way), and the PID flew on" in told
     own.unlink()
     assert main(["fly", "--on", "reference", "--scenario", str(story)]) == 1
     assert f"aircraft '{own}': no such file" in capsys.readouterr().err
@@ -123,6 +128,7 @@ def test_the_firmwares_pid_flies_as_the_pythons_when_the_pilot_chooses_it(
     document = json.loads(capsys.readouterr().out)
     assert document["controller"] == "pid"
     firmware, python = (document["flights"][name] for name in ("firmware", "PID"))
+    assert (firmware["controller"], python["controller"]) == ("firmware's PID flying", "PID flying")
     assert firmware["tracking"]["mae"] == pytest.approx(python["tracking"]["mae"], rel=0.02)
     assert firmware["effort"]["change"] == pytest.approx(python["effort"]["change"], rel=0.02)
     assert main(arguments) == 0
@@ -145,6 +151,8 @@ def test_the_firmwares_pid_flies_as_the_pythons_when_the_pilot_chooses_it(
         (["--battery", "1.5"], "--battery: got 1.5, expected a charge of 0 to 1"),
         (["--wind", "0", "-60", "0"], "--wind: got 0 -60 0, expected at most 50 m/s"),
         (["--gust", "nan"], "--gust: got nan, expected 0 to 50 m/s"),
+        (["--throttle", "1.5"], "--throttle: got 1.5, expected 0 to 1"),
+        (["--scenario", "freestyle", "--throttle", "0"], "freestyle has a throttle of its own; leave it out"),
         (["--ground"], "the aircraft hangs in mount centre, expected free; add --mount free"),
         (["--on", "betaflight", "--aircraft", "hexa"], "its 6 motors stand or turn otherwise"),
     ],
@@ -177,6 +185,37 @@ def test_it_says_how_to_build_when_nothing_is_built(
     assert main(["fly", "--trace", str(tmp_path / "a.npz")]) == 1
     assert "build it with `make host`" in capsys.readouterr().err
     assert not (tmp_path / "a.npz").exists()
+
+
+@pytest.mark.usefixtures("built")
+def test_a_flight_is_at_hover_unless_the_pilot_says_another_throttle(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    traces = {}
+    for name, words in {"hover": [], "closed": ["--throttle", "0"]}.items():
+        traces[name] = tmp_path / f"{name}.npz"
+        told = flown(capsys, "--count", "1", "--trace", str(traces[name]), *words)
+        assert (told["scenario"], told["duration_s"], told["episodes"]) == ("flight", 19.5, 1)
+        assert np.allclose(load_trace(traces[name]).throttle[100:], told["throttle"], atol=1e-3)
+        where = " at hover" if name == "hover" else " with the throttle closed"
+        assert told["verdict"].startswith(f"Policy nf1 followed 1 command{where} with ")
+        assert len(told["flights"]["firmware"]["holding"]["drift"][0]) == 3
+    assert told["throttle"] == 0.0
+    motors = load_trace(traces["hover"]).motors[-5000:].mean()
+    wanted = aircraft_figures(load_aircraft("nf1")).hover
+    assert wanted is not None and motors == pytest.approx(wanted.throttle.mean(), abs=0.01)
+
+
+@pytest.mark.usefixtures("built")
+def test_an_aircraft_that_cannot_hover_wants_a_throttle(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    heavy = tmp_path / "heavy.toml"
+    text = (FOLDER / "nf1.toml").read_text()
+    heavy.write_text(text.replace("mass_kg = 0.194", "mass_kg = 9.0"))
+    words = ["fly", "--on", "reference", "--aircraft", str(heavy), "--scenario", "pulse"]
+    assert main(words) == 1
+    assert "none holds the weight of nf1" in capsys.readouterr().err
 
 
 def flown(capsys: pytest.CaptureFixture[str], *arguments: str) -> dict[str, Any]:

@@ -336,11 +336,11 @@ def test_two_scenarios_are_a_row_each_when_given_together(fly: Command, tmp_path
 
 @pytest.mark.slow
 def test_the_image_flies_what_make_emulate_flies_and_disarms_each_time(fly: Command) -> None:
-    names = ["roll", "flip", "sim/scenarios/split_s.toml", "pulses"]
-    code, out, _ = fly("--scenario", *names, "--count", "14")
+    names = ["roll", "flip", "sim/scenarios/split_s.toml", "flight"]
+    code, out, _ = fly("--scenario", *names)
     assert code == 0
     flown = [line.split()[0] for line in out.splitlines() if "flown, disarmed" in line]
-    assert flown == ["roll", "flip", "split_s", "pulses"]
+    assert flown == ["roll", "flip", "split_s", "flight"]
     assert "sha256" in out
 
 

@@ -101,7 +101,7 @@ def test_the_figures_of_a_flight_are_told_when_the_room_ends_while_it_is_kept(
     host_program: Path, tmp_path: Path
 ) -> None:
     trace = tmp_path / "trace.npz"
-    words: list[str | Path] = ["fly", "--build", host_program.parent, "--trace", trace]
+    words: list[str | Path] = ["fly", "--scenario", "pulse", "--build", host_program.parent, "--trace", trace]
     done = command(*words, preexec_fn=no_large_files(100_000))
     assert one_line(done).startswith(f"neuroflight: {trace}: File too large; ")
     assert "MAE, deg/s" in done.stdout

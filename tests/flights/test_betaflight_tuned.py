@@ -95,12 +95,15 @@ def test_the_search_writes_settings_that_fly_beside_others(
     mine = tmp_path / "mine.toml"
     mine.write_text(Path("sim/aircraft/nf1.toml").read_text())
     found = tmp_path / "mine.betaflight.txt"
-    words = ["--aircraft", str(mine), "--commands", "2", "--budget", "12", "--check", "2", "--build"]
-    code = main(["tune-betaflight", *words, str(FOLDER), "--write", str(found), "--json"])
+    words = ["--aircraft", str(mine), "--budget", "12", "--check", "2", "--build"]
+    code = main(["tune-pid", "--of", "betaflight", *words, str(FOLDER), "--write", str(found), "--json"])
     told = json.loads(capsys.readouterr().out)
     assert code in (0, 1)  # a single generation need not beat the defaults
     assert told["candidates"] == 12
     assert found.exists() == bool(told["settings"])
+    assert set(told["figures"]) == {"defaults", "tuned"}
+    for each in told["figures"].values():
+        assert set(each) == {"thrust 0.36", "thrust 1", "thrust 2", "thrust 4"}
     if told["settings"]:
         assert dict(read_tune(found).settings) == {
             name: str(value) for name, value in told["settings"].items()

@@ -168,6 +168,7 @@ class Built:
     aircraft: AircraftFacts | None  # that it was built for; None: not known
     policy_motors: MotorFacts
     pid_motors: MotorFacts | None  # None: no PID is built in
+    pid: str | None = None  # its name in the aircraft's file
 
 
 def built(product: Path) -> Built:
@@ -192,6 +193,7 @@ def built(product: Path) -> Built:
             aircraft=None if aircraft is None else _aircraft(aircraft),
             policy_motors=MotorFacts(float(policy["idle"]), Mix.of(str(policy["mix"]))),
             pid_motors=None if pid is None else MotorFacts(float(pid["idle"]), Mix.of(str(pid["mix"]))),
+            pid=None if pid is None else str(pid["name"]),
         )
     except OSError as error:
         raise BuildError(f"cannot read {path} ({error.strerror}); build {product.name} anew") from error

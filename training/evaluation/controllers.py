@@ -18,6 +18,7 @@ from sim.physics.variation import Variation
 from sim.physics.world import Mount
 from toolchain.contract import Mix
 from toolchain.errors import PolicyError
+from toolchain.policy.label import policy_label
 from toolchain.policy.model import read_policy
 from training.evaluation.betaflight import BetaflightSpec, record_betaflight
 from training.evaluation.evaluation import Event, Flights, record
@@ -47,9 +48,7 @@ class ControllerSpec:
         """A short name for tables and plots."""
         if "pid" in self.facts:
             return f"PID {self.facts['pid']}"
-        path = Path(self.name)
-        which = path.parent.name if path.stem == "policy" and path.parent.name else path.stem
-        return f"policy {which}"
+        return policy_label(self.name)
 
 
 Contender = ControllerSpec | BetaflightSpec

@@ -2,7 +2,8 @@
 
 No bar knows an aircraft. Where physics gives a figure it is that; else it is a ratio to, or a distance from,
 the better of the references, its PID and Betaflight, which fly the same commands in the same aircraft.
-Whoever changes a bar or the course counts RULES of toolchain/policy/check_stamp.py up: no stamp holds then.
+Those that any flight can tell are in sim/analysis/limits.py, and the verdict of `fly` holds the same. Whoever
+changes a bar or the course counts RULES of toolchain/policy/check_stamp.py up: no stamp holds then.
 """
 
 from __future__ import annotations
@@ -11,21 +12,22 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
+from sim.analysis.limits import (
+    CHANGE,
+    DRIFT_DEG,
+    DRIFT_DEG_S,
+    GROWTH_DEG_S,
+    REST_CHANGE,
+    ROUGHER,
+    TRACKING,
+)
 from training.fitness.course import AXES, Leg, Turn
 from training.fitness.flying import Flown, LegFigures, TurnFigures
 
-TRACKING = 1.25  # times the better reference's error: ten commands tell errors to about a tenth
 VARIED = 1.5  # likewise of an aircraft that differs from its file: two of the references are tuned for others
-STICK_STEP_DEG_S = 2.0  # the least change of a command that a receiver's channel tells
-DRIFT_DEG_S = STICK_STEP_DEG_S / 2  # what no trim of the stick takes away, and no pilot need bear beyond it
-DRIFT_DEG = DRIFT_DEG_S * 10.0  # in the 10 s that are measured
-GROWTH_DEG_S = STICK_STEP_DEG_S / 4  # of the error at rest, from the flight's beginning to its end
 SINK = 0.5  # of the weight: with more lift than that and the throttle closed it falls with less than g / 2
 FULL = 0.9  # of the aircraft's lift at full throttle
 FALL = 0.05  # of the weight: lift that a larger throttle may take away
-CHANGE = 0.012  # of a motor's fraction in 1 ms: the most that `tune-pid` allows a PID of any aircraft
-REST_CHANGE = CHANGE / 2  # at rest, where only the gyro's noise moves the motors
-ROUGHER = 1.5  # times the rougher reference's change: gyros with more noise move every controller's motors
 SWING = 0.05  # of a motor's range, amplitude: CHANGE is that of a sine of 0.03 at 100 Hz, of 0.05 at 60 Hz
 HELD = 0.01  # of the commanded rate, beyond the better reference's error
 OVERSHOOT = 0.1  # of the command; a reference's if that is more

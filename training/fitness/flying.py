@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.analysis.holding import holding
-from sim.analysis.metrics import CHANGE_S
+from sim.analysis.swing import change, swing
 from sim.physics.world import Mount
 from toolchain.contract import GYRO_RATE_DEFAULT_HZ
 from training.evaluation.controllers import Conditions, Contender
@@ -31,7 +31,6 @@ from training.tasks.task import EpisodicTask
 Array = NDArray[np.float64]
 Axes = tuple[float, float, float]
 Progress = Callable[[float], None]  # the part that is done, 0 to 1
-SWING_HZ = (20.0, 200.0)  # above: no rotor follows; below: the way to a command itself
 HELD_S = 0.6  # the last part of a full turn, in which its rate is held
 BACK_S = 0.3  # the last part of the rest after it
 TILT_LAST_S = 0.5  # of the time on the ground, over which motors are averaged
@@ -191,27 +190,6 @@ def turn_figures(flights: Flights, task: TurnTask) -> tuple[TurnFigures, ...]:
             )
         )
     return tuple(found)
-
-
-def swing(motors: NDArray[np.float32], step_s: float) -> tuple[float, float]:
-    """Amplitude and main frequency [Hz] of what motors (T, M) do between 20 and 200 Hz.
-
-    The amplitude is that of a sine with the power of this band, mean over the motors; a Hann window keeps
-    what is slower out of it.
-    """
-    values = np.asarray(motors, np.float64)
-    window = np.hanning(len(values))[:, None]
-    spectrum = np.abs(np.fft.rfft((values - values.mean(axis=0)) * window, axis=0)) ** 2
-    frequency = np.fft.rfftfreq(len(values), step_s)
-    inside = (frequency >= SWING_HZ[0]) & (frequency <= SWING_HZ[1])
-    power = 2.0 * spectrum[inside].mean(axis=1) / (len(values) * float((window**2).sum()))
-    return float(np.sqrt(2.0 * power.sum())), float(frequency[inside][power.argmax()])
-
-
-def change(motors: NDArray[np.float32], step_s: float) -> float:
-    """Mean |change| of a motor's fraction in 1 ms, of motors (T, M)."""
-    samples = motors[:: max(1, round(CHANGE_S / step_s))]
-    return float(np.abs(np.diff(samples, axis=0)).mean(dtype=np.float64))
 
 
 def _axes(values: Array) -> Axes:

@@ -46,6 +46,8 @@ Array32 = NDArray[np.float32]
 Settings = Mapping[str, int]
 
 SPREAD = 0.3  # standard deviation of the search's first points
+COMMANDS = 12  # pulses that each candidate flies
+THROTTLE_MAX = 0.8  # of the pilot; that of a command is between 0 and this
 HUNDRED = 100.0  # a point's 1, of knobs that are searched as they are
 
 
@@ -100,14 +102,6 @@ SCALED = {  # defaults of Betaflight 4.6, as its `dump` says, and the knobs that
 
 
 @dataclass(frozen=True)
-class Limits:
-    """What a candidate flies under."""
-
-    change: float  # mean |change| of a motor value in 1 ms, fraction
-    throttle_max: float  # the pilot's greatest thrust; that of a command is between 0 and this
-
-
-@dataclass(frozen=True)
 class Trial:
     """Settings and their figures on the training commands; none: Betaflight's defaults."""
 
@@ -134,22 +128,22 @@ Progress = Callable[[int, Trial], None]  # candidates flown so far, and the best
 def tune_betaflight(
     built: Betaflight,
     aircraft: Aircraft,
-    limits: Limits,
+    change: float,
     *,
     seed: int,
-    commands: int,
     budget: int,
     progress: Progress,
 ) -> Tuning:
-    """Settings of least cost after about `budget` candidates (whole generations) of `commands` pulses each.
+    """Settings of least cost after about `budget` candidates (whole generations) of COMMANDS pulses each.
 
-    The same arguments give the same settings. An interruption (KeyboardInterrupt) ends the search and keeps
-    the best so far. Raises AircraftError if Betaflight cannot fly the aircraft, LinkError when one fails.
+    change: the most that a motor value may change in 1 ms on average, fraction. The same arguments give the
+    same settings. An interruption (KeyboardInterrupt) ends the search and keeps the best so far. Raises
+    AircraftError if Betaflight cannot fly the aircraft, LinkError when one fails.
     """
     draw, search, thrust = (np.random.default_rng(s) for s in np.random.SeedSequence([seed, 1]).spawn(3))
     unbiased = replace(aircraft, gyro=replace(aircraft.gyro, bias=0.0))
-    pulses, levels = training_commands(commands, draw), throttles(commands, limits.throttle_max, thrust)
-    flights = _Flights(built, unbiased, limits, seed, pulses, levels, held_commands())
+    pulses, levels = training_commands(COMMANDS, draw), throttles(COMMANDS, THROTTLE_MAX, thrust)
+    flights = _Flights(built, unbiased, change, seed, pulses, levels, held_commands())
     cma_es = CmaEs(start(), np.full(len(KNOBS), SPREAD), POPULATION, search)
     (defaults,) = flights.fly([{}])
     best = defaults
@@ -195,7 +189,7 @@ class _Flights:
 
     built: Betaflight
     aircraft: Aircraft
-    limits: Limits
+    change: float  # the limit
     seed: int  # of the gyro's noise
     commands: Array  # (n, 3) [rad/s], of the pulses
     throttle: Array32  # (n,), 0..1
@@ -203,7 +197,7 @@ class _Flights:
 
     def fly(self, candidates: Sequence[Settings]) -> list[Trial]:
         """Figures of each of the candidates. Large commands are flown at half of the greatest throttle."""
-        half = np.full(len(self.large), self.limits.throttle_max / 2, np.float32)
+        half = np.full(len(self.large), THROTTLE_MAX / 2, np.float32)
         throttle = np.concatenate([self.throttle, half])
         with self._armed(candidates) as armed:
             flown = record_betaflight(
@@ -238,7 +232,7 @@ class _Flights:
         assert pulsed.motors is not None
         mae = float(tracking(pulsed.setpoint, pulsed.rate, pulsed.step_s).mae.mean())
         change = effort(pulsed.motors, pulsed.step_s).change
-        excess = max(0.0, change / (MARGIN * self.limits.change) - 1.0)
+        excess = max(0.0, change / (MARGIN * self.change) - 1.0)
         end = round(EpisodicTask().hold_s / large.step_s)
         beyond = missed(replace(large, setpoint=large.setpoint[:, :end], rate=large.rate[:, :end]))
         return Trial(settings, mae, change, beyond, mae + PENALTY * (excess + beyond))

@@ -201,7 +201,9 @@ def _command(stored: Stored) -> str:
         return stored.text("command")
     words = ("on", "scenario", "aircraft")
     options = " ".join(f"--{word} {stored.text(word)}" for word in words)
-    return f"neuroflight fly {options} --count {stored.number('episodes'):g} --seed {stored.number('seed'):g}"
+    throttle = stored.number("throttle") if "throttle" in stored.document else 0.0  # older ones: closed
+    numbers = f"--count {stored.number('episodes'):g} --seed {stored.number('seed'):g}"
+    return f"neuroflight fly {options} --throttle {throttle:g} {numbers}"
 
 
 def _mean_mae(row: Row) -> float:

@@ -6,6 +6,7 @@ import argparse
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
+from cli.output import with_margin
 from cli.training.evaluation.contenders import BETAFLIGHT
 
 if TYPE_CHECKING:
@@ -58,7 +59,7 @@ def print_average(console: Console, found: dict[str, Any]) -> None:
         for heading, name, factor, digits in RESPONSE_ROWS:
             parts = (response[name][key] for key in ("value", "low", "high", "count"))
             cells = [
-                f"{factor * value:,.{digits}f} ± {factor * (high - low) / 2:,.{digits}f}" if count else "none"
+                with_margin(factor * value, factor * (high - low) / 2, digits) if count else "none"
                 for value, low, high, count in zip(*parts, strict=True)
             ]
             table.add_row(heading, *cells)

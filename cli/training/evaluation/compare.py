@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from cli.output import with_margin
 from cli.training.evaluation.average import average_document, check_average, print_average
 from cli.training.evaluation.conditions import (
     ONE_EPISODE,
@@ -310,12 +311,13 @@ def _interval(mean: Mean, factor: float, digits: int, axis: int | None = None) -
     if not count:
         return "none"
     value, margin = factor * float(value), factor * float(high - low) / 2
-    return f"{value:,.{digits}f} ± {margin:,.{digits}f}"
+    return with_margin(value, margin, digits)
 
 
 def _difference(mean: Mean, factor: float, digits: int) -> str:
     from training.evaluation.comparison import significant
 
-    mark = "" if significant(mean) or not mean.count else "≈ "
+    known = significant(mean) and bool(mean.low < mean.high)  # a single flight has no interval
+    mark = "" if known or not mean.count else "≈ "
     sign = "+" if mean.value > 0 else ""
     return f"{mark}{sign}{_interval(mean, factor, digits)}"

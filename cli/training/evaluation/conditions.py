@@ -29,7 +29,7 @@ DELAY_MAX_S = 0.1
 IDLE_MAX = 0.5
 THROTTLES_MAX = 20
 CONTROLLERS_MAX = 8  # distinguishable colours, and columns that fit
-ONE_EPISODE = " One episode gives no confidence: its ± is 0."
+ONE_EPISODE = " A single flight gives no confidence, so no ± is told."
 
 
 def add_condition_arguments(parser: argparse.ArgumentParser, episodes: int) -> None:

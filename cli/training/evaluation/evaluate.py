@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, replace
 from typing import TYPE_CHECKING
 
+from cli.output import with_margin
 from cli.training.evaluation.conditions import (
     ONE_EPISODE,
     add_condition_arguments,
@@ -186,7 +187,7 @@ def _print(title: str, result: Evaluation, more: str) -> None:
     for name, values in asdict(result.tracking).items():
         digits = 2 if name == "mae" else 0
         cells = [
-            f"{_number(value, digits)} ± {_number(margin, digits)}"
+            _number(value, digits) + (f" ± {_number(margin, digits)}" if margin > 0.0 else "")
             for value, margin in zip(values, margins[name], strict=True)
         ]
         table.add_row(name.upper(), *cells, _number(values.mean(), digits))
@@ -201,9 +202,9 @@ def _print(title: str, result: Evaluation, more: str) -> None:
         console.print(f"MAE by age, of {len(result.holding.mae.value)} equal parts before the hover: {aged}")
     effort, margin = result.effort, result.effort_margin
     console.print(
-        f"mean output ū {effort.output:.4f} ± {margin.output:.4f}, "
-        f"mean |Δu| in 1 ms {effort.change:.5f} ± {margin.change:.5f}, {_motors(result)}"
-        f"Sm {1e6 * result.smoothness:.1f}e-6 ± {1e6 * result.smoothness_margin:.1f}e-6, "
+        f"mean output ū {with_margin(effort.output, margin.output, 4)}, "
+        f"mean |Δu| in 1 ms {with_margin(effort.change, margin.change, 5)}, {_motors(result)}"
+        f"Sm {with_margin(1e6 * result.smoothness, 1e6 * result.smoothness_margin, 1)} x 1e-6, "
         f"worst MAE of a command and axis {result.worst_mae:.1f} deg/s"
     )
     if result.mae_least and result.mse_least:
@@ -237,7 +238,7 @@ def _add_holding(table: Table, found: HoldingFigures) -> None:
         rows.append((heading, digits, mean.value, mean.low, mean.high, mean.count))
     for heading, digits, value, low, high, count in rows:
         cells = [
-            f"{value[axis]:.{digits}f} ± {(high - low)[axis] / 2:.{digits}f}" if count[axis] else "none"
+            with_margin(value[axis], (high - low)[axis] / 2, digits) if count[axis] else "none"
             for axis in range(3)
         ]
         table.add_row(heading, *cells, f"{value.mean():.{digits}f}" if count.all() else "none")
@@ -245,7 +246,9 @@ def _add_holding(table: Table, found: HoldingFigures) -> None:
 
 def _motors(result: Evaluation) -> str:
     change = result.motor_change
-    return "" if change is None else f"of motors {change.value:.5f} ± {change.high - change.value:.5f}, "
+    if change is None:
+        return ""
+    return f"of motors {with_margin(float(change.value), float(change.high - change.value), 5)}, "
 
 
 def _add_response(table: Table, result: Evaluation) -> None:
@@ -257,7 +260,7 @@ def _add_response(table: Table, result: Evaluation) -> None:
         for axis in range(3):
             value, low, high = (factor * part[axis] for part in (mean.value, mean.low, mean.high))
             known = mean.count[axis] > 0
-            cells.append(f"{value:.{digits}f} ± {(high - low) / 2:.{digits}f}" if known else "none")
+            cells.append(with_margin(value, (high - low) / 2, digits) if known else "none")
         some = mean.count > 0
         average = f"{factor * np.mean(mean.value[some]):.{digits}f}" if some.any() else "none"
         table.add_row(heading, *cells, average)

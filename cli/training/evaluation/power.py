@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from cli.output import with_margin
 from cli.training.evaluation.conditions import IDLE_MAX, THROTTLES_MAX, check_controllers, progress_bars
 from cli.training.evaluation.contenders import (
     CONTENDER,
@@ -163,4 +164,4 @@ def _row(name: str, drawn: Draw, mae: Mean | None = None) -> tuple[str, ...]:
 
 
 def _interval(mean: Mean, digits: int) -> str:
-    return f"{float(mean.value):,.{digits}f} ± {float(mean.high - mean.low) / 2:,.{digits}f}"
+    return with_margin(float(mean.value), float(mean.high - mean.low) / 2, digits)

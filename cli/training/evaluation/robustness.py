@@ -9,6 +9,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from cli.output import with_margin
 from cli.training.evaluation.conditions import MOUNTS, check_controllers, progress_bars
 from cli.training.evaluation.foreign import say_foreign
 from cli.training.evaluation.ranges import check_ranges
@@ -201,7 +202,7 @@ def _print(title: str, plan: Plan, results: Sequence[Robustness], console: Conso
         "nominal, MAE deg/s",
         "",
         *_paired(
-            [f"{each.mae.value:.2f} ± {each.mae.high - each.mae.value:.2f}" for each in first],
+            [with_margin(float(each.mae.value), float(each.mae.high - each.mae.value), 2) for each in first],
             first,
         ),
     )

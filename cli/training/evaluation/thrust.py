@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+from cli.output import with_margin
 from cli.training.evaluation.conditions import flight_document
 
 if TYPE_CHECKING:
@@ -190,10 +191,11 @@ def _interval(mean: Mean, digits: int, axis: int | tuple[()] = ()) -> str:
     """A mean and its margin; axis: the one of three."""
     if not mean.count[axis]:
         return "none"
-    return f"{float(mean.value[axis]):,.{digits}f} ± {float((mean.high - mean.low)[axis]) / 2:,.{digits}f}"
+    return with_margin(float(mean.value[axis]), float((mean.high - mean.low)[axis]) / 2, digits)
 
 
 def _difference(mean: Mean, digits: int) -> str:
     from training.evaluation.comparison import significant
 
-    return f"{'' if significant(mean) else '≈ '}{'+' if mean.value > 0 else ''}{_interval(mean, digits)}"
+    known = significant(mean) and bool(mean.low < mean.high)  # a single flight has no interval
+    return f"{'' if known else '≈ '}{'+' if mean.value > 0 else ''}{_interval(mean, digits)}"

@@ -74,8 +74,8 @@ def tune_path(which: str, aircraft: str) -> Path:
     path = aircraft_file(aircraft).with_suffix(SUFFIX)
     if not path.is_file():
         raise LinkError(
-            f"betaflight:{TUNED}: {path} does not exist; find it by `neuroflight tune-betaflight --aircraft "
-            f"{aircraft} --write {path.name}`"
+            f"betaflight:{TUNED}: {path} does not exist; find it by `neuroflight tune-pid --of betaflight "
+            f"--aircraft {aircraft} --write {path.name}`"
         )
     return path
 

@@ -67,3 +67,12 @@ def test_paired_difference_is_of_episodes_when_each_has_several() -> None:
     difference = paired(first, second)
     assert (float(difference.value), int(difference.count)) == (4.0, 3)
     assert difference.high - 4.0 == pytest.approx(4.303 * np.std([2, 5, 5], ddof=1) / np.sqrt(3))
+
+
+def test_a_single_flight_of_many_commands_has_no_width_at_all() -> None:
+    values = np.random.default_rng(4).normal(1.0, 0.3, 10)
+    alone = mean_of(values, np.full(10, fill_value=True), each=10)
+    assert alone.low == alone.value == alone.high  # not what rounding leaves
+    assert alone.count == 10
+    two = mean_of(np.tile(values, 2) + np.repeat([0.0, 0.1], 10), np.full(20, fill_value=True), each=10)
+    assert two.low < two.value < two.high

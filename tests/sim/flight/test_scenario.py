@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sim.control import sticks
-from sim.flight.scenario import Scenario, Segment, load_scenario, parse_scenario, pulses
+from sim.flight.scenario import AT_THROTTLE, Scenario, Segment, load_scenario, parse_scenario, pulses
 from sim.physics.world import Mount
 from toolchain.contract import CHANNEL_THROTTLE
 from toolchain.errors import ScenarioError
@@ -49,7 +49,7 @@ def test_pulses_follow_the_stated_distribution_when_many_are_drawn() -> None:
 
 
 def test_pulses_have_one_episode_each_when_counted() -> None:
-    assert load_scenario("pulses", seed=1).episodes() == 100
+    assert load_scenario("pulses", seed=1).episodes() == 10
     assert load_scenario("pulses", seed=1, count=3).episodes() == 3
     assert load_scenario("roll", seed=1).episodes() == 1
 
@@ -60,6 +60,20 @@ def test_a_turn_goes_once_around_when_flown_by_the_sticks(name: str, axis: int) 
     turned = np.rad2deg(sticks.setpoint(channels)).sum(axis=0) / 1000
     assert turned[axis] == pytest.approx(360, abs=0.1)
     assert np.delete(turned, axis).tolist() == [0, 0]
+
+
+def test_a_flight_is_the_commands_of_pulses_and_a_hover() -> None:
+    scenario, commands = load_scenario("flight", 4, 7), load_scenario("pulses", 4, 7)
+    assert scenario.segments[:-1] == commands.segments
+    hover = scenario.segments[-1]
+    assert (hover.duration_s, scenario.hover_s, hover.setpoint_deg_s) == (15.0, 15.0, (0.0, 0.0, 0.0))
+    assert (scenario.episodes(), commands.episodes()) == (7, 7)
+
+
+@pytest.mark.parametrize("name", AT_THROTTLE)
+def test_the_pilots_throttle_stays_where_he_says(name: str) -> None:
+    for throttle in (0.0, 0.4):
+        assert {s.throttle for s in load_scenario(name, 1, 3, throttle=throttle).segments} == {throttle}
 
 
 def test_turns_go_once_around_each_axis_both_ways_at_both_rates() -> None:

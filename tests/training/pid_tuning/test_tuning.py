@@ -209,6 +209,12 @@ def test_command_writes_a_pid_to_fly_when_it_is_told_nothing_but_the_aircraft(
         (["--write", "x.txt"], "x.txt: expected a name that ends in .toml"),
         (["--plot", "/dev/null/x.png"], "/dev/null/x.png: /dev/null is no directory"),
         (["--aircraft", "none"], "aircraft 'none': no such file"),
+        (["--build", "elsewhere"], "--build: of Betaflight; add --of betaflight"),
+        (["--of", "betaflight", "--terms", "dissertation"], "--terms dissertation: of a PID's search"),
+        (["--of", "betaflight", "--max-idle", "0.1"], "--max-idle: of a PID's search; leave it out"),
+        (["--of", "betaflight", "--write", "x.toml"], "x.toml: expected a name that ends in .txt"),
+        (["--of", "betaflight", "--check", "501"], "--check 501, expected 1 to 500"),
+        (["--of", "betaflight", "--max-change", "0"], "--max-change 0.0, expected 0.0001 to 1"),
     ],
 )
 def test_command_rejects_an_invalid_argument_in_one_line(

@@ -318,8 +318,9 @@ def test_rows_keep_the_order_of_files_when_there_are_several() -> None:
 
 
 def test_command_of_a_flight_is_made_from_its_conditions_when_it_stores_none() -> None:
-    assert "`neuroflight fly --on betaflight --scenario pulses --aircraft nf1 --count 10 --seed 7`" in page(
-        flown("firmware")
+    assert (
+        "`neuroflight fly --on betaflight --scenario pulses --aircraft nf1 --throttle 0 --count 10 --seed 7`"
+        in page(flown("firmware"))
     )
 
 

@@ -62,7 +62,7 @@ def test_a_list_without_a_header_is_taken_and_the_last_line_of_a_name_counts(tmp
 def test_what_a_search_writes_is_read_back(tmp_path: Path) -> None:
     settings = {"p_roll": 51, "tpa_rate": 40}
     path = tmp_path / "nf1.betaflight.txt"
-    path.write_text(tune_text(settings, ["Found by `neuroflight tune-betaflight`."]))
+    path.write_text(tune_text(settings, ["Found by `neuroflight tune-pid --of betaflight`."]))
     tune = read_tune(path)
     assert dict(tune.settings) == {name: str(value) for name, value in settings.items()}
     assert tune.name == "nf1"
@@ -89,7 +89,7 @@ def test_a_file_that_cannot_be_flown_is_refused_with_one_line(tmp_path: Path, te
 
 def test_tuned_lies_beside_the_aircrafts_file_or_the_command_that_finds_it_is_told(tmp_path: Path) -> None:
     mine = tmp_path / "mine.toml"
-    with pytest.raises(LinkError, match=r"tune-betaflight --aircraft .*mine\.toml --write mine"):
+    with pytest.raises(LinkError, match=r"tune-pid --of betaflight --aircraft .*mine\.toml --write mine"):
         tune_path("tuned", str(mine))
     beside = tmp_path / "mine.betaflight.txt"
     beside.write_text("set p_roll = 40\n")
