@@ -253,4 +253,5 @@ def _open_betaflight(args: argparse.Namespace, aircraft: Aircraft) -> Entry:
 
     settings = aircraft_settings(aircraft)
     betaflight = build_betaflight(args.build or BETAFLIGHT, lambda _: None)
-    return Entry("Betaflight 4.6", BetaflightPort(betaflight, args.gyro_hz, settings), IDLE, mix=None)
+    port = BetaflightPort(betaflight, args.gyro_hz, settings, motor_count=aircraft.motor_count)
+    return Entry("Betaflight 4.6", port, IDLE, mix=None)

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from cli.main import main
-from sim.aircraft.model import load_aircraft
+from sim.aircraft.model import Aircraft, load_aircraft
 from sim.control import sticks
 from sim.physics.imu import counts
 from sim.physics.twin import Twin
@@ -35,7 +35,7 @@ from training.tasks.flight import FlightTask
 from training.tasks.task import PulseTask, Setpoints
 
 FOLDER = Path(__file__).resolve().parents[2] / "build" / "tests" / "BETAFLIGHT"
-NF1 = load_aircraft("nf1")
+NF1, HEXA = load_aircraft("nf1"), load_aircraft("hexa")
 SHORT_S = 0.3
 
 
@@ -92,6 +92,16 @@ def test_an_episode_is_the_same_to_the_bit_when_flown_first_or_tenth_or_alone(
     assert end == pytest.approx([150.0, -80.0, 60.0], abs=12.0)
 
 
+def test_a_hexacopter_turns_as_commanded() -> None:
+    with ArmedBetaflight(build_betaflight(FOLDER, print), HEXA) as armed:
+        flown = Conditions(HEXA, SameTurn(1.5), 2, 1, noise=False).fly(BetaflightSpec(armed), 0.4)
+    end = np.rad2deg(flown.rate[:, -200:].mean(axis=1))
+    assert end == pytest.approx(np.tile([150.0, -80.0, 60.0], (2, 1)), abs=12.0)
+    assert flown.motors is not None
+    assert flown.motors.shape[2] == 6
+    assert (np.ptp(flown.motors, axis=1) > 0.02).all()  # the fifth and the sixth, too
+
+
 def test_noise_and_commands_are_those_of_the_seed(armed: ArmedBetaflight) -> None:
     flown = [
         Conditions(NF1, SameTurn(0.1), 2, seed).fly(BetaflightSpec(armed), 0.2).motors for seed in (1, 1, 2)
@@ -102,10 +112,11 @@ def test_noise_and_commands_are_those_of_the_seed(armed: ArmedBetaflight) -> Non
     assert not np.array_equal(flown[0][0], flown[0][1])
 
 
-def test_a_copy_answers_as_the_original_goes_on_when_both_see_the_same() -> None:
+@pytest.mark.parametrize("aircraft", [NF1, HEXA], ids=["nf1", "hexa"])
+def test_a_copy_answers_as_the_original_goes_on_when_both_see_the_same(aircraft: Aircraft) -> None:
     with (
-        ArmedBetaflight(build_betaflight(FOLDER, print), NF1) as own,
-        closing(Twin(NF1, 1, rate_hz=own.gyro_rate_hz, rng=np.random.default_rng(5))) as twin,
+        ArmedBetaflight(build_betaflight(FOLDER, print), aircraft) as own,
+        closing(Twin(aircraft, 1, rate_hz=own.gyro_rate_hz, rng=np.random.default_rng(5))) as twin,
         BetaflightFleet((own,), twin.live) as fleet,
     ):
         frame = sticks.channels(np.array([[90.0, -40.0, 20.0]]), np.array([0.3]), armed=True)

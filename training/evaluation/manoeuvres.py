@@ -82,7 +82,7 @@ def betaflight_contender(name: str, aircraft: Aircraft, built: Betaflight, tune:
     return Contender(
         name=name,
         label=betaflight_label(tune),
-        open=lambda: BetaflightPort(built, GYRO_RATE_DEFAULT_HZ, settings, tune),
+        open=lambda: BetaflightPort(built, GYRO_RATE_DEFAULT_HZ, settings, tune, aircraft.motor_count),
         idle=betaflight_idle(tune),
         facts=betaflight_facts(tune),
     )

@@ -29,7 +29,6 @@ from sim.ports.betaflight.build import Betaflight
 from sim.ports.betaflight.port import (
     AT_REST,
     FULL_US,
-    MOTOR_COUNT,
     STOP_US,
     TIME_MARGIN,
     WIRE_RATE_PER_COUNT,
@@ -75,7 +74,8 @@ class ArmedBetaflight:
         or arm.
         """
         self.tune = tune
-        self.port = BetaflightPort(betaflight, gyro_rate_hz, aircraft_settings(aircraft), tune)
+        settings = aircraft_settings(aircraft)
+        self.port = BetaflightPort(betaflight, gyro_rate_hz, settings, tune, aircraft.motor_count)
         try:
             self.samples = self._arm()
         except BaseException:
@@ -138,7 +138,7 @@ class BetaflightFleet:
         self._rate = first.gyro_rate_hz
         self._period_ns = 1_000_000_000 // self._rate
         self._samples = first.samples
-        self._widths = np.full((count, MOTOR_COUNT), STOP_US, np.float32)
+        self._widths = np.full((count, first.port.motor_count), STOP_US, np.float32)
         self._rates = np.zeros((count, 3))
         self._channels = np.zeros((count, CHANNEL_COUNT), np.uint16)
         self._heard = np.zeros(count, np.bool_)
@@ -153,6 +153,7 @@ class BetaflightFleet:
         rows |= {"velocity": live.velocity, "position": live.position}
         self._state = self._link.ffi.new("struct fleet *")
         self._state.count = count
+        self._state.motors = first.port.motor_count
         self._kept = {"sockets": self._link.ffi.from_buffer("int[]", self._sockets)}
         self._kept |= {
             name: self._link.ffi.from_buffer(_KINDS[values.dtype.name], values)

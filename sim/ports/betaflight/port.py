@@ -21,7 +21,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,10 +49,7 @@ from toolchain.contract import (
 )
 from toolchain.errors import AircraftError, LinkError
 
-MOTOR_COUNT = 4
 ROW_RATE_HZ = 1000  # of the trace; Betaflight's own loop is faster
-CORNERS = np.array([[-1, -1], [1, -1], [-1, 1], [1, 1]])  # signs of x and y of its motors 1 to 4
-SPINS = np.array([-1, 1, 1, -1])  # seen from above, +1 counter-clockwise; unless YAW_REVERSED
 IDLE = 0.055  # motor fraction of its armed motors at zero thrust: motor_idle = 550, its default
 SETTINGS = (
     "aux 0 0 0 1700 2100 0 0",  # the arm switch: channel 5
@@ -74,6 +71,23 @@ ARMING_REASONS = (  # in the order of their bits
     *("DSHOT_BITBANG", "ACC_CALIBRATION", "MOTOR_PROTOCOL", "CRASH_FLIP", "ALTITUDE_HOLD", "POSITION_HOLD"),
     "ARM_SWITCH",
 )
+CORNERS = ((-1, -1), (1, -1), (-1, 1), (1, 1))  # signs of x and y of the first four motors
+
+
+@dataclass(frozen=True)
+class Frame:
+    """Where motors stand and how they turn, of one of its mixers."""
+
+    settings: tuple[str, ...]  # that choose the mixer
+    signs: tuple[tuple[int, int], ...]  # of x and y, by motor
+    spins: tuple[int, ...]  # seen from above, +1 counter-clockwise; unless YAW_REVERSED
+
+
+FRAMES = {  # by the number of motors; the quad is its default
+    4: Frame((), CORNERS, (-1, 1, 1, -1)),
+    6: Frame(("mixer HEX6X",), (*CORNERS, (0, -1), (0, 1)), (1, 1, -1, -1, -1, 1)),
+}
+CENTRED_M = 1e-3  # a motor nearer to an axis than this stands on it
 YAW_REVERSED = "set yaw_motors_reversed = ON"
 PROMPT, CLI_ERROR = b"\n# ", b"###ERROR"
 CLI_ANSWER_S = 30.0  # real, for one line; on a busy machine it takes seconds
@@ -96,12 +110,14 @@ class BetaflightPort:
         gyro_rate_hz: int = GYRO_RATE_DEFAULT_HZ,
         settings: Sequence[str] = SETTINGS,
         tune: Tune | None = None,
+        motor_count: int = 4,
     ) -> None:
         """Start it, set it up over its command line and restart it. Raises LinkError.
 
-        settings: lines of its command line, laid over its defaults; tune: a pilot's, laid over them.
+        settings: lines of its command line, laid over its defaults; tune: a pilot's, laid over them;
+        motor_count: of the mixer that they leave it with.
         """
-        self.motor_count = MOTOR_COUNT
+        self.motor_count = motor_count
         self.gyro_rate_hz = gyro_rate_hz
         self.control_rate_hz = ROW_RATE_HZ
         self._divider = control_divider(gyro_rate_hz, ROW_RATE_HZ)
@@ -115,7 +131,7 @@ class BetaflightPort:
         self._bias = np.zeros(3, np.int32)  # counts
         self._hear(sticks.channels((0.0, 0.0, 0.0), 0.0, armed=False))
         self._packet = b""  # the last servo packet
-        self._dshot = np.zeros(MOTOR_COUNT, np.uint16)
+        self._dshot = np.zeros(motor_count, np.uint16)
         self._reply: Reply | None = None
 
     @property
@@ -135,7 +151,7 @@ class BetaflightPort:
         moved = False
         for packet in self._process.servo_packets():
             if packet != self._packet:
-                self._packet, self._dshot, moved = packet, dshot_values(packet), True
+                self._packet, self._dshot, moved = packet, dshot_values(packet, self.motor_count), True
         step, after = divmod(self._samples, self._divider)
         self._samples += 1
         if after == 0 or self._reply is None:
@@ -184,15 +200,18 @@ class BetaflightPort:
 
 
 def aircraft_settings(aircraft: Aircraft) -> tuple[str, ...]:
-    """SETTINGS and what the aircraft's motors need. Raises AircraftError unless it is a quad in X."""
-    corners, spins = np.sign(aircraft.rotor_positions[:, :2]), np.array(aircraft.spins)
-    if not np.array_equal(corners, CORNERS) or abs(spins @ SPINS) != MOTOR_COUNT:
+    """SETTINGS and what the aircraft's motors need. Raises AircraftError unless one of FRAMES is its own."""
+    places = aircraft.rotor_positions[:, :2]
+    signs = np.sign(np.where(np.abs(places) < CENTRED_M, 0.0, places))
+    frame = FRAMES.get(aircraft.motor_count)
+    turned = 0 if frame is None else int(np.dot(aircraft.spins, frame.spins))
+    if frame is None or not np.array_equal(signs, frame.signs) or abs(turned) != aircraft.motor_count:
         raise AircraftError(
             f"aircraft {aircraft.name}: its {aircraft.motor_count} motors stand or turn otherwise than "
             "Betaflight's quad in X (1 rear right, 2 front right, 3 rear left, 4 front left, neighbours in "
-            "opposite senses); fly it on another port"
+            "opposite senses) or hexacopter in X (also 5 right, 6 left); fly it on another port"
         )
-    return SETTINGS if spins @ SPINS > 0 else (*SETTINGS, YAW_REVERSED)
+    return (*SETTINGS, *frame.settings, *(() if turned > 0 else (YAW_REVERSED,)))
 
 
 def configured(process: BetaflightProcess, settings: Sequence[str], tune: Tune | None = None) -> bytes:
@@ -226,13 +245,13 @@ def _wire_rate(count: int) -> float:
     return math.copysign(abs(count) + 0.5, count) * WIRE_RATE_PER_COUNT if count else 0.0
 
 
-def dshot_values(packet: bytes) -> NDArray[np.uint16]:
-    """DShot values (4,) behind a servo packet: 0 where a motor stops. Raises LinkError on another packet."""
+def dshot_values(packet: bytes, motors: int) -> NDArray[np.uint16]:
+    """Return DShot values (motors,) behind a servo packet: 0 where one stops. Raises LinkError on another."""
     if len(packet) != SERVO.size:
         raise LinkError(f"Betaflight: a servo packet of {len(packet)} bytes, expected {SERVO.size}")
     count, *widths = SERVO.unpack(packet)
-    if count != MOTOR_COUNT:
-        raise LinkError(f"Betaflight: a servo packet of {count} motors, expected {MOTOR_COUNT}")
+    if count != motors:
+        raise LinkError(f"Betaflight: a servo packet of {count} motors, expected {motors}")
     if not all(math.isfinite(width) for width in widths[:count]):
         raise LinkError(f"Betaflight: pulse widths {widths[:count]}, expected {STOP_US} to {FULL_US} us")
     return np.array([_dshot_value(width) for width in widths[:count]], np.uint16)

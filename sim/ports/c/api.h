@@ -12,7 +12,7 @@ enum {
 	LINK_CHANNELS = 16,
 	LINK_TURN_MS = 100, /* the longest wait without a look at signals */
 	LINK_PACKET_MAX = 256, /* longer than any good packet, so that a longer one shows */
-	FLEET_MOTORS = 4,
+	SERVO_MOTORS = 16, /* that a servo packet has room for */
 };
 
 /* How an exchange went. */
@@ -48,6 +48,7 @@ struct link {
 /* The simulator's ends of the sockets to `count` Betaflights and what they are told of their aircraft, a row for each. */
 struct fleet {
 	int count;
+	int motors; /* of each, at most SERVO_MOTORS */
 	const int *sockets;
 	uint64_t limit_ns; /* up to which they run next, of their time */
 	double time_s; /* of the sample */
@@ -56,7 +57,7 @@ struct fleet {
 	const double *rotation, *velocity, *position; /* (count, 9), (count, 3), (count, 3), as of a Sample */
 	const uint16_t *channels; /* (count, LINK_CHANNELS) [us] */
 	const bool *heard; /* (count,): whether a receiver packet comes with the sample */
-	float *widths; /* (count, FLEET_MOTORS) [us] that they answer; as before where one does not */
+	float *widths; /* (count, motors) [us] that they answer; as before where one does not */
 	int next; /* that is awaited, or failed */
 	int error;
 };

@@ -72,18 +72,20 @@ static bool fleet_take(struct fleet *fleet, const uint8_t *packets, size_t size)
 {
 	if (size == 0)
 		return true;
-	float widths[FLEET_MOTORS];
+	float widths[SERVO_MOTORS];
 	const uint8_t *last = packets + size - SERVO_BYTES;
 	uint16_t motors;
 
+	if (size % SERVO_BYTES != 0)
+		return false;
 	memcpy(&motors, last, sizeof motors);
 	memcpy(widths, last + 4, sizeof widths);
-	for (int motor = 0; motor < FLEET_MOTORS; motor++) {
+	for (int motor = 0; motor < fleet->motors; motor++) {
 		if (!isfinite(widths[motor]))
 			return false;
 	}
-	memcpy(fleet->widths + FLEET_MOTORS * fleet->next, widths, sizeof widths);
-	return size % SERVO_BYTES == 0 && motors == FLEET_MOTORS;
+	memcpy(fleet->widths + fleet->motors * fleet->next, widths, (size_t)fleet->motors * sizeof *widths);
+	return motors == fleet->motors;
 }
 
 int fleet_await(struct fleet *fleet)

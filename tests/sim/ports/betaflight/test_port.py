@@ -110,10 +110,15 @@ def test_a_state_packet_speaks_betaflights_axes_when_the_aircraft_moves() -> Non
 
 @pytest.mark.parametrize(
     ("packet", "values"),
-    [(DISARMED, [0, 0, 0, 0]), (IDLING, [158, 158, 158, 158]), (ROLLING, [158, 158, 2047, 2047])],
+    [
+        (DISARMED, [0, 0, 0, 0]),
+        (IDLING, [158, 158, 158, 158]),
+        (ROLLING, [158, 158, 2047, 2047]),
+        (b"\6" + IDLING[1:20] + ROLLING[12:20] + IDLING[28:], [158, 158, 158, 158, 2047, 2047]),
+    ],
 )
 def test_motors_decode_in_our_order_when_betaflight_sends_them(packet: bytes, values: list[int]) -> None:
-    assert betaflight_port.dshot_values(packet).tolist() == values
+    assert betaflight_port.dshot_values(packet, len(values)).tolist() == values
 
 
 @pytest.mark.parametrize(
@@ -126,7 +131,7 @@ def test_motors_decode_in_our_order_when_betaflight_sends_them(packet: bytes, va
 )
 def test_a_servo_packet_is_refused_when_it_is_damaged(packet: bytes, message: str) -> None:
     with pytest.raises(LinkError, match=message):
-        betaflight_port.dshot_values(packet)
+        betaflight_port.dshot_values(packet, 4)
 
 
 def test_yaw_is_reversed_when_the_motors_turn_the_other_way() -> None:
@@ -136,10 +141,16 @@ def test_yaw_is_reversed_when_the_motors_turn_the_other_way() -> None:
     assert betaflight_port.aircraft_settings(other)[-1] == "set yaw_motors_reversed = ON"
 
 
+def test_the_mixer_is_set_when_the_aircraft_is_a_hexacopter() -> None:
+    settings = betaflight_port.aircraft_settings(load_aircraft("hexa"))
+    assert settings == (*betaflight_port.SETTINGS, "mixer HEX6X")
+
+
 def test_an_aircraft_is_refused_when_its_motors_stand_otherwise() -> None:
-    nf1 = load_aircraft("nf1")
+    nf1, hexa = load_aircraft("nf1"), load_aircraft("hexa")
     mirrored = replace(nf1, rotors=(*nf1.rotors[2:], *nf1.rotors[:2]))
-    for aircraft in (mirrored, replace(nf1, rotors=nf1.rotors[:3])):
+    swapped = replace(hexa, rotors=(*hexa.rotors[:4], hexa.rotors[5], hexa.rotors[4]))
+    for aircraft in (mirrored, replace(nf1, rotors=nf1.rotors[:3]), swapped):
         with pytest.raises(AircraftError, match="otherwise than Betaflight's quad in X"):
             betaflight_port.aircraft_settings(aircraft)
 
