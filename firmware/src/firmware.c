@@ -342,6 +342,8 @@ static uint32_t firmware_fly(struct firmware *fw, float output[POLICY_ACTION_COU
 		.throttle = trace->throttle,
 		.pid_wanted = fw->pid_wanted,
 		.standing = !airborne,
+		/* Light aircraft fly long before that is a take-off, and what turns one then must see what its motors do. */
+		.held = !airborne && fw->takeoff.raised == 0,
 	};
 
 	if (!control_step(&fw->control, &input, output))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from contextlib import closing
 from dataclasses import replace
+from itertools import accumulate
 from pathlib import Path
 
 import numpy as np
@@ -17,17 +18,12 @@ from sim.flight.trace import Trace
 from sim.physics.twin import Twin
 from sim.physics.variation import Variation
 from sim.ports.library import ReferencePort
-from tests.flights.weights import Change, ChangedPort, Weights
+from tests.flights.weights import Change, ChangedPort, Weights, shipped
 from toolchain.contract import RECEIVER_HOLD_MS, FallbackCause, Mode, ModeRange, StopCause
+from toolchain.contract.observation import Width
 from training.evaluation.robustness import EXTREMES
 
 GYRO_RATE_HZ = 4000
-INPUTS, UNITS, MOTORS = 27, 56, 4  # of the shipped policy
-LAST = (1 + UNITS) * MOTORS  # floats of its last layer: biases, then a row of each input
-FIRST = (UNITS // 8, 1 + INPUTS, 8)  # of its first layer: blocks of eight units
-# Observations of roll, pitch and yaw by turns: error, rate, integral, rate filtered twice; after those of the
-# motors and the throttle the estimated rate.
-OF_AN_AXIS, ESTIMATE = 15, 24
 TRAINED_DELAY_S = 0.0055  # the longest in the recipe of the shipped policy
 UNWOUND_DEG_S = 1.5  # error that is left seconds after the PID took over: its I of roll and pitch is small
 ALONE, TAKEN_OVER = FallbackCause.NONE, frozenset({FallbackCause.WRONG_WAY, FallbackCause.NO_RESPONSE})
@@ -35,12 +31,26 @@ Fly = Callable[..., tuple[Trace, ChangedPort]]
 
 
 def last_layer(weights: Weights) -> Weights:
-    return weights[-LAST:].reshape(1 + UNITS, MOTORS)
+    """Its biases, then a row of each input."""
+    units, motors = shipped().network.widths[-3], shipped().network.outputs
+    return weights[-(1 + units) * motors :].reshape(1 + units, motors)
 
 
 def first_layer(weights: Weights) -> Weights:
-    begin = weights.size - LAST - UNITS * (1 + UNITS) - UNITS * (1 + INPUTS)
-    return weights[begin : begin + UNITS * (1 + INPUTS)].reshape(FIRST)
+    """Blocks of eight units: their biases, then a row of each input."""
+    inputs, units = shipped().network.widths[:2]
+    tables = (call.table for call in shipped().plan.calls if call.kernel == "linear8")
+    begin = next(table for table in tables if table is not None)
+    return weights[begin : begin + units * (1 + inputs)].reshape(units // 8, 1 + inputs, 8)
+
+
+def observed(axis: int) -> list[int]:
+    """Which inputs tell of an axis."""
+    policy = shipped().policy
+    widths = [term.count(policy.action_count) for term in policy.blocks]
+    begins = accumulate(widths, initial=0)
+    axes = [term.block.width is Width.AXES for term in policy.blocks]
+    return [begin + axis for begin, told in zip(begins, axes, strict=False) if told]
 
 
 def swapped(one: int, other: int) -> Change:
@@ -57,9 +67,7 @@ def mirrored(axis: int) -> Change:
     """All that is observed of an axis with the wrong sign."""
 
     def change(weights: Weights) -> None:
-        layer = first_layer(weights)
-        layer[:, 1 + axis : 1 + OF_AN_AXIS : 3] *= -1
-        layer[:, 1 + ESTIMATE + axis] *= -1
+        first_layer(weights)[:, [1 + column for column in observed(axis)]] *= -1
 
     return change
 

@@ -15,7 +15,7 @@ from flash import records
 from flash.client import Client
 from sim.ports.library import ReferencePort
 from sim.ports.port import Reply, Sample
-from toolchain.codegen.compiler import compile_policy
+from toolchain.codegen.compiler import CompiledPolicy, compile_policy
 from toolchain.contract import FLASH_BYTES, Msp
 from toolchain.policy.model import read_policy
 
@@ -25,9 +25,14 @@ Change = Callable[[Weights], None]  # works in place
 
 
 @cache
+def shipped() -> CompiledPolicy:
+    """The shipped policy, as its image takes it."""
+    return compile_policy(read_policy(SHIPPED))
+
+
 def shipped_table() -> Weights:
-    """The table that the shipped policy's image takes, (weights,)."""
-    return compile_policy(read_policy(SHIPPED)).plan.table
+    """Its weights, (weights,)."""
+    return shipped().plan.table
 
 
 @dataclass

@@ -123,14 +123,14 @@ static bool control_within_range(const float action[POLICY_ACTION_COUNT])
 /* Steps the controller that flies. Returns whether its output may be flown. */
 static bool control_answer(struct control *control, const struct control_input *input)
 {
-	/* On the ground nothing moves by what the motors did: a policy that sees its own answers then adds to them. */
+	/* Held by the ground nothing moves by what the motors did: a policy that sees its own answers then adds to them. */
 	static const float none[POLICY_ACTION_COUNT];
 	const struct observation_input seen = {
 		.rate = input->rate,
 		.setpoint = input->setpoint,
-		.previous_action = input->standing ? none : control->action,
+		.previous_action = input->held ? none : control->action,
 		.throttle = input->throttle,
-		.previous_motors = input->standing ? none : control->motors,
+		.previous_motors = input->held ? none : control->motors,
 		.rotor_estimate = control->estimator.rotor,
 		.rate_estimate = control->estimator.rate,
 		.rate_estimate_error = control->estimator.error,
@@ -153,7 +153,8 @@ static __attribute__((noinline)) void control_estimate(struct control *control, 
 	if (control->flying != CONTROLLER_POLICY)
 		return;
 	const float rest = mixer_rest(&control->mixers[CONTROLLER_POLICY], input->throttle);
-	estimator_observe(&control->estimator, input->rate, input->setpoint, rest, control->observation.first);
+	estimator_observe(&control->estimator, input->rate, input->setpoint, rest, control->observation.first,
+			  input->held);
 }
 
 /* The outputs of the controller's action; keeps what came of it on the way. */

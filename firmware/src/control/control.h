@@ -35,8 +35,9 @@ struct control_input {
 	const float *rate;             /* [3] rad/s, body */
 	float throttle;                /* 0..1 */
 	bool pid_wanted;               /* the pilot's switch */
-	bool standing;                 /* on the ground: integrals do not grow, and the policy does not see what it
-					* has answered */
+	bool standing;                 /* it has not taken off: integrals do not grow */
+	bool held;                     /* nor is the throttle raised so far: the policy does not see what it has
+					* answered */
 };
 
 struct control {

@@ -75,7 +75,7 @@ static inline void estimator_add(const float part[POLICY_ACTION_COUNT][3], const
 }
 
 void estimator_observe(struct estimator *estimator, const float gyro[3], const float setpoint[3], float rest,
-		       bool first)
+		       bool first, bool held)
 {
 	const struct estimator_model *model = &estimator->model;
 	const float at_rest = estimator_target(model, rest);
@@ -85,10 +85,12 @@ void estimator_observe(struct estimator *estimator, const float gyro[3], const f
 	for (int i = 0; i < POLICY_ACTION_COUNT; ++i) {
 		const float speed = estimator->speed[i];
 		square[i] = speed * speed;
-		estimator->rotor[i] = speed - at_rest;
+		estimator->rotor[i] = held ? 0.0f : speed - at_rest;
 	}
-	estimator_add(model->turn, square, rate);
-	estimator_add(model->reaction, estimator->gained, rate);
+	if (!held) {
+		estimator_add(model->turn, square, rate);
+		estimator_add(model->reaction, estimator->gained, rate);
+	}
 	for (int axis = 0; axis < 3; ++axis) {
 		const float predicted = rate[axis];
 		rate[axis] = first ? gyro[axis] : predicted + model->correction * (gyro[axis] - predicted);

@@ -45,9 +45,10 @@ void estimator_advance(struct estimator *estimator);
 
 /* Then, where the policy flies: fills in `rotor`, `rate` and `error`.
  *
- * gyro, setpoint: [rad/s], body. rest: the output of motors under this step's throttle alone. first: the rate begins with the gyro's. */
+ * gyro, setpoint: [rad/s], body. rest: the output of motors under this step's throttle alone. first: the rate begins with
+ * the gyro's. held: by the ground: its rotors turn nothing. */
 void estimator_observe(struct estimator *estimator, const float gyro[3], const float setpoint[3], float rest,
-		       bool first);
+		       bool first, bool held);
 
 /* The step ends with these outputs; `standing`: the motors stand still instead. */
 void estimator_command(struct estimator *estimator, const float output[POLICY_ACTION_COUNT], bool standing);

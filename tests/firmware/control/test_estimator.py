@@ -28,10 +28,12 @@ class Rotors:
     def reset(self) -> None:
         self.lib.estimator_reset(self.self)
 
-    def step(self, command: float, *, standing: bool = False, first: bool = False) -> float:
+    def step(
+        self, command: float, *, standing: bool = False, first: bool = False, held: bool = False
+    ) -> float:
         """A control step that ends with this command; the speed [rad/s] of the first rotor in it."""
         self.lib.estimator_advance(self.self)
-        self.lib.estimator_observe(self.self, STILL, STILL, 0.0, first)
+        self.lib.estimator_observe(self.self, STILL, STILL, 0.0, first, held)
         self.lib.estimator_command(self.self, [command] * 4, standing)
         return float(self.self.speed[0])
 
@@ -53,6 +55,16 @@ def test_motors_that_stand_are_commanded_nothing_whatever_the_controller_answers
     told = [rotors.step(0.8, standing=True) for _ in range(DELAY + 3)]
     assert told[: DELAY + 1] == pytest.approx([900.0] * (DELAY + 1))
     assert told[DELAY + 1 :] == pytest.approx([900.0 - 0.25 * 800.0, 700.0 - 0.25 * 600.0])
+
+
+def test_rotors_turn_nothing_while_the_ground_holds_the_aircraft(rotors: Rotors) -> None:
+    rotors.step(0.8, first=True)
+    for _ in range(DELAY + 3):
+        assert rotors.step(0.8, held=True) > 0.0
+    assert list(rotors.self.rotor) == [0.0] * 4
+    assert list(rotors.self.rate) == STILL
+    rotors.step(0.8)
+    assert rotors.self.rotor[0] > 0.0 and rotors.self.rate[0] > 0.0, "and after take-off they do"
 
 
 def test_a_reset_leaves_nothing_of_rotors_that_turned(scripted: Any, rotors: Rotors) -> None:

@@ -171,6 +171,19 @@ def test_the_policy_sees_nothing_of_its_motors_until_take_off(
     np.testing.assert_allclose(seen(scripted, PREVIOUS), np.array(RIGHT) + thrust - 0.25, rtol=1e-5)
 
 
+def test_the_policy_sees_its_answers_as_soon_as_the_throttle_is_raised(
+    armed: Callable[..., Bench], scripted: Any
+) -> None:
+    """A light aircraft flies then, although it has not taken off yet; integrals wait for that."""
+    b = armed()
+    for _ in range(3):
+        fly(b, 100, throttle=TAKEOFF_US + 20, c0=1600)
+        np.testing.assert_allclose(seen(scripted, PREVIOUS), RIGHT, rtol=1e-6)
+        assert (seen(scripted, INTEGRAL), bool(b.status.airborne)) == ([0.0] * 3, False)
+        fly(b, 100, **CHECK)
+        assert seen(scripted, PREVIOUS) == [0.0] * 4
+
+
 def test_the_pids_integral_does_not_grow_until_take_off(armed: Callable[..., Bench]) -> None:
     b = armed()
     b.counts = (round(1.0 * COUNTS_PER_DEG_S), 0, 0)

@@ -32,14 +32,14 @@ CONTROL_MUTANTS = (
     Mutant(
         name="a policy on the ground adds to its own answers",
         file=CONTROL,
-        old="input->standing ? none : control->action",
+        old="input->held ? none : control->action",
         new="control->action",
         tests=(OF_TAKEOFF,),
     ),
     Mutant(
         name="a policy on the ground adds to its own motors",
         file=CONTROL,
-        old="input->standing ? none : control->motors",
+        old="input->held ? none : control->motors",
         new="control->motors",
         tests=(OF_TAKEOFF,),
     ),
@@ -411,6 +411,13 @@ CONTROL_MUTANTS = (
         old="\t\ttest->given[i] = NF_DSHOT_STOP;\n\ttest->most",
         new="\t\ttest->given[i] |= NF_DSHOT_STOP;\n\ttest->most",
         tests=(OF_BENCH,),
+    ),
+    Mutant(
+        name="rotors turn an aircraft that the ground holds",
+        file="control/estimator.c",
+        old="\tif (!held) {",
+        new="\tif (held || !held) {",
+        tests=("control/test_estimator.py",),
     ),
     Mutant(
         name="the model takes standing motors for turning ones",

@@ -278,6 +278,13 @@ JOINED_MUTANTS = (
         tests=(OF_BACKGROUND,),
     ),
     Mutant(
+        name="a policy sees none of its motors until it has taken off",
+        file=FIRMWARE,
+        old=".held = !airborne && fw->takeoff.raised == 0,",
+        new=".held = !airborne,",
+        tests=("joined/test_takeoff.py",),
+    ),
+    Mutant(
         name="an oscillation of the PID stops the motors",
         file=FIRMWARE,
         old="\tif (cause == NF_FALLBACK_OSCILLATION || (cause",
