@@ -52,6 +52,9 @@ TAKEOFF_TURN_DEG, TAKEOFF_FORGETS_MS = 30.0, 1000
 # 5.5 deg.
 WRONG_WAY_ERROR_DEG_S, WRONG_WAY_MS = 60.0, 100  # so far off, and the outputs do not answer for so long
 WRONG_WAY_DEG = 8.0  # or, while the error grows, until the axis has gone astray by so much
+# Until take-off, where no integral is wound yet: near the ground what is left of the height is little, and a
+# network with the wrong sign turns twice as fast every 10 ms.
+WRONG_WAY_TAKEOFF_DEG = 3.0
 NO_RESPONSE_ERROR_DEG_S, NO_RESPONSE_MS = 200.0, 200  # so far off, and the axis does not turn for so long
 OSCILLATION_ERROR_DEG_S = 10.0  # to either side of the setpoint by turns, behind a low-pass at
 OSCILLATION_HZ = 40.0

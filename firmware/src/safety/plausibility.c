@@ -4,6 +4,7 @@
 
 #define WRONG_WAY_ERROR (NF_WRONG_WAY_ERROR_DEG_S * NF_RAD_PER_DEG)
 #define WRONG_WAY_ANGLE (NF_WRONG_WAY_DEG * NF_RAD_PER_DEG)
+#define TAKEOFF_ANGLE (NF_WRONG_WAY_TAKEOFF_DEG * NF_RAD_PER_DEG)
 #define NO_RESPONSE_ERROR (NF_NO_RESPONSE_ERROR_DEG_S * NF_RAD_PER_DEG)
 #define SWING (NF_OSCILLATION_ERROR_DEG_S * NF_RAD_PER_DEG)
 
@@ -39,14 +40,15 @@ static bool plausibility_lasts(uint32_t *steps, bool holds, uint32_t limit)
 }
 
 /* Counts a step in which the outputs leave an error of axis i, `size` large, unanswered, or not. Returns whether that lasts,
- * or has turned the axis too far. */
-static bool plausibility_leads_astray(struct plausibility *p, int i, bool unanswered, bool grows, float size)
+ * or has turned the axis by more than `furthest` [rad]. */
+static bool plausibility_leads_astray(struct plausibility *p, int i, bool unanswered, bool grows, float size,
+				      float furthest)
 {
 	if (!unanswered)
 		p->astray[i] = 0.0f;
 	else if (grows)
 		p->astray[i] += size * p->period_s;
-	return plausibility_lasts(&p->wrong_way[i], unanswered, p->wrong_way_after) || p->astray[i] > WRONG_WAY_ANGLE;
+	return plausibility_lasts(&p->wrong_way[i], unanswered, p->wrong_way_after) || p->astray[i] > furthest;
 }
 
 /* Does the error of axis i swing to and fro, faster than a pilot's sticks, and further than a chirp explains? */
@@ -85,7 +87,7 @@ static enum nf_fallback_cause plausibility_axis(struct plausibility *p, int i, c
 	const bool idle = strays && size > NO_RESPONSE_ERROR && input->thrust && !turning_at_limit(rate, error);
 	const bool grows = turning_towards(input->turning, i, -error);
 
-	if (plausibility_leads_astray(p, i, unanswered, grows, size))
+	if (plausibility_leads_astray(p, i, unanswered, grows, size, input->standing ? TAKEOFF_ANGLE : WRONG_WAY_ANGLE))
 		return NF_FALLBACK_WRONG_WAY;
 	if (plausibility_lasts(&p->no_response[i], idle, p->no_response_after))
 		return NF_FALLBACK_NO_RESPONSE;

@@ -14,6 +14,7 @@ struct plausibility_input {
 	const float *demand;           /* [3] what the outputs ask of each axis, with its sign; NULL: not known */
 	const struct turning *turning; /* after this control step */
 	const float *room;             /* [3] rad/s, that errors may swing on top, as the chirp makes them */
+	bool standing;                 /* it has not taken off */
 	bool thrust;                   /* it has taken off, and the throttle is raised */
 };
 

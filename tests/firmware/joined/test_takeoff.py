@@ -21,7 +21,10 @@ from toolchain.contract import (
     TAKEOFF_MS,
     TAKEOFF_THROTTLE,
     TAKEOFF_TURN_DEG,
+    WRONG_WAY_DEG,
+    WRONG_WAY_ERROR_DEG_S,
     WRONG_WAY_MS,
+    WRONG_WAY_TAKEOFF_DEG,
     FallbackCause,
     FlightState,
     StopCause,
@@ -111,6 +114,25 @@ def test_a_policy_that_steers_the_wrong_way_hands_over_on_the_ground(
     fly(b, WRONG_WAY_MS + 20, **CHECK)
     assert not b.status.airborne
     assert (b.status.pid_flies, b.status.fallback_cause) == (True, FallbackCause.WRONG_WAY)
+
+
+def test_a_policy_that_turns_the_aircraft_the_wrong_way_hands_over_sooner_before_take_off(
+    armed: Callable[..., Bench], scripted: Any
+) -> None:
+    for in_the_air in (False, True):
+        b = armed()
+        scripted.lib.scripted_action = RIGHT
+        if in_the_air:
+            take_off(b)
+        scripted.lib.scripted_action = WRONG
+        rate, turned = 2 * WRONG_WAY_ERROR_DEG_S, 0.0
+        while not b.status.pid_flies:
+            rate += 10.0
+            turned += rate / 1000
+            b.counts = (round(-rate * COUNTS_PER_DEG_S), 0, 0)
+            fly(b, 1)
+        angle = WRONG_WAY_DEG if in_the_air else WRONG_WAY_TAKEOFF_DEG
+        assert angle < turned < angle + 2 * rate / 1000
 
 
 def test_a_policy_that_oscillates_hands_over_on_the_ground(armed: Callable[..., Bench]) -> None:

@@ -285,6 +285,13 @@ JOINED_MUTANTS = (
         tests=("joined/test_takeoff.py",),
     ),
     Mutant(
+        name="the wrong way is told as in the air before take-off",
+        file=FIRMWARE,
+        old="\t\t.standing = !airborne,\n\t\t.thrust",
+        new="\t\t.standing = false,\n\t\t.thrust",
+        tests=("joined/test_takeoff.py",),
+    ),
+    Mutant(
         name="an oscillation of the PID stops the motors",
         file=FIRMWARE,
         old="\tif (cause == NF_FALLBACK_OSCILLATION || (cause",

@@ -223,8 +223,15 @@ SAFETY_MUTANTS = (
     Mutant(
         name="outputs that lead astray are told by their time alone",
         file=PLAUSIBILITY,
-        old=" || p->astray[i] > WRONG_WAY_ANGLE;",
-        new=" || p->astray[i] > 100.0f * WRONG_WAY_ANGLE;",
+        old=" || p->astray[i] > furthest;",
+        new=" || p->astray[i] > 100.0f * furthest;",
+        tests=(OF_PLAUSIBILITY,),
+    ),
+    Mutant(
+        name="outputs lead astray as far before take-off as in the air",
+        file=PLAUSIBILITY,
+        old="input->standing ? TAKEOFF_ANGLE",
+        new="input->standing ? WRONG_WAY_ANGLE",
         tests=(OF_PLAUSIBILITY,),
     ),
     Mutant(

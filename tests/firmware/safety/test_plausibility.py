@@ -19,6 +19,7 @@ from toolchain.contract import (
     WRONG_WAY_DEG,
     WRONG_WAY_ERROR_DEG_S,
     WRONG_WAY_MS,
+    WRONG_WAY_TAKEOFF_DEG,
     FallbackCause,
 )
 
@@ -64,6 +65,7 @@ class Watch:
         beside: float = 0.0,
         room: float = 0.0,
         room_beside: float = 0.0,
+        standing: bool = False,
     ) -> FallbackCause:
         """One control step; `beside`: the error of the next axis, which is answered; `room`: of the axis."""
         rates, wanted, given = [0.0] * 3, [0.0] * 3, [0.0] * 3
@@ -79,7 +81,7 @@ class Watch:
         rooms[self.axis] = math.radians(room)
         rooms[(self.axis + 1) % 3] = math.radians(room_beside)
         floats.append(self._core.new("float[3]", rooms))
-        members = (*floats[:3], self._turning.state, floats[3], thrust)
+        members = (*floats[:3], self._turning.state, floats[3], standing, thrust)
         seen = self._core.new("struct plausibility_input *", members)
         return FallbackCause(self._core.lib.plausibility_step(self._monitor, seen))
 
@@ -190,17 +192,22 @@ def test_an_axis_beside_a_much_larger_error_may_stray(scripted: Any) -> None:
 @signs
 def test_an_axis_that_its_outputs_turn_away_is_told_by_its_angle(scripted: Any, axis: int, sign: int) -> None:
     """Ever faster from rest: long before the time that a steady error takes."""
-    for growth, told in ((5000.0, True), (0.9 * TURNING_DEG_S2, False)):
+    cases = (
+        (5000.0, False, WRONG_WAY_DEG),
+        (5000.0, True, WRONG_WAY_TAKEOFF_DEG),
+        (0.9 * TURNING_DEG_S2, False, None),
+    )
+    for growth, standing, angle in cases:
         watch, rate, astray = Watch(scripted, axis, sign), -WRONG_WAY_ERROR_DEG_S, 0.0
         found = NONE
         steps = 0
         while not found and steps < WRONG_WAY_MS - 1:
             rate -= growth / 1000
             astray -= rate / 1000
-            found, steps = watch.step(0.0, rate, -0.5), steps + 1
-        assert (found == WRONG_WAY) is told
-        if told:  # the low-passes take some milliseconds to see that it grows
-            assert WRONG_WAY_DEG < astray < WRONG_WAY_DEG + 0.02 * WRONG_WAY_ERROR_DEG_S
+            found, steps = watch.step(0.0, rate, -0.5, standing=standing), steps + 1
+        assert (found == WRONG_WAY) is (angle is not None)
+        if angle is not None:  # the low-passes take some milliseconds to see that it grows
+            assert angle < astray < angle + 0.02 * WRONG_WAY_ERROR_DEG_S
             assert steps < WRONG_WAY_MS / 2
 
 
