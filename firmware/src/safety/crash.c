@@ -51,22 +51,20 @@ static bool crash_lasts(uint32_t steps, uint32_t limit)
 	return limit > 0 && steps >= limit;
 }
 
-/* Counts steps in which the large error of `axis` grows. Returns whether that is a runaway. */
+/* Counts steps in which the large error of `axis`, the largest, grows: now of one axis, now of another where an aircraft
+ * turns about a diagonal. Returns whether that is a runaway. */
 static bool crash_runs_away(struct crash *crash, const struct crash_input *input, int axis, float error)
 {
-	const float rate = input->rate[axis];
+	const float rate = input->rate[axis], size = crash_size(rate);
 
 	if (rate * error >= 0.0f || turning_towards(input->turning, axis, error) ||
-	    (crash->away > 0 && axis != crash->axis)) {
+	    (crash->away > 0 && size <= crash->first_rate)) {
 		crash->away = 0;
 		return false;
 	}
-	if (crash->away++ == 0) {
-		crash->axis = axis;
-		crash->first_rate = crash_size(rate);
-	}
-	return crash->flown < crash->window && crash_lasts(crash->away, crash->runaway_after) &&
-	       crash_size(rate) > crash->first_rate;
+	if (crash->away++ == 0)
+		crash->first_rate = size;
+	return crash->flown < crash->window && crash_lasts(crash->away, crash->runaway_after);
 }
 
 /* Does the controller act on the large error of `axis` in vain? */

@@ -20,8 +20,7 @@ struct crash {
 	uint32_t flown;    /* since the throttle was first raised in the air, at most window */
 	uint32_t helpless; /* consecutive steps with a large error that does not fall although the controller acts */
 	uint32_t away;     /* consecutive steps in which the error grows */
-	int axis;          /* which one */
-	float first_rate;  /* rad/s, its rate at the first of them, without its sign */
+	float first_rate;  /* rad/s, the axis' rate at the first of them, without its sign */
 };
 
 void crash_init(struct crash *crash, const struct nf_settings *settings, unsigned control_rate_hz);

@@ -130,9 +130,9 @@ SAFETY_MUTANTS = (
         tests=(OF_CRASH, "joined/test_doubt.py"),
     ),
     Mutant(
-        name="a runaway may go from axis to axis",
+        name="a runaway may go on at another axis that turns slower",
         file=CRASH,
-        old=" ||\n\t    (crash->away > 0 && axis != crash->axis)) {",
+        old=" ||\n\t    (crash->away > 0 && size <= crash->first_rate)) {",
         new=") {",
         tests=(OF_CRASH,),
     ),

@@ -55,6 +55,9 @@ class Watch:
     def step(self, setpoint: float, rate: float, spread: float = FULL, axis: int = 0) -> int:
         setpoints, rates = [0.0] * 3, [0.0] * 3
         setpoints[axis], rates[axis] = setpoint, rate
+        return self.turned(setpoints, rates, spread)
+
+    def turned(self, setpoints: list[float], rates: list[float], spread: float = FULL) -> int:
         asked, turned = (self._core.new("float[3]", values) for values in (setpoints, rates))
         self._core.lib.turning_step(self._turning, turned)
         seen = (asked, turned, self._turning, spread, self.airborne, self.thrust)
@@ -170,6 +173,14 @@ def test_no_crash_is_seen_when_the_axis_turns_as_fast_as_it_can(scripted: Any, s
     for rate in (0.99 * limit, -2 * limit):
         watch = Watch(scripted)
         assert HAPPENED in [watch.step(asked, rate) for _ in range(CRASH_MS + 1)], "blocked, or turning away"
+
+
+def test_a_runaway_about_a_diagonal_is_seen_although_its_largest_axis_changes(scripted: Any) -> None:
+    ahead = np.linspace(OFF, 2 * OFF, RUNAWAY_MS).tolist()
+    overtakes = np.linspace(0.8 * OFF, 2.4 * OFF, RUNAWAY_MS).tolist()
+    watch = Watch(scripted)
+    seen = [watch.turned([0.0] * 3, [one, 0.0, -other]) for one, other in zip(ahead, overtakes, strict=True)]
+    assert seen == [NONE] * (RUNAWAY_MS - 1) + [RUNAWAY]
 
 
 def test_no_runaway_is_seen_when_the_axis_changes_or_it_turns_to_where_it_should(scripted: Any) -> None:
