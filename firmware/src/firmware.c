@@ -364,6 +364,7 @@ static uint32_t firmware_fly(struct firmware *fw, float output[POLICY_ACTION_COU
 		.demand = control_demand(&fw->control, demand) ? demand : NULL,
 		.turning = &fw->turning,
 		.room = fw->chirp.room,
+		.moved = fw->control.moved,
 		.standing = !airborne,
 		.thrust = crash.thrust,
 	};

@@ -44,8 +44,8 @@ def board_axes(angles_deg: Sequence[float]) -> NDArray[np.float64]:
     return turned
 
 
-def drifting(port: Port, drift_deg_s: Sequence[float]) -> Port:
-    """The port, its gyro so far off from the moment on at which the aircraft is armed."""
+def drifting(port: Port, drift_deg_s: Sequence[float], hz: float = 0.0) -> Port:
+    """The port, its gyro so far off from the moment on at which the aircraft is armed, or shaking so far."""
     seen = Sample(0.0, np.zeros(3), np.eye(3), *np.zeros((3, 3)))
     drift, exchange = np.radians(drift_deg_s), port.exchange
     armed = False
@@ -53,7 +53,7 @@ def drifting(port: Port, drift_deg_s: Sequence[float]) -> Port:
     def drifted(sample: Sample, channels_us: Sequence[int] | None) -> Reply:
         nonlocal armed
         seen.time_s = sample.time_s
-        seen.gyro[:] = sample.gyro + drift * armed
+        seen.gyro[:] = sample.gyro + drift * armed * np.cos(2 * np.pi * hz * sample.time_s)
         seen.specific_force[:] = sample.specific_force
         reply = exchange(seen, channels_us)
         armed = reply.armed

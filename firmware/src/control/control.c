@@ -162,9 +162,15 @@ static void control_mix(struct control *control, float throttle, float output[PO
 {
 	const struct mixer *mixer = &control->mixers[control->flying];
 
+	float moved = 0.0f;
+
 	mixer_mix(mixer, control->action, throttle, output);
-	for (int i = 0; i < POLICY_ACTION_COUNT; ++i)
-		control->motors[i] = output[i] - throttle;
+	for (int i = 0; i < POLICY_ACTION_COUNT; ++i) {
+		const float now = output[i] - throttle, change = now - control->motors[i];
+		moved += change < 0.0f ? -change : change;
+		control->motors[i] = now;
+	}
+	control->moved = moved;
 	mixer_raise(mixer, output, output);
 }
 

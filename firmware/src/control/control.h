@@ -60,6 +60,7 @@ struct control {
 	float seen[POLICY_OBSERVATION_COUNT]; /* what the policy was given last */
 	float action[POLICY_ACTION_COUNT];   /* the controller's last output, 0..1, before the throttle */
 	float motors[POLICY_ACTION_COUNT];   /* what came of it before the idle, less the throttle */
+	float moved;                         /* how far they moved in the last step, all together */
 	float output[POLICY_ACTION_COUNT];   /* and what was commanded */
 	float offset[POLICY_ACTION_COUNT];   /* of the outputs at the last change of controller */
 	uint32_t handover_left;              /* control steps of the hand-over under way */

@@ -1,11 +1,15 @@
 #include "safety/plausibility.h"
 
 #include "common/nf_math.h"
+#include "policy.h"
 
 #define WRONG_WAY_ERROR (NF_WRONG_WAY_ERROR_DEG_S * NF_RAD_PER_DEG)
 #define WRONG_WAY_ANGLE (NF_WRONG_WAY_DEG * NF_RAD_PER_DEG)
 #define TAKEOFF_ANGLE (NF_WRONG_WAY_TAKEOFF_DEG * NF_RAD_PER_DEG)
 #define NO_RESPONSE_ERROR (NF_NO_RESPONSE_ERROR_DEG_S * NF_RAD_PER_DEG)
+/* Of all motors together: in the time that is remembered, and for each rad/s that an error moved. */
+#define MOVED_MAX (NF_OSCILLATION_MOTORS * NF_OSCILLATION_MOTORS_MS * POLICY_ACTION_COUNT)
+#define MOVED_BY_ERROR (NF_OSCILLATION_MOTORS_BY_ERROR * POLICY_ACTION_COUNT)
 #define SWING (NF_OSCILLATION_ERROR_DEG_S * NF_RAD_PER_DEG)
 
 void plausibility_init(struct plausibility *plausibility, unsigned control_rate_hz)
@@ -15,12 +19,14 @@ void plausibility_init(struct plausibility *plausibility, unsigned control_rate_
 		.no_response_after = control_rate_hz * NF_NO_RESPONSE_MS / 1000u,
 		.period_s = 1.0f / (float)control_rate_hz,
 		.half_longest = control_rate_hz * NF_OSCILLATION_HALF_MS / 1000u,
+		.kept = 1.0f - nf_one_minus_exp(1000.0f / (float)(control_rate_hz * NF_OSCILLATION_MOTORS_MS)),
 		.smoothing = nf_one_minus_exp(NF_TAU * NF_OSCILLATION_HZ / (float)control_rate_hz),
 	};
 }
 
 void plausibility_reset(struct plausibility *plausibility)
 {
+	plausibility->moved = 0.0f;
 	for (int i = 0; i < 3; ++i) {
 		plausibility->wrong_way[i] = 0;
 		plausibility->astray[i] = 0.0f;
@@ -94,18 +100,30 @@ static enum nf_fallback_cause plausibility_axis(struct plausibility *p, int i, c
 	return plausibility_swings(p, i, error, input->room[i]) ? NF_FALLBACK_OSCILLATION : NF_FALLBACK_NONE;
 }
 
+/* Do the motors move to and fro by more, and for longer, than what errors moved, `seen` [rad/s], explains? */
+static bool plausibility_trembles(struct plausibility *p, float moved, float seen)
+{
+	const float sum = p->kept * (p->moved + moved - MOVED_BY_ERROR * seen);
+
+	p->moved = sum > 0.0f ? sum : 0.0f;
+	return sum > MOVED_MAX;
+}
+
 enum nf_fallback_cause plausibility_step(struct plausibility *plausibility, const struct plausibility_input *input)
 {
 	enum nf_fallback_cause found = NF_FALLBACK_NONE;
-	float largest = 0.0f;
+	float largest = 0.0f, seen = 0.0f;
 
 	for (int i = 0; i < 3; ++i) {
-		const float size = plausibility_size(input->setpoint[i] - input->rate[i]);
+		const float error = input->setpoint[i] - input->rate[i], size = plausibility_size(error);
 		largest = size > largest ? size : largest;
+		seen += plausibility_size(error - plausibility->before[i]);
+		plausibility->before[i] = error;
 	}
 	for (int i = 0; i < 3; ++i) {
 		const enum nf_fallback_cause cause = plausibility_axis(plausibility, i, input, largest);
 		found = found == NF_FALLBACK_NONE ? cause : found;
 	}
-	return found;
+	const bool trembles = plausibility_trembles(plausibility, input->moved, seen);
+	return found == NF_FALLBACK_NONE && trembles ? NF_FALLBACK_OSCILLATION : found;
 }

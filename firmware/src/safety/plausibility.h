@@ -14,6 +14,7 @@ struct plausibility_input {
 	const float *demand;           /* [3] what the outputs ask of each axis, with its sign; NULL: not known */
 	const struct turning *turning; /* after this control step */
 	const float *room;             /* [3] rad/s, that errors may swing on top, as the chirp makes them */
+	float moved;                   /* by how much this step moved all motors together, as fractions */
 	bool standing;                 /* it has not taken off */
 	bool thrust;                   /* it has taken off, and the throttle is raised */
 };
@@ -22,6 +23,9 @@ struct plausibility_input {
 struct plausibility {
 	uint32_t wrong_way_after, no_response_after, half_longest; /* limits */
 	float smoothing;           /* part of the way that the swinging error's low-pass goes in a step */
+	float kept;                /* part of the motors' movement that is left of it after a control step */
+	float moved;               /* by them lately, beyond what the errors' moves explain */
+	float before[3];           /* rad/s, errors of the step before */
 	float period_s;            /* of a control step */
 	uint32_t wrong_way[3];     /* steps in a row in which the outputs do not turn the axis towards its setpoint */
 	float astray[3];           /* rad, that it has turned too far in those of them in which the error grew */

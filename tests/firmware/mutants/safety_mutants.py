@@ -235,6 +235,27 @@ SAFETY_MUTANTS = (
         tests=(OF_PLAUSIBILITY,),
     ),
     Mutant(
+        name="motors that swing are no oscillation",
+        file=PLAUSIBILITY,
+        old="return sum > MOVED_MAX;",
+        new="return sum > 100.0f * MOVED_MAX;",
+        tests=(OF_PLAUSIBILITY,),
+    ),
+    Mutant(
+        name="motors that follow an error tremble",
+        file=PLAUSIBILITY,
+        old=" - MOVED_BY_ERROR * seen",
+        new=" - 0.0f * seen",
+        tests=(OF_PLAUSIBILITY,),
+    ),
+    Mutant(
+        name="what the motors did in the flight before counts",
+        file=PLAUSIBILITY,
+        old="\tplausibility->moved = 0.0f;\n",
+        new="",
+        tests=(OF_PLAUSIBILITY,),
+    ),
+    Mutant(
         name="the angle of outputs that answer again is kept",
         file=PLAUSIBILITY,
         old="\tif (!unanswered)\n\t\tp->astray[i] = 0.0f;\n\telse if (grows)",

@@ -13,6 +13,9 @@ from toolchain.contract import (
     NO_RESPONSE_MS,
     OSCILLATION_ERROR_DEG_S,
     OSCILLATION_HALF_MS,
+    OSCILLATION_MOTORS,
+    OSCILLATION_MOTORS_BY_ERROR,
+    OSCILLATION_MOTORS_MS,
     OSCILLATION_SWINGS,
     TURNING_DEG_S2,
     TURNING_LIMIT_DEG_S,
@@ -25,6 +28,7 @@ from toolchain.contract import (
 
 NONE, WRONG_WAY = FallbackCause.NONE, FallbackCause.WRONG_WAY
 NO_RESPONSE, OSCILLATION = FallbackCause.NO_RESPONSE, FallbackCause.OSCILLATION
+MOTORS = 4  # of the scripted policy
 SETTLE_MS = 60  # of the low-passes that tell how fast a rate changes
 
 
@@ -65,9 +69,13 @@ class Watch:
         beside: float = 0.0,
         room: float = 0.0,
         room_beside: float = 0.0,
+        moved: float = 0.0,
         standing: bool = False,
     ) -> FallbackCause:
-        """One control step; `beside`: the error of the next axis, which is answered; `room`: of the axis."""
+        """One control step; `beside`: the error of the next axis, which is answered; `room`: of the axis.
+
+        moved: by all motors together.
+        """
         rates, wanted, given = [0.0] * 3, [0.0] * 3, [0.0] * 3
         rates[self.axis], wanted[self.axis] = self.sign * rate, math.radians(self.sign * asked)
         given[self.axis] = self.sign * demand
@@ -81,7 +89,7 @@ class Watch:
         rooms[self.axis] = math.radians(room)
         rooms[(self.axis + 1) % 3] = math.radians(room_beside)
         floats.append(self._core.new("float[3]", rooms))
-        members = (*floats[:3], self._turning.state, floats[3], standing, thrust)
+        members = (*floats[:3], self._turning.state, floats[3], moved, standing, thrust)
         seen = self._core.new("struct plausibility_input *", members)
         return FallbackCause(self._core.lib.plausibility_step(self._monitor, seen))
 
@@ -259,6 +267,44 @@ def test_an_oscillation_is_told_from_a_chirps_when_it_is_larger(scripted: Any, a
     assert OSCILLATION in [beside.step(0.0, each, 0.0, room_beside=100.0) for each in swing]
 
 
+@pytest.mark.parametrize("rate_hz", [1000, 2000, 4000])
+def test_motors_that_swing_for_long_are_told_when_the_body_does_not_follow(
+    scripted: Any, rate_hz: int
+) -> None:
+    """However many control steps a millisecond has; a lasting swing below the bar never is."""
+    for share, told in ((0.95, False), (1.5, True), (4.0, True)):
+        watch, a_ms = Watch(scripted, rate_hz=rate_hz), share * OSCILLATION_MOTORS
+        a_step = MOTORS * a_ms * 1000 / rate_hz
+        found = [watch.step(0.0, 0.0, 0.0, moved=a_step) for _ in range(2 * rate_hz)]
+        assert (OSCILLATION in found) is told
+        if told:  # as a low-pass of that time constant reaches the bar
+            reached_ms = -OSCILLATION_MOTORS_MS * math.log(1 - 1 / share)
+            assert found.index(OSCILLATION) * 1000 / rate_hz == pytest.approx(reached_ms, abs=2)
+
+
+@pytest.mark.parametrize("shakes", [False, True], ids=["setpoint", "gyro"])
+def test_motors_that_follow_a_moving_error_are_no_oscillation(scripted: Any, shakes: bool) -> None:
+    """Of a chirp at 100 Hz, or a bent propeller: what its moves explain, and what the bar allows."""
+    swing = 0.8 * OSCILLATION_ERROR_DEG_S
+    moves = MOTORS * OSCILLATION_MOTORS_BY_ERROR * math.radians(2 * swing)  # each time that it changes sides
+    for share, told in ((0.9, False), (1.5, True)):
+        watch = Watch(scripted)
+        found = set()
+        for ms in range(2000):
+            error = swing if ms // 5 % 2 else -swing
+            moved = share * MOTORS * OSCILLATION_MOTORS + (moves if ms % 5 == 0 else 0.0)
+            asked, rate = (0.0, -error) if shakes else (error, 0.0)
+            found.add(watch.step(asked, rate, error, moved=moved))
+        assert (OSCILLATION in found) is told
+
+
+def test_a_stick_that_throws_all_motors_from_end_to_end_is_no_oscillation(scripted: Any) -> None:
+    watch = Watch(scripted)
+    for _ in range(10):  # into a turn and out of it, four times through the whole range, then 0.5 s of it
+        throw = [MOTORS / 20.0] * 80 + [0.0] * 500
+        assert {watch.step(0.0, 0.0, 0.0, moved=moved) for moved in throw} == {NONE}
+
+
 def test_nothing_of_a_flight_counts_in_the_next(scripted: Any) -> None:
     """Neither swings nor times nor angles."""
     size, hz = 3 * OSCILLATION_ERROR_DEG_S, 16.0
@@ -267,6 +313,9 @@ def test_nothing_of_a_flight_counts_in_the_next(scripted: Any) -> None:
     for _ in range(4):
         found = {watch.step(0.0, size * math.sin(math.tau * hz * ms / 1000), 0.0) for ms in range(period_ms)}
         assert found == {NONE}
+        watch.reset()
+    for _ in range(4):
+        assert watch.first(150, 0.0, 0.0, 0.0, moved=MOTORS * 1.5 * OSCILLATION_MOTORS)[1] == NONE
         watch.reset()
     for _ in range(4):
         assert watch.first(WRONG_WAY_MS - 1, WRONG_WAY_ERROR_DEG_S + 1, 0.0, -0.1)[1] == NONE
