@@ -136,6 +136,7 @@ class Engine:
         self.profiled = profile
         self._functions = self._function_table() if profile else self.ffi.NULL
         fixed = round(cpi * (1 << FRACTION))
+        self._free = self.library.engine_free  # found now: see Native
         self.handle = self.library.engine_new(fixed, strict, profile, self._functions)
         error = self.library.engine_open(self.handle)
         if error:
@@ -169,7 +170,7 @@ class Engine:
         """Give the memory back; the engine is of no use after it."""
         if not getattr(self, "_closed", True):
             self._closed = True
-            self.library.engine_free(self.handle)
+            self._free(self.handle)
 
     # ---- running ----
 

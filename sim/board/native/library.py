@@ -65,11 +65,13 @@ class Native:
         }
         self._kept = {name: self.ffi.callback(f"{name}_callback", f) for name, f in functions.items()}
         callbacks = self.ffi.new("struct native_callbacks *", self._kept)
+        # Found now: the collector may come while cffi finds another name, which would then wait for itself.
+        self._free = self.library.native_free
         self.handle = self.library.native_new(engine.handle, engine.callbacks, callbacks)
 
     def __del__(self) -> None:
         if getattr(self, "handle", None):
-            self.library.native_free(self.handle)
+            self._free(self.handle)
             self.handle = None
 
     def place(self, registers: Registers) -> None:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from sim.board.core.engine import Outcome
-from sim.board.native.library import native_library
+import struct
+
+from sim.board.core.engine import Engine, Outcome
+from sim.board.native.library import Native, native_library
 
 
 def test_every_function_is_there_when_a_header_declares_it() -> None:
@@ -18,3 +20,20 @@ def test_outcomes_are_the_headers() -> None:
     assert {name.removeprefix("RUN_"): number for name, number in numbers.items()} == {
         outcome.name: outcome.value for outcome in Outcome
     }
+
+
+class Locked:
+    """A library in the middle of finding a name: whoever asks for another waits for ever."""
+
+    def __getattr__(self, name: str) -> object:
+        raise AssertionError(f"{name}: asked for while the collector runs")
+
+
+def test_a_collected_board_asks_for_no_name() -> None:
+    wait = struct.pack("<IIHH", 0x20010000, 0x00200009, 0xBF30, 0xE7FD)  # vectors; wfi, and again
+    engine = Engine(wait, library=native_library())
+    native = Native(engine)
+    native.library = engine.library = Locked()
+    native.__del__()
+    engine.close()
+    assert native.handle is None

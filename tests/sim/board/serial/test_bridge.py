@@ -128,14 +128,15 @@ def run(board: Board, bridge: Bridge, seconds: float) -> None:
 def test_a_program_is_answered_when_it_opens_the_pseudo_terminal(board: Board) -> None:
     end = PtyEnd()
     bridge = Bridge(UartLine(board), end)
-    with serial.Serial(end.name, timeout=0) as program:
+    with serial.Serial(end.name, timeout=5) as program:
         program.write(QUESTION)
         run(board, bridge, 0.01)
-        assert program.read(100) == ANSWER
-    with serial.Serial(end.name, timeout=0) as another:
+        assert program.read(len(ANSWER)) == ANSWER
+        assert program.in_waiting == 0
+    with serial.Serial(end.name, timeout=5) as another:
         another.write(QUESTION)
         run(board, bridge, 0.01)
-        assert another.read(100) == ANSWER
+        assert another.read(len(ANSWER)) == ANSWER
     bridge.close()
     bridge.close()
 
