@@ -98,7 +98,7 @@ FIGURES: dict[str, Callable[[str], str]] = {
     **dict.fromkeys(NETWORKS, ours),
     **{f"{name} emx": theirs for name in NETWORKS},
     "timing": timing,
-    **{f"trained {name}": trained for name in ("nf1", "nf1-six", "hexa")},
+    **{f"trained {name}": trained for name in ("nf1", "hexa")},
     "swap": swap,
     "reproduce": reproduced,
 }

@@ -1,6 +1,4 @@
-"""The interlock of `flash` and `rescue`: what a check found unfit goes onto no board, save by `--unchecked`.
-
-A policy that no check has seen is told as UNCHECKED and goes.
+"""The interlock of `flash` and `rescue`: what no check found fit goes onto no board, unless the user says so.
 
 The stamp of a policy file lies beside it, that of an image in the report.json beside it, where `build` put
 what it had found. Both are held against the SHA-256 in the policy's own header.
@@ -18,7 +16,7 @@ if TYPE_CHECKING:
     from toolchain.policy.check_stamp import Stamp
 
 OPTION = "--unchecked"
-HELP = "write it though `neuroflight policy check` found its policy unfit, or its stamp is void"
+HELP = "write it though no `neuroflight policy check` found its policy fit to fly"
 TOLD = "UNCHECKED: nobody knows whether this policy flies"
 
 
@@ -41,10 +39,12 @@ def checked_image(image: Path, policy_sha256: str | None, *, unchecked: bool) ->
         stamp = read_check(image)
     except (BuildError, PolicyError) as error:
         why = str(error)
-    if why is None and stamp is not None:
-        why = fault(stamp, policy_sha256 or "", None)
-    if unchecked or why is None:
-        return _told(None if why else stamp)
+    why = why or fault(stamp, policy_sha256 or "", None)
+    if why is None:
+        assert stamp is not None
+        return _told(stamp)
+    if unchecked:
+        return TOLD
     raise PolicyError(
         f"{image}: its policy {why}; run `neuroflight policy check POLICY --aircraft FILE` and build it "
         f"anew, or add {OPTION}"
@@ -65,5 +65,5 @@ def checked_policy(
     return _told(require_fit(policy, policy_sha256, aircraft_sha256, aircraft))
 
 
-def _told(stamp: Stamp | None) -> str:
-    return TOLD if stamp is None else f"{stamp.text}, by rules {stamp.rules}"
+def _told(stamp: Stamp) -> str:
+    return f"{stamp.text}, by rules {stamp.rules}"

@@ -1,4 +1,4 @@
-"""The interlock of `build`: no image for a board holds what a check found unfit, unless the user says so."""
+"""The interlock of `build`: an image for a board holds what a check found fit, unless the user says so."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ def add_argument(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--unchecked",
         action="store_true",
-        help="build an image though `neuroflight policy check` found its policy unfit, or its stamp is void",
+        help="build an image though no `neuroflight policy check` found its policy fit to fly the aircraft",
     )
 
 
 def checked(
     path: Path, policy: PolicyModel, target: Target, stands: Beside, *, unchecked: bool
 ) -> Stamp | None:
-    """Return the stamp that says that the policy in `path` is fit; None: no check has seen it.
+    """The stamp that says that the policy in `path` is fit; None: there is none, and none is asked for.
 
     stands: the aircraft that the image is for. The host program turns no motor and asks for none. Raises
     PolicyError, one line with the command to run.

@@ -29,7 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="that it is to fly: shipped name or a .toml file",
     )
     parser.add_argument(
-        "--no-stamp", action="store_true", help="write no POLICY.check.json, which build and flash read"
+        "--no-stamp", action="store_true", help="write no POLICY.check.json, which build and flash ask for"
     )
     parser.add_argument(
         "--build", type=Path, metavar="DIR", help="Betaflight's build; default: build/BETAFLIGHT"

@@ -37,12 +37,18 @@ class PolicyController:
     """N copies of a policy."""
 
     def __init__(
-        self, policy: PolicyModel, count: int = 1, *, exact: bool = True, idle: float | None = None
+        self,
+        policy: PolicyModel,
+        count: int = 1,
+        *,
+        exact: bool = True,
+        idle: float | None = None,
+        standing: bool = False,
     ) -> None:
         """The controller is to be stepped at `policy.control_rate_hz`, behind `policy.filters`.
 
         exact: with the roundings of the compiled C; see `toolchain.ir.interpreter`. idle: that it flies with,
-        None: its own.
+        None: its own. standing: the aircraft stand on the ground all the time, which the firmware knows.
         """
         self._network, _ = optimize(policy.network)
         self._state = clear_state(self._network, count)
@@ -56,6 +62,7 @@ class PolicyController:
             policy.control_rate_hz,
             model=policy.model,
             idle=policy.idle if idle is None else idle,
+            standing=standing,
         )
         self._action = np.zeros((count, policy.action_count), np.float32)
         self._sensed: dict[str, NDArray[np.float32]] = {}

@@ -85,17 +85,20 @@ class Estimator:
         self._speed[index] = 0.0
         self._rate[index] = 0.0
 
-    def observe(self, which: Which, first: NDArray[np.bool_] | None, gyro: Array) -> None:
+    def observe(
+        self, which: Which, first: NDArray[np.bool_] | None, gyro: Array, *, standing: bool = False
+    ) -> None:
         """A control step of the aircraft of `which` begins with the gyro's rate (K, 3) [rad/s].
 
-        first: (K, 1), whether it is the first step; None: of no aircraft.
+        first: (K, 1), whether it is the first step; None: of no aircraft. standing: the ground holds them,
+        rotors turn nothing.
         """
         model = self._model
         before = self._speed[which]
         after = self._advanced(before, self._commands[0, which])
         gained, square = after - before, after * after
         rate = self._rate[which].copy()
-        for axis in range(3):
+        for axis in range(0 if standing else 3):
             for turn, speed in zip(model.turn[axis], square.T, strict=True):
                 rate[:, axis] = rate[:, axis] + np.float32(turn) * speed
             for reaction, gain in zip(model.reaction[axis], gained.T, strict=True):

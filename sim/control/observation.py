@@ -64,8 +64,13 @@ class Observer:
         *,
         model: ModelConstants | None = None,
         idle: float = IDLE_DEFAULT,
+        standing: bool = False,
     ) -> None:
-        """model: of the aircraft, for terms made by one; idle: the policy's. Raises ValueError without it."""
+        """model: of the aircraft, for terms made by one; idle: the policy's. Raises ValueError without it.
+
+        standing: the ground holds the aircraft all the time, and nothing moves by what the motors do:
+        integrals do not grow, and the policy does not see what it has answered.
+        """
         if model is None and needs_model(terms):
             raise ValueError("this observation needs a model of the aircraft, got none")
         self._estimator = Estimator(model, count, idle) if needs_model(terms) and model is not None else None
@@ -74,6 +79,7 @@ class Observer:
         self.width = observation_count(terms, motors)
         self._terms = [_Term(term, count, motors, control_rate_hz) for term in terms]
         self._dt = np.float32(1.0 / control_rate_hz)
+        self._standing = standing
         self._error = np.zeros((count, 3), np.float32)
         self._integral = np.zeros((count, 3), np.float32)
         self._fresh = np.ones(count, bool)
@@ -117,25 +123,26 @@ class Observer:
         blocks = {
             "rate": rate,
             "rate_error": error,
-            "previous_action": previous_action,
+            "previous_action": np.zeros_like(previous_action) if self._standing else previous_action,
             "throttle": throttle[:, None],
             "rotor_speed": rotor_speed,
             "gravity": gravity,
-            "previous_motors": self._motors[which],
+            "previous_motors": np.zeros_like(self._motors[which]) if self._standing else self._motors[which],
         }
         if "rate_error_delta" in self.names:
             delta = error - self._error[which]
             blocks["rate_error_delta"] = delta if fresh is None else np.where(fresh, np.float32(0.0), delta)
             self._error[which] = error
         if self._estimator is not None:
-            self._estimator.observe(which, fresh, rate)
+            self._estimator.observe(which, fresh, rate, standing=self._standing)
             estimate = self._estimator.rate_estimate(which)
-            blocks["rotor_estimate"] = self._estimator.rotor_estimate(which, throttle)
+            rotors = self._estimator.rotor_estimate(which, throttle)
+            blocks["rotor_estimate"] = np.zeros_like(rotors) if self._standing else rotors
             blocks["rate_estimate"] = estimate
             blocks["rate_estimate_error"] = setpoint - estimate
         if "rate_error_integral" in self.names:
             limit = np.float32(RATE_ERROR_INTEGRAL_LIMIT_RAD)
-            grown = self._integral[which] + error * self._dt
+            grown = self._integral[which] + error * (np.float32(0.0) if self._standing else self._dt)
             blocks["rate_error_integral"] = integral = np.minimum(np.maximum(grown, -limit), limit)
             self._integral[which] = integral
         seen = []

@@ -418,6 +418,7 @@ def resealed(report: dict[str, Any], **words: Any) -> None:
 @pytest.mark.parametrize(
     ("edit", "words"),
     [
+        (lambda report: report.update(check=None), "was not checked"),
         (lambda report: report.pop("check"), "is not told of"),
         (lambda report: resealed(report, fit=False), "is NOT fit to fly nf1"),
         (lambda report: resealed(report, policy_sha256="b" * 64), "was changed after its check"),

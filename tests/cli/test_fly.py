@@ -154,7 +154,6 @@ def test_the_firmwares_pid_flies_as_the_pythons_when_the_pilot_chooses_it(
         (["--throttle", "1.5"], "--throttle: got 1.5, expected 0 to 1"),
         (["--scenario", "freestyle", "--throttle", "0"], "freestyle has a throttle of its own; leave it out"),
         (["--ground"], "the aircraft hangs in mount centre, expected free; add --mount free"),
-        (["--on", "betaflight", "--aircraft", "hexa"], "its 6 motors stand or turn otherwise"),
     ],
 )
 def test_it_refuses_in_one_line_before_flying_when_the_input_is_bad(

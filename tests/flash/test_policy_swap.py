@@ -247,20 +247,13 @@ def test_one_line_names_the_difference_when_the_image_cannot_fly_it(
     assert board.flash.read_bytes() == before
 
 
-@pytest.mark.parametrize(
-    ("name", "words"),
-    [
-        ("nf1-six", "6-64-64-4 relu does not fit the image that runs (27-56-56-4 tanh): observed values 6, "),
-        ("hexa", "motors 6, the image 4"),
-    ],
-)
-def test_one_line_names_both_networks_when_the_architecture_is_another(
-    run: Run, board: HostBoard, name: str, words: str
-) -> None:
+def test_one_line_names_both_networks_when_the_architecture_is_another(run: Run, board: HostBoard) -> None:
     before = board.flash.read_bytes()
-    code, _, err = run("--policy", ROOT / "training" / "policies" / name / "policy.onnx")
+    code, _, err = run("--policy", ROOT / "training" / "policies" / "hexa" / "policy.onnx")
     assert code == 1
-    assert words in err and "nothing was written" in err
+    for words in (" does not fit the image that runs (27-56-56-4 tanh): ", "motors 6, the image 4"):
+        assert words in err
+    assert "nothing was written" in err
     assert board.flash.read_bytes() == before
 
 
@@ -693,6 +686,7 @@ def test_a_swap_takes_seconds_by_its_line_when_planned() -> None:
         ({"fit": False}, "is NOT fit to fly"),
         ({"policy_sha256": "b" * 64}, "was changed after its check"),
         ({"aircraft_sha256": "b" * 64}, "was checked for another aircraft"),
+        (None, "was not checked"),
     ],
 )
 def test_a_policy_that_is_not_known_to_be_fit_is_not_written(
@@ -700,12 +694,13 @@ def test_a_policy_that_is_not_known_to_be_fit_is_not_written(
     other: Path,
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
-    words: dict[str, object],
+    words: dict[str, object] | None,
     said: str,
 ) -> None:
     before = places(board).places
     policy = Path(shutil.copy(other, tmp_path / "policy.onnx"))
-    write_stamp(policy, stamp_of(policy, **words))
+    if words is not None:
+        write_stamp(policy, stamp_of(policy, **words))
     assert main(["flash", "--port", board.port, "--policy", str(policy)]) == 1
     err = capsys.readouterr().err
     assert said in err and f"neuroflight policy check {policy}" in err and "or add --unchecked" in err

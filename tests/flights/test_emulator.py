@@ -11,15 +11,18 @@ import numpy as np
 import pytest
 
 from flash.settings import parse_change
+from sim.aircraft.model import load_aircraft
 from sim.board.board import Board
 from sim.board.core.context import TIME_HZ
 from sim.board.debug.variables import pointers_in, read_variables
 from sim.board.matekf722 import GYROS
 from sim.board.peripherals.usart import CRSF as CRSF_FORMAT
 from sim.control import sticks
-from sim.flight.scenario import Scenario, Segment
+from sim.design.figures import hover_throttle
+from sim.flight.scenario import Scenario, Segment, pulses
 from sim.flight.trace import Trace
 from sim.ports.emulator import EmulatedPort
+from sim.ports.host import HostPort
 from sim.ports.library import ReferencePort
 from sim.ports.port import Sample
 from sim.ports.receiver_frames import crsf_frame
@@ -47,6 +50,22 @@ def test_crsf_at_another_gyro_rate_flies_the_same_bits_when_the_image_is_set_so(
 ) -> None:
     on_board = flown(EmulatedPort(image, 1000, {"receiver_protocol": CRSF}), BUSY)
     assert flown(ReferencePort(reference_library, 1000), BUSY).same(on_board)
+
+
+@pytest.mark.slow
+def test_five_minutes_of_commands_and_hovers_fly_the_same_bits_and_hold(
+    image: Path, host_program: Path, flown: Flown
+) -> None:
+    hover = hover_throttle(load_aircraft("nf1"), 0.055)
+    assert hover is not None
+    rest = Segment(30.0, throttle=hover)
+    commands = [part for part in pulses(1, 8, throttle=hover).segments if any(part.setpoint_deg_s)]
+    five = Scenario("five minutes", (rest, *(part for each in commands for part in (each, rest)), rest))
+    on_board = flown(EmulatedPort(image, 4000), five)
+    assert on_board.t[-1] > 299.0
+    assert flown(HostPort(host_program, 4000), five).same(on_board)
+    rates = np.rad2deg(on_board.rate[-10_000:].mean(axis=0))
+    assert np.abs(rates).max() < 1.0, "deg/s: what the gyro's bias leaves"
 
 
 def test_the_image_for_bank_b_flies_the_same_bits(

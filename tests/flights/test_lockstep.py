@@ -20,6 +20,8 @@ BUSY = Scenario(
     "busy",
     tuple(Segment(0.1, (150.0 * (-1) ** k, 40.0 * k, -30.0 * k), 0.1 * k) for k in range(8)),
 )
+# Too short and too low to be taken for a flight.
+TOUCHED = Scenario("touched", (Segment(0.3), Segment(0.1, (30.0, -40.0, 20.0), 0.05), Segment(0.2)))
 
 
 def test_a_host_flight_repeats_bit_for_bit_when_flown_twice(
@@ -57,15 +59,18 @@ def test_crsf_flies_the_same_bits_as_sbus_on_the_host(
     assert flown(by_crsf, BUSY).same(flown(ReferencePort(reference_library), BUSY))
 
 
+@pytest.mark.parametrize("standing", [False, True], ids=["in the air", "on the ground"])
 def test_the_toolchains_interpreter_flies_the_compiled_policys_bits_when_behind_the_port(
-    shipped_policy: Path, reference_library: Path, flown: Flown
+    shipped_policy: Path, reference_library: Path, flown: Flown, standing: bool
 ) -> None:
     policy = read_policy(shipped_policy)
     in_python = ControllerPort(
-        PolicyController(policy),
+        PolicyController(policy, standing=standing),
         policy.action_count,
         idle=policy.idle,
         mix=policy.mix,
         gyro_mean=policy.gyro_mean,
     )
-    assert flown(in_python, BUSY).same(flown(ReferencePort(reference_library), BUSY))
+    scenario = TOUCHED if standing else BUSY
+    firmware = ReferencePort(reference_library, settings={"ground_detection": int(standing)})
+    assert flown(in_python, scenario).same(flown(firmware, scenario))

@@ -18,7 +18,7 @@ from typing import Any
 from toolchain.errors import PolicyError
 from toolchain.files import file_size, write_text
 
-RULES = 1  # of training/fitness: counted up with every change of its bars or of what is flown
+RULES = 2  # of training/fitness: counted up with every change of its bars or of what is flown
 FORMAT = "neuroflight policy check"
 SUFFIX = ".check.json"  # instead of the policy's own
 STAMP_BYTES_MAX = 1 << 20
@@ -98,11 +98,13 @@ def parse_stamp(document: object) -> Stamp:
     return Stamp(policy_sha256, aircraft, aircraft_sha256, rules, fit, document)
 
 
-def fault(stamp: Stamp, policy_sha256: str, aircraft_sha256: str | None) -> str | None:
+def fault(stamp: Stamp | None, policy_sha256: str, aircraft_sha256: str | None) -> str | None:
     """Why a stamp does not say that these bytes are fit for this aircraft; None: it does.
 
     aircraft_sha256: None where the aircraft is not known, or any will do.
     """
+    if stamp is None:
+        return "was not checked"
     if stamp.policy_sha256 != policy_sha256:
         return "was changed after its check"
     if aircraft_sha256 is not None and stamp.aircraft_sha256 != aircraft_sha256:
@@ -114,21 +116,20 @@ def fault(stamp: Stamp, policy_sha256: str, aircraft_sha256: str | None) -> str 
     return None
 
 
-def require_fit(policy: Path, policy_sha256: str, aircraft_sha256: str | None, aircraft: str) -> Stamp | None:
-    """Return the stamp beside a policy file that says it is fit; None: no check has seen it, which is told.
+def require_fit(policy: Path, policy_sha256: str, aircraft_sha256: str | None, aircraft: str) -> Stamp:
+    """The stamp beside a policy file that says it is fit.
 
-    aircraft: as the command takes it. Raises PolicyError, one line with the command to run, where a stamp
-    says something else.
+    aircraft: as the command takes it. Raises PolicyError, one line with the command to run, where there is
+    none.
     """
     command = check_command(policy, aircraft)
     try:
         stamp = read_stamp(policy)
     except PolicyError as error:
         raise PolicyError(f"{error}; run: {command}, or add {UNCHECKED}") from error
-    if stamp is None:
-        return None
     if (why := fault(stamp, policy_sha256, aircraft_sha256)) is not None:
         raise PolicyError(f"{policy} {why}; run: {command}, or add {UNCHECKED}")
+    assert stamp is not None
     return stamp
 
 

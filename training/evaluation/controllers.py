@@ -42,6 +42,7 @@ class ControllerSpec:
     facts: dict[str, str]  # what a stored result records of it
     mix: Mix = Mix.ATTITUDE_FIRST  # of its outputs and the throttle
     gyro_mean: bool = False  # whether it sees the mean of the gyro's samples of a control period
+    standing: Callable[[int], Controller] | None = None  # as `build`, but on the ground; None: no otherwise
 
     @property
     def label(self) -> str:
@@ -84,6 +85,7 @@ def load_controller(name: str, aircraft: Aircraft, idle: float | None = None) ->
     return ControllerSpec(
         name=name,
         build=lambda count: PolicyController(policy, count, exact=False, idle=idle),
+        standing=lambda count: PolicyController(policy, count, exact=False, idle=idle, standing=True),
         control_rate_hz=policy.control_rate_hz,
         idle=policy.idle if idle is None else idle,
         facts={
@@ -143,8 +145,11 @@ class Conditions:
                 event=event,
                 progress=progress,
             )
+        # With the throttle closed they stay there, as the firmware knows.
+        stands = controller.standing if self.ground and not np.any(throttle) else None
+        build = stands or controller.build
         return record(
-            controller.build(self.episodes),
+            build(self.episodes),
             self.aircraft,
             task,
             episodes=self.episodes,

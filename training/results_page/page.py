@@ -243,11 +243,10 @@ amplitude times frequency in parts of half the sampling rate (Mysore et al. 2021
 without decimals; the mean of its MAE is a thousandth of its IAE's (tables 5.6 and 5.7). Rows of one
 comparison flew the same commands: differences are taken command by command, and ≈ marks those whose 95 %
 confidence interval includes zero.
-Rows without a throttle flew with it closed, and none of this table compares equal thrust: rotors that idle at
-23 % carry most of the weight or more with the throttle closed, and faster rotors make errors smaller. The
-dissertation's mean squared error of 117 is such a figure too: its policy's mean output of 0.12 is thrust,
-with the throttle closed. It says nothing of rotors that idle at 5.5 % and let the aircraft fall; what those
-reach stands under equal thrust, as closed."""
+Rows without a throttle flew with it closed, and none of this table compares equal thrust: faster rotors make
+errors smaller. The dissertation's mean squared error of 117 is of rotors that carried the aircraft without
+throttle: its policy's mean output of 0.12 is thrust. Rotors that idle at 5.5 % let the aircraft fall, and
+have little to steer with; what they reach in flights stands under equal thrust, as closed."""
 ABOUT_EPISODIC = """From rest, a command uniform within ±300 deg/s on all axes, held for 1 s. Success is the
 share [%] of commands whose error enters and stays within 10 % of the initial one, or within 5 deg/s where
 that is wider; bare is without that floor. Failure is the mean error after 500 ms of the others, rise the

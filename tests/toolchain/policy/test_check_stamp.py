@@ -46,9 +46,8 @@ def test_a_stamp_holds_when_policy_aircraft_and_rules_are_those_of_the_check(pol
     write_stamp(policy, document())
     assert stamp_path(policy).name == "policy.check.json"
     stamp = require_fit(policy, POLICY, AIRCRAFT, "mine.toml")
-    assert stamp is not None and (stamp.fit, stamp.rules, stamp.text) == (True, RULES, "fit to fly mine")
-    whatever = require_fit(policy, POLICY, None, "mine.toml")
-    assert whatever is not None and whatever.document == document()
+    assert (stamp.fit, stamp.rules, stamp.text) == (True, RULES, "fit to fly mine")
+    assert require_fit(policy, POLICY, None, "mine.toml").document == document()
 
 
 @pytest.mark.parametrize(
@@ -72,7 +71,8 @@ def test_a_stamp_does_not_hold_when_something_differs(
 
 def test_a_policy_without_a_stamp_was_not_checked(policy: Path) -> None:
     assert read_stamp(policy) is None
-    assert require_fit(policy, POLICY, AIRCRAFT, "mine.toml") is None
+    with pytest.raises(PolicyError, match="was not checked; run: neuroflight policy check"):
+        require_fit(policy, POLICY, AIRCRAFT, "mine.toml")
 
 
 def test_other_rules_void_a_stamp(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -80,9 +80,11 @@ def yaw_unseen(model: onnx.ModelProto, weights: Weights) -> None:
     weights["weight0"][:, _columns(model, "rate_error").start + 2] = 0.0
 
 
-def integral_unseen(model: onnx.ModelProto, weights: Weights) -> None:
-    """Nothing tells how long an error has lasted."""
-    weights["weight0"][:, _columns(model, "rate_error_integral")] = 0.0
+def moment_unseen(model: onnx.ModelProto, weights: Weights) -> None:
+    """Nothing tells of a moment from outside: what the model predicts slowly is taken for the slow rate."""
+    first = weights["weight0"]
+    first[:, _columns(model, "rate~15Hz")] += first[:, _columns(model, "rate_estimate~15Hz")]
+    first[:, _columns(model, "rate_estimate~15Hz")] = 0.0
 
 
 def coarse(_: onnx.ModelProto, weights: Weights) -> None:
@@ -115,6 +117,6 @@ def other_idle(model: onnx.ModelProto, _: Weights) -> None:
 
 
 ALL = (
-    *(row_negated, motor_dead, motors_exchanged, louder, offset, yaw_unseen, integral_unseen),
+    *(row_negated, motor_dead, motors_exchanged, louder, offset, yaw_unseen, moment_unseen),
     *(coarse, noisy, clipped, other_mix, other_idle),
 )

@@ -294,7 +294,7 @@ def test_pulses_stand_above_the_dissertations_when_flown_on_the_nf1() -> None:
             "PID `a`, no noise, delay 0 ms",
         ),
         ({"pid": "a", "mount": "rig", "throttle": 0.3}, "PID `a`, mount rig, throttle 0.3"),
-        ({"controller": "training/policies/nf1-high-idle/policy.onnx"}, "shipped policy (nf1-high-idle)"),
+        ({"controller": "training/policies/nf1-nominal/policy.onnx"}, "shipped policy (nf1-nominal)"),
         (
             {"controller": "training/policies/nf1/policy.onnx", "policy_sha256": "cd" * 32},
             "policy shipped before (nf1)",

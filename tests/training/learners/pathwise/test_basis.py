@@ -72,6 +72,7 @@ def test_six_motors_keep_what_turns_the_aircraft_or_lifts_it_evenly_and_nothing_
 
 def test_the_last_layer_of_a_network_only_steers_and_learns_only_that() -> None:
     shape, kept = Shape((INPUTS, 6, 6), "tanh", OutputMap()), steering(load_aircraft("hexa"))
+    assert kept is not None
     converted = Basis(shape, observation_blocks(TERMS), 6, kept)
     rng = np.random.default_rng(1)
     learned, by_network, direction = rng.standard_normal((3, shape.count)).astype(np.float32)
