@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from sim.aircraft.model import load_aircraft
 from training.evaluation.controllers import Conditions, load_controller
 from training.evaluation.evaluation import scores
-from training.evaluation.floor import changes, floors, floors_of
+from training.evaluation.floor import UNCERTAIN, changes, floors, floors_of
 from training.tasks.task import EpisodicTask, PulseTask, Setpoints
 
 NF1 = load_aircraft("nf1")
@@ -47,7 +47,7 @@ def test_no_controller_is_below_the_floor(name: str) -> None:
         assert least is not None
         errors = scores(flown).tracking
         assert (errors.mae.mean(axis=1) > least.mae).all()
-        assert (errors.mse.mean(axis=1) > least.mse).all()
+        assert (errors.mse.mean(axis=1) > (1.0 - UNCERTAIN) * least.mse).all()
         # Nor is the floor far below: these controllers are good ones.
         assert errors.mse.mean() < 1.3 * least.mse.mean()
         assert errors.mae.mean() < 2.0 * least.mae.mean()
