@@ -42,7 +42,7 @@ class ControllerSpec:
     facts: dict[str, str]  # what a stored result records of it
     mix: Mix = Mix.ATTITUDE_FIRST  # of its outputs and the throttle
     gyro_mean: bool = False  # whether it sees the mean of the gyro's samples of a control period
-    standing: Callable[[int], Controller] | None = None  # as `build`, but on the ground; None: no otherwise
+    standing: Callable[[int], Controller] | None = None  # as `build`, on the ground; None: as in the air
 
     @property
     def label(self) -> str:

@@ -161,7 +161,6 @@ static __attribute__((noinline)) void control_estimate(struct control *control, 
 static void control_mix(struct control *control, float throttle, float output[POLICY_ACTION_COUNT])
 {
 	const struct mixer *mixer = &control->mixers[control->flying];
-
 	float moved = 0.0f;
 
 	mixer_mix(mixer, control->action, throttle, output);
