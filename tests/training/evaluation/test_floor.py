@@ -11,11 +11,12 @@ from numpy.typing import NDArray
 from sim.aircraft.model import load_aircraft
 from training.evaluation.controllers import Conditions, load_controller
 from training.evaluation.evaluation import scores
-from training.evaluation.floor import UNCERTAIN, changes, floors, floors_of
+from training.evaluation.floor import changes, floors, floors_of
 from training.tasks.task import EpisodicTask, PulseTask, Setpoints
 
 NF1 = load_aircraft("nf1")
 PULSES = PulseTask(idle_s=0.5, command_s=0.4, rest_s=0.4)
+SETTLED = replace(PULSES, command_s=1.0)  # rotors hold the command, and do not only move towards it
 POLICY = "training/policies/nf1/policy.onnx"
 
 
@@ -42,12 +43,12 @@ def test_changes_are_found_with_what_holds_before_and_after() -> None:
 def test_no_controller_is_below_the_floor(name: str) -> None:
     controller = load_controller(name, NF1)
     for throttle in (0.12, 0.4):
-        flown = Conditions(NF1, PULSES, 12, 3, gyro_rate_hz=4000, noise=False).fly(controller, throttle)
+        flown = Conditions(NF1, SETTLED, 12, 3, gyro_rate_hz=4000, noise=False).fly(controller, throttle)
         least = floors_of(flown, NF1, idle=controller.idle)
         assert least is not None
         errors = scores(flown).tracking
         assert (errors.mae.mean(axis=1) > least.mae).all()
-        assert (errors.mse.mean(axis=1) > (1.0 - UNCERTAIN) * least.mse).all()
+        assert (errors.mse.mean(axis=1) > least.mse).all()
         # Nor is the floor far below: these controllers are good ones.
         assert errors.mse.mean() < 1.3 * least.mse.mean()
         assert errors.mae.mean() < 2.0 * least.mae.mean()
