@@ -46,6 +46,8 @@ class Source:
     name: str  # of its files
     what: str  # it is, as an error names it
     parts: tuple[Path, ...]  # folders of C sources, each with an api.h
+    files: tuple[Path, ...] = ()  # more sources, of another room: C, and the headers that they include
+    declares: str = ""  # what Python may use of those, as cffi reads it
     flags: tuple[str, ...] = ()
     includes: tuple[Path, ...] = ()  # folders
     linked: tuple[Path, ...] = ()  # libraries of Python packages
@@ -55,7 +57,7 @@ class Source:
 def load(source: Source, folder: Path = CACHE) -> Library:
     """The library of `source`, built into `folder` unless it is there. Raises BuildError, one line."""
     ffi = FFI()
-    ffi.cdef("".join(declarations(part / "api.h") for part in source.parts))
+    ffi.cdef(source.declares + "".join(declarations(part / "api.h") for part in source.parts))
     path = build(source, folder)
     return Library(ffi, ffi.dlopen(str(path)), path)
 
@@ -72,7 +74,7 @@ def build(source: Source, folder: Path) -> Path:
         raise BuildError(f"{source.what} needs a C compiler of this machine, found none; install gcc")
     version = subprocess.run([compiler, "--version"], capture_output=True, text=True).stdout
     flags = (*FLAGS, *source.flags, *(WHOLE if "Free Software Foundation" in version else ()))
-    files = [file for part in source.parts for file in sorted(part.glob("*.[ch]"))]
+    files = [*(file for part in source.parts for file in sorted(part.glob("*.[ch]"))), *source.files]
     target = folder / f"{source.name}-{_key((compiler, version, *flags), source, files)}.so"
     if target.is_file():
         return target

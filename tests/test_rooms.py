@@ -112,6 +112,7 @@ C_ROOMS = (
     "sim/physics/c",
     "sim/board/core/c",
     "sim/board/native/c",
+    "sim/control/c",
     "sim/ports/c",
 )
 GROUND = ("toolchain/errors.py", "toolchain/files.py", "toolchain/contract")

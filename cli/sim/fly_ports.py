@@ -158,7 +158,8 @@ def _names(product: Path) -> tuple[str, str]:
 
 def open_pid(args: argparse.Namespace, aircraft: Aircraft, control_rate_hz: int) -> Entry:
     """The aircraft's PID in the firmware's control path."""
-    from sim.control.pid import aircraft_pid, pid_settings
+    from sim.control.pid import aircraft_pid
+    from sim.control.pid_table import pid_settings
     from sim.ports.python_controller import ControllerPort
 
     settings = pid_settings(aircraft)

@@ -251,7 +251,8 @@ def _flights(
     throttle: float | NDArray[np.float32],
     progress: Show,
 ) -> Flights:
-    from sim.control.pid import Pid, mixer
+    from sim.control.pid import Pid
+    from sim.control.pid_table import mixer
     from training.evaluation.evaluation import record
     from training.pid_tuning.trial import RATE_HZ
 

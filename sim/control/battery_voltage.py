@@ -1,15 +1,22 @@
-"""A battery's voltage as the firmware's background hands it to the PID: sampled and low-passed; battery.c."""
+"""A battery's voltage as the firmware's background hands it to the PID: in millivolts at the pin, low-passed.
+
+float32 in the firmware's order of operations (housekeeping/battery.c), behind the host's converter
+(hal/host/convert.c).
+"""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from toolchain.contract import BATTERY_FILTER_S, BATTERY_RATE_HZ
+from toolchain.contract import BATTERY_FILTER_S, BATTERY_RATE_HZ, SETTINGS
 
 Array = NDArray[np.float64]
-_PERIOD_S = 1.0 / BATTERY_RATE_HZ
-_SHARE = _PERIOD_S / (_PERIOD_S + BATTERY_FILTER_S)
+Array32 = NDArray[np.float32]
+_PERIOD_S = np.float32(1.0) / np.float32(BATTERY_RATE_HZ)
+_SHARE = _PERIOD_S / (_PERIOD_S + np.float32(BATTERY_FILTER_S))
+_VOLTS_PER_MV = np.float32(0.001)
+_SCALE = next(float(setting.default) for setting in SETTINGS if setting.name == "battery_scale")
 
 
 class BatteryVoltage:
@@ -17,15 +24,17 @@ class BatteryVoltage:
 
     def __init__(self, control_rate_hz: int) -> None:
         self._every = max(1, control_rate_hz // BATTERY_RATE_HZ)
-        self._filtered: Array | None = None
+        self._filtered: Array32 | None = None
 
     def due(self, step: int) -> bool:
-        """Whether the packs are measured at control step number `step`."""
-        return step % self._every == 0
+        """Whether the packs are measured after control step number `step`, for the steps that follow."""
+        return (step + 1) % self._every == 0
 
-    def measure(self, voltage: Array) -> Array:
+    def measure(self, voltage: Array) -> Array32:
         """The filtered voltages after one more measurement (N,) [V]; NaN stays where a pack is not known."""
+        at_pin = np.rint(voltage / _SCALE * 1000.0).astype(np.float32)  # [mV]
+        measured = at_pin * _VOLTS_PER_MV * np.float32(_SCALE)
         if self._filtered is None:
-            self._filtered = voltage.copy()
-        self._filtered += _SHARE * (voltage - self._filtered)
-        return self._filtered.copy()
+            self._filtered = measured
+        self._filtered = self._filtered + _SHARE * (measured - self._filtered)
+        return self._filtered

@@ -1,17 +1,22 @@
-"""The aircraft of a policy, and its PID as the toolchain compiles it into an image beside the policy."""
+"""The PID of an aircraft as the firmware is given it, and what stands beside a policy in an image.
+
+The twin's PIDs (`sim.control.pid`) and an image get the same numbers.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sim.aircraft.identity import shipped_as, told
-from sim.aircraft.model import Aircraft, aircraft_file, load_aircraft
-from sim.control.pid import mixer, pid_settings
-from toolchain.errors import BuildError
+from sim.aircraft.model import Aircraft, PidSettings, aircraft_file, load_aircraft
+from toolchain.errors import AircraftError, BuildError
 from toolchain.policy.model import PolicyModel
 from toolchain.rendering.pid_table import PidTable
+
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -24,24 +29,60 @@ class Beside:
     pid: PidTable | None  # None: the user wants none
 
 
-def pid_table(aircraft: Aircraft) -> PidTable | None:
-    """The aircraft's first PID, None if it has none."""
-    if not aircraft.pids:
-        return None
-    name = aircraft.pids[0][0]
-    settings = pid_settings(aircraft, name)
+def mixer(aircraft: Aircraft) -> Array:
+    """Return the share of each motor (M) in roll, pitch and yaw (3), (M, 3); the largest of an axis is 1.
+
+    A rotor left of the centre of mass (y > 0) rolls right, one behind it (x < 0) pitches the nose down, one
+    that turns clockwise yaws left by its reaction. Of all shares that turn one axis alone and add no
+    thrust, these are the smallest.
+    """
+    x, y = aircraft.rotor_positions[:, :2].T
+    moments = np.stack([y, -x, -aircraft.spins, np.ones(aircraft.motor_count)])  # a newton of each rotor
+    shares = np.linalg.pinv(moments)[:, :3]
+    scaled: Array = shares / np.abs(shares).max(axis=0)
+    return scaled
+
+
+def pid_mixer(aircraft: Aircraft, settings: PidSettings) -> Array:
+    """Return the mixer (M, 3) that the settings name, else that of the geometry."""
+    return mixer(aircraft) if settings.mixer is None else np.array(settings.mixer).T
+
+
+def pid_settings(aircraft: Aircraft, name: str | None = None) -> PidSettings:
+    """Return the settings of the PID called `name`, the first one unless given. Raises AircraftError."""
+    pids = dict(aircraft.pids)
+    if not pids:
+        raise AircraftError(
+            f"aircraft {aircraft.name}: no [pid.NAME] table with roll, pitch, yaw gains; add one, or let "
+            f"`neuroflight tune-pid --write` do it"
+        )
+    if name is not None and name not in pids:
+        raise AircraftError(f"aircraft {aircraft.name}: no PID {name!r}; it has: {', '.join(pids)}")
+    return pids[name or next(iter(pids))]
+
+
+def settings_table(settings: PidSettings, mix: Array, aircraft: str, name: str) -> PidTable:
+    """Return a PID as the toolchain takes it; mix: (M, 3), used whatever the settings name."""
     return PidTable(
-        aircraft=aircraft.name,
+        aircraft=aircraft,
         name=name,
         gains=np.array(settings.gains),
         derivative_cutoff_hz=settings.derivative_cutoff_hz,
         idle=settings.idle,
-        mixer=mixer(aircraft) if settings.mixer is None else np.array(settings.mixer).T,
+        mixer=mix,
         tpa_rate=settings.tpa_rate,
         tpa_breakpoint=settings.tpa_breakpoint,
         nominal_voltage=settings.nominal_voltage,
         mix=settings.mix,
     )
+
+
+def pid_table(aircraft: Aircraft) -> PidTable | None:
+    """Return the aircraft's first PID, None if it has none."""
+    if not aircraft.pids:
+        return None
+    name, settings = aircraft.pids[0]
+    return settings_table(settings, pid_mixer(aircraft, settings), aircraft.name, name)
 
 
 def beside(

@@ -115,13 +115,13 @@ class ControllerPort:
     def _control(self, gyro: NDArray[np.float32], step: int) -> Reply:
         setpoint = np.zeros(3, np.float32) if self._age >= self._hold else self._setpoint
         throttle = self._throttle
-        if isinstance(self._controller, Pid) and self._battery.due(step):
-            self._controller.compensate(self._battery.measure(np.array([self._volts])))
         self._arm()
         dshot = np.zeros(self.motor_count, np.uint16)
         if self._armed:
             y = self._controller.step(setpoint[None], gyro[None], throttle)
             dshot = dshot_values(throttle_mix(y, throttle, self._mix), self._idle)[0]
+        if isinstance(self._controller, Pid) and self._battery.due(step):
+            self._controller.compensate(self._battery.measure(np.array([self._volts])))
         return Reply(dshot, step, setpoint, gyro, float(throttle[0]), self._armed)
 
     def _arm(self) -> None:

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from sim.aircraft.model import load_aircraft
-from sim.control.pid import aircraft_pid, pid_settings
+from sim.control.pid import aircraft_pid
+from sim.control.pid_table import pid_settings
 from sim.flight.loop import fly
 from sim.flight.scenario import Scenario
 from sim.flight.trace import Trace

@@ -21,9 +21,11 @@ from sim.ports.emulator import EmulatedPort
 from sim.ports.host import HostPort
 from sim.ports.library import ReferencePort
 from tests.conftest import BUILD, ROOT, build_beside
+from tests.flights.recomputed import recomputed
 from tests.flights.wiring import reversed_aircraft
 from toolchain.contract import DSHOT_MIN
 from toolchain.image.build import TARGETS
+from training.evaluation.controllers import load_controller
 
 MOTORS = 6
 POLICY = ROOT / "training" / "policies" / "hexa" / "policy.onnx"
@@ -64,6 +66,14 @@ def test_six_motors_get_equal_dshot_values_on_host_library_and_board(
     error = np.abs(host.setpoint - host.rate)
     settled = error.reshape(3, -1, 3)[:, 200:]  # the last 0.2 s of each command
     assert np.degrees(settled.mean()) < 10.0
+
+
+def test_compares_controller_gives_the_values_that_six_motors_got(
+    built: Path, flown: Callable[..., Trace]
+) -> None:
+    port = ReferencePort(built / "HOST" / "libneuroflight.so")
+    trace = flown(port, TURNS.under_pid(), aircraft="hexa")
+    assert np.array_equal(recomputed(trace, load_controller("pid", load_aircraft("hexa"))), trace.dshot)
 
 
 @pytest.mark.parametrize("scenario", [TURNS, TURNS.under_pid()], ids=["policy", "pid"])

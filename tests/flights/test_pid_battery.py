@@ -13,7 +13,7 @@ import pytest
 
 from sim.aircraft.model import Aircraft, load_aircraft
 from sim.analysis.metrics import Figures, figures
-from sim.control.pid import pid_settings
+from sim.control.pid_table import pid_settings
 from sim.flight.loop import fly
 from sim.flight.scenario import load_scenario
 from sim.flight.trace import Trace

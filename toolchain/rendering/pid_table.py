@@ -1,6 +1,7 @@
 """The PID that stands beside the policy in an image: the aircraft's gains as C.
 
-`sim.control.pid_table` reads them from an aircraft; this room only knows the numbers.
+`sim.control.pid_table` reads them from an aircraft; this room only knows the numbers. The twin's PIDs
+(`sim.control.pid`) are given the same ones.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 from toolchain.contract import Mix
 from toolchain.rendering.jinja import render
 
-SCALE = 1e-3  # motor fraction of one unit of the sum of gain and deg/s; sim/control/pid.py
+SCALE = 1e-3  # motor fraction of one unit of the sum in deg/s; Koch 2019, ch. 5, after Betaflight's mixer
 INTEGRAL_OUTPUT_MAX = 1.0  # motor fraction that the integral alone may ask for
 
 
@@ -46,39 +47,46 @@ def render_pid_table(table: PidTable | None, motors: int, control_rate_hz: int) 
     """
     if table is not None and table.motor_count != motors:
         raise ValueError(f"the PID of {table.aircraft} drives {table.motor_count} motors, expected {motors}")
-    return render("pid_table.c.j2", table=None if table is None else _numbers(table, control_rate_hz))
+    if table is None:
+        return render("pid_table.c.j2", table=None)
+    numbers = pid_gains(table, control_rate_hz)
+    shares = numbers.pop("mixer")
+    return render(
+        "pid_table.c.j2",
+        table={
+            "aircraft": table.aircraft,
+            "name": table.name,
+            "motor_count": table.motor_count,
+            "mix": f"NF_MIX_{table.mix.name}",
+            "numbers": {name: _written(value) for name, value in numbers.items()},
+            "mixer": [_written(share) for share in shares],
+        },
+    )
 
 
-def _numbers(table: PidTable, control_rate_hz: int) -> dict[str, object]:
-    """The members of struct pid_gains as C: radians where the file has degrees."""
+def pid_gains(table: PidTable, control_rate_hz: int) -> dict[str, NDArray[np.float32]]:
+    """Return the float members of struct pid_gains, rounded once: radians where the file has degrees."""
     p, i, d = table.gains.T * SCALE * math.degrees(1.0)
     with np.errstate(divide="ignore"):
         integral_max = np.where(i > 0, INTEGRAL_OUTPUT_MAX / i, 0.0)
     cutoff = table.derivative_cutoff_hz
-    smoothing = 1.0 if cutoff is None else -math.expm1(-math.tau * cutoff / control_rate_hz)
-    return {
-        "aircraft": table.aircraft,
-        "name": table.name,
-        "motor_count": table.motor_count,
-        "idle": _float(table.idle),
-        "p": _row(p),
-        "i": _row(i),
-        "d": _row(d),
-        "integral_max": _row(integral_max),
-        "period_s": _float(1.0 / control_rate_hz),
-        "smoothing": _float(smoothing),
-        "tpa_breakpoint": _float(table.tpa_breakpoint),
-        "tpa_slope": _float(table.tpa_rate / (1.0 - table.tpa_breakpoint)),
-        "mix": f"NF_MIX_{table.mix.name}",
-        "nominal_voltage": _float(table.nominal_voltage or 0.0),
-        "mixer": [_row(share) for share in table.mixer],
+    numbers = {
+        "idle": table.idle,
+        "p": p,
+        "i": i,
+        "d": d,
+        "integral_max": integral_max,
+        "period_s": 1.0 / control_rate_hz,
+        "smoothing": 1.0 if cutoff is None else -math.expm1(-math.tau * cutoff / control_rate_hz),
+        "tpa_breakpoint": table.tpa_breakpoint,
+        "tpa_slope": table.tpa_rate / (1.0 - table.tpa_breakpoint),
+        "nominal_voltage": table.nominal_voltage or 0.0,
+        "mixer": table.mixer,
     }
+    return {name: np.asarray(value, np.float32) for name, value in numbers.items()}
 
 
-def _row(values: NDArray[np.float64]) -> str:
-    return "{ " + ", ".join(_float(value) for value in values.tolist()) + " }"
-
-
-def _float(value: float) -> str:
-    """`value` rounded to float32 once, written so that C reads the same."""
-    return f"{float(np.float32(value))!r}f"
+def _written(value: NDArray[np.float32]) -> str:
+    """Return a number or a row of numbers so that C reads the same ones."""
+    texts = [f"{number!r}f" for number in value.ravel().tolist()]
+    return "{ " + ", ".join(texts) + " }" if value.ndim else texts[0]

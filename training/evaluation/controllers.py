@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from sim.aircraft.identity import other_aircraft_note
 from sim.aircraft.model import Aircraft
 from sim.control.controller import Controller, PolicyController
-from sim.control.pid import aircraft_pid, pid_settings
+from sim.control.pid import aircraft_pid
+from sim.control.pid_table import pid_settings
 from sim.physics.variation import Variation
 from sim.physics.world import Mount
 from toolchain.contract import Mix
@@ -68,6 +69,7 @@ def load_controller(name: str, aircraft: Aircraft, idle: float | None = None) ->
         return ControllerSpec(
             name=name,
             build=lambda count: aircraft_pid(aircraft, count, PID_RATE_HZ, chosen),
+            standing=lambda count: aircraft_pid(aircraft, count, PID_RATE_HZ, chosen, standing=True),
             control_rate_hz=PID_RATE_HZ,
             idle=settings.idle if idle is None else idle,
             facts={"pid": chosen},

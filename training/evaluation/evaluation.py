@@ -247,6 +247,8 @@ def record(
     battery = BatteryVoltage(control_rate_hz)
     try:
         controller.reset()
+        if isinstance(controller, Pid):
+            controller.compensate(battery.measure(twin.pack_voltage))
         gyro.add(quantised_rate(twin.gyro))
         for k in range(steps):
             setpoint = wanted[:, k]
@@ -259,9 +261,9 @@ def record(
                 thrust = by_step[k]
             if isinstance(controller, PolicyController) and controller.senses:
                 controller.sense(twin.rotor_speed, twin.rotation)
+            rows.output[k] = y = controller.step(setpoint, gyro.mean(), thrust)
             if isinstance(controller, Pid) and battery.due(k):
                 controller.compensate(battery.measure(twin.pack_voltage))
-            rows.output[k] = y = controller.step(setpoint, gyro.mean(), thrust)
             command = motor_commands(y, thrust, idle, mix)
             rows.put(k, twin, command)
             for left in reversed(range(samples)):

@@ -21,7 +21,8 @@ from numpy.typing import NDArray
 from sim.aircraft.model import Aircraft, PidSettings
 from sim.analysis.metrics import effort, tracking
 from sim.control.motors import throttle_mix
-from sim.control.pid import Pid, mixer
+from sim.control.pid import Pid
+from sim.control.pid_table import mixer
 from toolchain.contract import Mix
 from training.evaluation.evaluation import Flights, record
 from training.pid_tuning.trial import (

@@ -25,9 +25,10 @@ from numpy.typing import NDArray
 
 from sim.aircraft.model import Aircraft, PidSettings
 from sim.control.gyro_mean import samples_per_step
-from sim.control.pid import INTEGRAL_OUTPUT_MAX, SCALE, mixer
+from sim.control.pid_table import mixer, settings_table
 from sim.physics.rotor import response_rows, target_speed, thrust_and_torque
 from toolchain.contract import GRAVITY, Mix
+from toolchain.rendering.pid_table import pid_gains
 from training.config.training_config import OutputMap
 from training.learners.network.shape import Shape
 from training.learners.pathwise.flights import LANES
@@ -116,7 +117,6 @@ class FlyingTrials:
         self._arrays = _rows(aircraft, flights, setpoint, self.idle, surroundings.dt, rng)
         self._block = self._struct("block", self._arrays)
         self.moment = _moments(aircraft, flights)
-        self._mixer = np.ascontiguousarray(mixer(aircraft), np.float32)
 
     def fly(self, candidates: Sequence[PidSettings]) -> list[Trial]:
         """See Trials."""
@@ -125,17 +125,12 @@ class FlyingTrials:
 
     def figures(self, settings: PidSettings) -> tuple[Array, Array, Array]:
         """Return MAE [deg/s], MSE [deg^2/s^2] and the motors' change of each flight, (LANES,)."""
-        gains = np.rad2deg(np.array(settings.gains) * SCALE)
-        cutoff = settings.derivative_cutoff_hz
+        gains = pid_gains(settings_table(settings, mixer(self.aircraft), "", ""), RATE_HZ)
         trial = self._struct(
             "pid_trial",
             {
-                **{name: gains[:, at].tolist() for at, name in enumerate("pid")},
-                "integral_max": [
-                    INTEGRAL_OUTPUT_MAX / gain if gain > 0.0 else 0.0 for gain in gains[:, 1].tolist()
-                ],
-                "smoothing": 1.0 if cutoff is None else -math.expm1(-2.0 * math.pi * cutoff / RATE_HZ),
-                "mixer": self._mixer,
+                **{name: gains[name].tolist() for name in ("p", "i", "d", "integral_max", "smoothing")},
+                "mixer": gains["mixer"],
                 "moment": self.moment,
                 "begin": round(PulseTask().idle_s * RATE_HZ),
             },

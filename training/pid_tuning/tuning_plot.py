@@ -9,7 +9,8 @@ from matplotlib.ticker import ScalarFormatter
 from numpy.typing import NDArray
 
 from sim.aircraft.model import Aircraft, PidSettings
-from sim.control.pid import Pid, mixer
+from sim.control.pid import Pid
+from sim.control.pid_table import mixer
 from sim.plotting import FLIGHT_COLOURS, GRID, INK, dress, titled_figure
 from toolchain.contract import AXES
 from training.evaluation.evaluation import record

@@ -10,9 +10,11 @@ from numpy.typing import NDArray
 
 from sim.aircraft.mass import Vector
 from sim.aircraft.model import Aircraft, PidSettings
-from sim.control.pid import SCALE, Pid, mixer
+from sim.control.pid import Pid
+from sim.control.pid_table import mixer
 from toolchain.contract import AXES
 from toolchain.errors import TrainingError
+from toolchain.rendering.pid_table import SCALE
 from training.evaluation.evaluation import record
 from training.tasks.task import Setpoints, held
 

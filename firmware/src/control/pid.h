@@ -2,8 +2,8 @@
  *
  * y = mixer c (P e + I sum(e) dt - a D d rate/dt), lifted and narrowed into 0..1 so that differences survive. The
  * integral is clamped, the derivative is that of the rate through a first-order low-pass. a, the throttle's attenuation,
- * falls from 1 above a throttle; c, the battery's compensation, rises from 1 as the pack sags. The same law as
- * sim/control/pid.py. */
+ * falls from 1 above a throttle; c, the battery's compensation, rises from 1 as the pack sags. The twin's PIDs are this
+ * C too: sim/control/library.py. */
 #ifndef NF_PID_H
 #define NF_PID_H
 

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from sim.aircraft.model import Aircraft, load_aircraft
 from sim.analysis.manoeuvre import shake
 from sim.control.motors import motor_commands
-from sim.control.pid import aircraft_pid, pid_settings
+from sim.control.pid import aircraft_pid
+from sim.control.pid_table import pid_settings
 from sim.physics.air import Wash, wash_band
 from sim.physics.library import library, pointer
 from sim.physics.rotor import propulsion_struct, target_speed, thrust_and_torque

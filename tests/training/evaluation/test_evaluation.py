@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from sim.aircraft.model import load_aircraft
 from sim.control.controller import PolicyController
-from sim.control.pid import aircraft_pid, pid_settings
+from sim.control.pid import aircraft_pid
+from sim.control.pid_table import pid_settings
 from sim.physics.rotor import target_speed, thrust_and_torque
 from toolchain.contract import Mix
 from toolchain.ir.interpreter import advance, clear_state

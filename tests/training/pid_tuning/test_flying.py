@@ -8,7 +8,8 @@ import pytest
 
 from sim.aircraft.model import Aircraft, load_aircraft
 from sim.analysis.metrics import effort
-from sim.control.pid import Pid, mixer, pid_settings
+from sim.control.pid import Pid
+from sim.control.pid_table import mixer, pid_settings
 from sim.physics.variation import Variation
 from toolchain.contract import Mix
 from training.evaluation.evaluation import record

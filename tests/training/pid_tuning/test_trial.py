@@ -8,7 +8,8 @@ import pytest
 
 from sim.aircraft.model import PidSettings, load_aircraft
 from sim.analysis.metrics import effort, tracking
-from sim.control.pid import Pid, mixer, pid_settings
+from sim.control.pid import Pid
+from sim.control.pid_table import mixer, pid_settings
 from training.evaluation.evaluation import Flights, record
 from training.pid_tuning.dissertation import DissertationTrials
 from training.pid_tuning.trial import Limits, Pulses, held_commands, throttles, training_commands

@@ -9,7 +9,8 @@ import pytest
 
 from cli.main import main
 from sim.aircraft.model import FOLDER, load_aircraft, shipped
-from sim.control.pid import aircraft_pid, pid_settings
+from sim.control.pid import aircraft_pid
+from sim.control.pid_table import pid_settings
 from sim.physics.twin import Twin
 from sim.physics.world import Mount
 from toolchain.contract import AXES, GRAVITY, Mix

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from sim.aircraft.model import PidSettings, load_aircraft
-from sim.control.pid import Pid, mixer
+from sim.control.pid import Pid
+from sim.control.pid_table import mixer
 from toolchain.errors import TrainingError
 from training.evaluation.evaluation import record
 from training.pid_tuning.ultimate_gain import Steps, UltimateGain, ultimate_gains

@@ -11,7 +11,8 @@ from scipy.spatial.transform import Rotation
 
 from cli.main import main
 from sim.aircraft.model import load_aircraft
-from sim.control.pid import aircraft_pid, pid_settings
+from sim.control.pid import aircraft_pid
+from sim.control.pid_table import pid_settings
 from toolchain.errors import TrainingError
 from training.evaluation.comparison import by_axis, differences, values
 from training.evaluation.evaluation import Flights, record, scores

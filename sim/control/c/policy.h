@@ -1,0 +1,2 @@
+/* Stands where the firmware has the header of its policy: a PID asks it for the number of motors, POLICY_ACTION_COUNT, which the
+ * build of this library says. */

@@ -1,0 +1,131 @@
+"""The PID of evaluations is the one that flies: the same bits, from a step to a whole flight.
+
+Recorded flights of the firmware are given to compare's controller step by step. Then Python's control path
+and the loop of evaluations fly the same flights by themselves.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import closing
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+import pytest
+
+from sim.aircraft.model import Aircraft, load_aircraft
+from sim.flight.loop import fly
+from sim.flight.scenario import Scenario, Segment
+from sim.flight.trace import Trace
+from sim.physics.twin import Twin
+from sim.physics.world import Mount
+from sim.ports.emulator import EmulatedPort
+from sim.ports.host import HostPort
+from sim.ports.library import ReferencePort
+from sim.ports.port import FirmwarePort
+from sim.ports.python_controller import ControllerPort
+from tests.flights.recomputed import recomputed
+from training.evaluation.controllers import load_controller
+from training.evaluation.evaluation import record
+from training.tasks.task import Setpoints
+
+Flown = Callable[..., Trace]
+NF1 = load_aircraft("nf1")
+PID = load_controller("pid", NF1)
+GYRO_HZ = 4000
+# A pack of 15.0 V at rest, of the PID's nominal 16: it is compensated throughout, as the load has it.
+SUPPLIES = pytest.mark.parametrize("full", [None, 15.0], ids=["bench supply", "sagging pack"])
+CELLS = {"battery_cells": 4}
+
+
+def busy(mount: Mount) -> Scenario:
+    """A second of commands on all axes, from throttle closed to full."""
+    segments = (Segment(0.1, (250.0 * (-1) ** k, 60.0 * k, -50.0 * k), min(1.0, 0.12 * k)) for k in range(10))
+    return Scenario("busy", tuple(segments), mount).under_pid()
+
+
+@dataclass(frozen=True, eq=False)
+class Given:
+    """The setpoints of a flight."""
+
+    name: ClassVar[str] = "given"
+    setpoint: Setpoints
+
+    @property
+    def duration_s(self) -> float:
+        """See Task."""
+        return 1e-3 * float(self.setpoint.shape[1])
+
+    def episodes(self, count: int, rng: np.random.Generator, rate_hz: int) -> Setpoints:
+        """See Task."""
+        return self.setpoint
+
+
+def supplied(full: float | None) -> tuple[Aircraft, float | None]:
+    """Return an NF1 and its pack's charge; full: voltage of a full pack at rest, None: the bench supply."""
+    if full is None:
+        return NF1, None
+    assert NF1.battery is not None
+    return replace(NF1, battery=replace(NF1.battery, rest_voltage=full)), 1.0
+
+
+def flight(port: FirmwarePort, mount: Mount, full: float | None, *, noise: bool) -> Trace:
+    aircraft, charge = supplied(full)
+    rng = np.random.default_rng(1)
+    twin = Twin(aircraft, rate_hz=GYRO_HZ, mount=mount, noise=noise, charge=charge, rng=rng)
+    with closing(port), closing(twin):
+        return fly(twin, port, busy(mount))
+
+
+@pytest.mark.parametrize("where", ["host program", "library", "emulated board"])
+def test_compares_controller_gives_the_values_that_the_firmware_sent(
+    host_program: Path, reference_library: Path, board_image: Path, flown: Flown, where: str
+) -> None:
+    make: dict[str, Callable[[], FirmwarePort]] = {
+        "host program": lambda: HostPort(host_program, GYRO_HZ),
+        "library": lambda: ReferencePort(reference_library, GYRO_HZ),
+        "emulated board": lambda: EmulatedPort(board_image.with_suffix(".bin"), GYRO_HZ),
+    }
+    trace = flown(make[where](), busy(Mount.CENTRE))
+    assert np.ptp(trace.dshot.astype(int), axis=0).min() > 1000, "every motor went through most of its range"
+    assert np.array_equal(recomputed(trace, PID), trace.dshot)
+
+
+@SUPPLIES
+def test_pythons_control_path_flies_the_firmwares_flight(reference_library: Path, full: float | None) -> None:
+    python = ControllerPort(
+        PID.build(1), 4, GYRO_HZ, PID.control_rate_hz, PID.idle, mix=PID.mix, gyro_mean=PID.gyro_mean
+    )
+    flown = flight(ReferencePort(reference_library, GYRO_HZ, CELLS), Mount.CENTRE, full, noise=True)
+    assert flight(python, Mount.CENTRE, full, noise=True).same(flown)
+
+
+@SUPPLIES
+@pytest.mark.parametrize("mount", [Mount.CENTRE, Mount.RIG])
+def test_an_evaluation_flies_the_firmwares_flight(
+    reference_library: Path, mount: Mount, full: float | None
+) -> None:
+    """Without noise: an evaluation begins where the firmware has measured its gyro's bias for a second."""
+    port = ReferencePort(reference_library, GYRO_HZ, {**CELLS, "gyro_stuck_ms": 0})
+    firmware = flight(port, mount, full, noise=False)
+    aircraft, charge = supplied(full)
+    evaluated = record(
+        PID.build(1),
+        aircraft,
+        Given(firmware.setpoint[None]),
+        episodes=1,
+        seed=1,
+        control_rate_hz=PID.control_rate_hz,
+        mount=mount,
+        noise=False,
+        throttle=firmware.throttle[None],
+        idle=PID.idle,
+        mix=PID.mix,
+        gyro_mean=PID.gyro_mean,
+        charge=charge,
+    )
+    assert evaluated.motors is not None
+    assert np.array_equal(evaluated.motors[0], firmware.motors.astype(np.float32))
+    assert np.array_equal(evaluated.rate[0], firmware.rate.astype(np.float32))
