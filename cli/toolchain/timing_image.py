@@ -193,7 +193,11 @@ def _document(
 
 
 def _row(cost: TaskCost) -> dict[str, Any]:
-    cycles = cost.cycles
+    cycles = cost.cycles and {
+        "worst": cost.cycles[1],
+        "best": cost.cycles[0],
+        "window": cost.cycles[1] - cost.cycles[0],
+    }
     return {
         "work": cost.kind.work.value,
         "armed": cost.kind.armed,
@@ -201,8 +205,8 @@ def _row(cost: TaskCost) -> dict[str, Any]:
         "runs": cost.times,
         "routes": cost.routes,
         "instructions": {"worst": cost.instructions[1], "best": cost.instructions[0]},
-        "predicted_cycles": None if cycles is None else {"worst": cycles[1], "best": cycles[0]},
-        "microseconds": None if cycles is None else {"worst": _us(cycles[1]), "best": _us(cycles[0])},
+        "predicted_cycles": cycles,
+        "microseconds": cycles and {name: _us(count) for name, count in cycles.items()},
         "variability": cost.variability,
         "device_accesses": {"most": cost.accesses[1], "fewest": cost.accesses[0]},
     }

@@ -65,7 +65,12 @@ def told_row(told: ToldTimes) -> dict[str, Any]:
     """What stands in the JSON document."""
     from toolchain.cortex_m7.cycles import CORE_HZ
 
-    cycles = {"worst": told.worst, "best": told.best, "mean": told.mean}
+    cycles = {
+        "worst": told.worst,
+        "best": told.best,
+        "mean": told.mean,
+        "window": told.worst - told.best,
+    }
     return {
         "source": SOURCE,
         "work": "control task",

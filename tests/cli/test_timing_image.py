@@ -87,6 +87,7 @@ def test_it_tells_what_other_counts_tell_when_the_image_has_flown(
             assert row["variability"] == (worst - best) / worst
             assert worst < document["core_hz"] / 1000
             assert row["microseconds"]["worst"] == pytest.approx(worst / 216)
+            assert row["microseconds"]["window"] == pytest.approx((worst - best) / 216)
     task = rows["control task", "policy", True]["predicted_cycles"]
     if task is not None:
         assert task["worst"] <= CONTROL_TASK_CYCLES
@@ -99,5 +100,7 @@ def test_it_tells_what_other_counts_tell_when_the_image_has_flown(
     assert {row["controller"] for row in flown} == {"policy", "pid"}
     assert all(row["armed"] and row["runs"] >= 1_000 for row in flown)
     for row in document["firmware_timing"]:
+        us = row["microseconds"]
+        assert us["window"] == pytest.approx(us["worst"] - us["best"])
         assert 0 < row["cycles"]["best"] <= row["cycles"]["mean"] <= row["cycles"]["worst"]
     assert "| policy 19-64-64-4 tanh, armed |" in render([Stored("board-timing.json", document)])
