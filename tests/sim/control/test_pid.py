@@ -207,18 +207,16 @@ def test_an_aircraft_file_may_name_the_mixer_when_its_gains_were_found_with_one(
     assert y[0] - y[1] == pytest.approx(2 * 0.598 * (4.2 + 64.33 / RATE_HZ) * 100 / 1000, rel=1e-5)
 
 
-def at_throttle(throttle: float, volts: float, gains: tuple[float, float, float]) -> float:
-    """What roll asks of a motor in the second step, at 50 deg/s of error and 10,000 deg/s^2."""
-    settings = PidSettings(
-        (gains, ZERO, ZERO), None, 0.0, tpa_rate=0.4, tpa_breakpoint=0.5, nominal_voltage=15.0
-    )
-    pid = Pid(np.hstack([ONE_AXIS, np.zeros((3, 2))]), settings, 1, RATE_HZ)
+def at_throttle(throttle: float, volts: float, gains: tuple[float, float, float]) -> NDArray[np.float32]:
+    """What each axis asks of its motor in the second step, at 50 deg/s of error and 10,000 deg/s^2."""
+    settings = PidSettings((gains,) * 3, None, 0.0, tpa_rate=0.4, tpa_breakpoint=0.5, nominal_voltage=15.0)
+    pid = Pid(np.eye(3), settings, 1, RATE_HZ)
     pid.compensate(np.array([volts]))
     thrust = np.full(1, throttle, np.float32)
     for rate in (0.0, 10.0):
-        wanted, gyro = (np.deg2rad([[r, 0.0, 0.0]]).astype(np.float32) for r in (60.0, rate))
+        wanted, gyro = (np.deg2rad([[r, r, r]]).astype(np.float32) for r in (60.0, rate))
         y = pid.step(wanted, gyro, thrust)[0]
-    return float(y[0] - y[1])
+    return y
 
 
 @pytest.mark.parametrize(("throttle", "factor"), [(0.0, 1.0), (0.5, 1.0), (0.75, 0.8), (1.0, 0.6)])
@@ -226,9 +224,9 @@ def test_the_throttle_takes_from_the_derivative_alone_when_it_is_above_the_break
     throttle: float, factor: float
 ) -> None:
     held = at_throttle(throttle, math.nan, (2.0, 30.0, 0.0))
-    assert held == pytest.approx((2.0 * 50 + 30.0 * 0.11) / 1000, rel=1e-4)
+    assert held == pytest.approx([(2.0 * 50 + 30.0 * 0.11) / 1000] * 3, rel=1e-4)
     damped = at_throttle(throttle, math.nan, (2.0, 0.0, 0.005))
-    assert damped == pytest.approx((2.0 * 50 - factor * 0.005 * 10_000) / 1000, rel=1e-4)
+    assert damped == pytest.approx([(2.0 * 50 - factor * 0.005 * 10_000) / 1000] * 3, rel=1e-4)
 
 
 @pytest.mark.parametrize(
@@ -238,7 +236,7 @@ def test_the_throttle_takes_from_the_derivative_alone_when_it_is_above_the_break
 def test_all_terms_grow_when_the_battery_sags(volts: float, factor: float) -> None:
     gains = (2.0, 30.0, 0.005)
     full = (2.0 * 50 + 30.0 * 0.11 - 0.005 * 10_000) / 1000
-    assert at_throttle(0.2, volts, gains) == pytest.approx(factor * full, rel=1e-4)
+    assert at_throttle(0.2, volts, gains) == pytest.approx([factor * full] * 3, rel=1e-4)
 
 
 def test_the_same_bits_are_flown_when_nothing_attenuates_or_compensates() -> None:
