@@ -78,6 +78,20 @@ def test_flights_are_those_of_the_twin(name: str, monkeypatch: pytest.MonkeyPatc
         assert own.mean() == pytest.approx(twin.mean(), rel=0.015)
 
 
+@pytest.mark.parametrize("name", ["nf1", "hexa"])
+def test_flights_are_those_of_the_firmwares_pid_when_gyros_are_still(
+    name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(flying, "OFF_CENTRE", 0.0)
+    nothing = (0.0, 0.0, 0.0)
+    aircraft = load_aircraft(name)
+    aircraft = replace(aircraft, gyro=replace(aircraft.gyro, noise=nothing, vibration=nothing))
+    trials = FlyingTrials(aircraft, LIMITS, np.random.default_rng(5), pulses=1)
+    trials.moment[:] = 0.0
+    for own, twin in zip(trials.figures(FLYING), twin_figures(aircraft, trials), strict=True):
+        assert own == pytest.approx(twin, rel=0.01)
+
+
 def test_flights_are_at_each_thrust_and_harder_ones_differ_from_the_file() -> None:
     for level in LEVELS:
         assert [flight.level for flight in AS_FILED].count(level) == len(AS_FILED) / len(LEVELS)

@@ -1,5 +1,6 @@
-/* Flies a block with a PID: rotors, bodies, gyros and mix are those of the policies' flights, and the law is that of the
- * firmware's pid.c and sim/control/pid.py. */
+/* Flies a block with a PID: rotors, bodies, gyros and mix are those of the policies' flights. The law and its float32 numbers
+ * are those of the firmware's pid.c, which has one aircraft in a struct and its number of motors as a constant, where LANES of
+ * them lie side by side here. */
 #include "body.h"
 #include "gyro.h"
 #include "mix.h"
