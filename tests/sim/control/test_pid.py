@@ -215,8 +215,9 @@ def at_throttle(throttle: float, volts: float, gains: tuple[float, float, float]
     thrust = np.full(1, throttle, np.float32)
     for rate in (0.0, 10.0):
         wanted, gyro = (np.deg2rad([[r, r, r]]).astype(np.float32) for r in (60.0, rate))
-        y = pid.step(wanted, gyro, thrust)[0]
-    return y
+        y = pid.step(wanted, gyro, thrust)
+    asked: NDArray[np.float32] = y[0]
+    return asked
 
 
 @pytest.mark.parametrize(("throttle", "factor"), [(0.0, 1.0), (0.5, 1.0), (0.75, 0.8), (1.0, 0.6)])
