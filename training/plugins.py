@@ -90,12 +90,7 @@ def load_plugins(paths: Sequence[Path]) -> tuple[Plugin, ...]:
 
 def load_plugin(path: Path) -> Plugin:
     """Run one file, see `load_plugins`."""
-    before = _registered()
-    module = load_file(path)
-    plugin: Plugin = module.__neuroflight_plugin__
-    for kind in _registered() - before:
-        kind.plugin = plugin
-        setattr(kind, "__reduce__", _reduced)  # noqa: B010 - mypy refuses the assignment
+    plugin: Plugin = load_file(path).__neuroflight_plugin__
     if not any(getattr(kind, "plugin", None) == plugin for kind in _registered()):
         raise TrainingError(
             f"{path}: registers nothing; put @register, of training.plugins, above its reward or task"
@@ -120,6 +115,7 @@ def load_file(path: Path) -> ModuleType:
     sys.modules[name] = module
     if (folder := str(plugin.path.parent)) not in sys.path:
         sys.path.append(folder)  # last: it hides no installed package
+    before = _registered()
     try:
         with blaming(str(path)):
             exec(compile(source, str(plugin.path), "exec"), vars(module))
@@ -128,7 +124,35 @@ def load_file(path: Path) -> ModuleType:
         if isinstance(error, NeuroflightError) and not str(error).startswith(str(path)):
             raise TrainingError(f"{path}: {error}") from error
         raise
+    for kind in _registered() - before:
+        kind.plugin = plugin
+        setattr(kind, "__reduce__", _reduced)  # noqa: B010 - mypy refuses the assignment
     return module
+
+
+def users_class(name: str, methods: Sequence[str]) -> tuple[type[Any], str, Plugin]:
+    """Return the class that a user names as FILE.py:CLASS, its name in messages, and its file.
+
+    methods: that it must have. Raises TrainingError, one line, on anything wrong.
+    """
+    file, _, class_name = name.partition(".py:")
+    path = Path(file if file.endswith(".py") else f"{file}.py")
+    module = load_file(path)
+    own = {
+        each: kind
+        for each, kind in vars(module).items()
+        if isinstance(kind, type) and kind.__module__ == module.__name__
+    }
+    if class_name not in own:
+        known = ", ".join(own) or "it has none"
+        raise TrainingError(f"{name}: expected {path}:CLASS, a class of that file: {known}")
+    kind, where = own[class_name], f"{path}:{class_name}"
+    for method in methods:
+        if not callable(getattr(kind, method, None)):
+            raise TrainingError(
+                f"{where}: has no {method}(), expected {' and '.join(f'{m}()' for m in methods)}"
+            )
+    return kind, where, module.__neuroflight_plugin__
 
 
 def users_own(kind: type[Any]) -> bool:
