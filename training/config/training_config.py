@@ -283,7 +283,8 @@ class TrainingConfig:
             check_cutoffs(terms, self.control_rate_hz)
             return terms
         except ValueError as error:
-            raise TrainingError(f"observation {self.observation!r}: {error}") from None
+            own = "; for one of your own see docs/own-modules.md" if "unknown" in str(error) else ""
+            raise TrainingError(f"observation {self.observation!r}: {error}{own}") from None
 
     def observation_scale(self, motors: int) -> list[float]:
         """Factor for each raw observation value."""

@@ -95,7 +95,8 @@ def sdf(include: str = "") -> str:
         lines.append(link(f"rotor_{number}", *ROTOR, f"<pose>{x} {y} 0.03 0 0 0</pose>"))
         lines.append(
             f'<joint name="rotor_{number}_joint" type="revolute"><parent>base</parent>'
-            f"<child>rotor_{number}</child><axis><xyz>0 0 1</xyz><limit><lower>-1e16</lower><upper>1e16</upper></limit></axis></joint>"
+            f"<child>rotor_{number}</child><axis><xyz>0 0 1</xyz>"
+            f"<limit><lower>-1e16</lower><upper>1e16</upper></limit></axis></joint>"
         )
         motors += MOTOR.format(n=number, spin=spin)
     if include:
