@@ -117,27 +117,28 @@ def test_a_run_stores_its_files_and_asks_for_the_same(write: Write, tmp_path: Pa
         f"task={name}",
         *TINY,
         "--steps",
-        "256",
+        "128",
     ]
     out = ["--out", str(tmp_path / "run")]
-    assert main([*words, *own, *out, "--json"]) == 0  # the monitor is another process
+    assert main([*words, *own, *out, "--json"]) == 0
     record = json.loads(capsys.readouterr().out)
     [kept] = record["config"]["plugins"]
     assert kept["file"] == "mine.py"
     assert f"--plugin {path.name}" in record["command"]
-    assert len(record["monitor"]) == 2
+    assert len(record["monitor"]) == 1
 
     again = [*words, *out, "--resume"]
     run, frozen = tmp_path / "run", tmp_path / "frozen.onnx"
     anew = ["train", "--config", str(run / "training.json"), "--out", str(tmp_path / "anew")]
     freeze = ["freeze", str(run / "checkpoint.pt"), "--out", str(frozen)]
-    commands = [again, [*again, *own], anew, freeze]
+    commands = [anew, again, [*again, *own], freeze]
     program = f"from cli.main import main; print([main(words) for words in {commands!r}])"
     done = subprocess.run(
         [sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=True
     )  # another process: here the file has been run
-    assert done.stdout.splitlines()[-1] == "[1, 0, 0, 0]", done.stderr
-    assert f"reward.name: got '{name}'" in done.stderr
+    assert done.stdout.splitlines()[-1] == "[1, 1, 0, 0]", done.stderr
+    assert f"was trained with the plug-in mine.py, SHA-256 {kept['sha256'][:12]}" in done.stderr
+    assert f"task.name: got '{name}', expected one of" in done.stderr
     assert frozen.read_bytes() == (run / "policy.onnx").read_bytes()  # and needs no file of the user's
 
     path.write_text(path.read_text() + "\n# another\n")
