@@ -136,7 +136,7 @@ def _said(where: str, kind: type[Any], key: str, usual: Any, known: Any) -> Any:
     return value
 
 
-def _idle(where: str, value: object) -> float:
+def _idle(where: str, value: Any) -> float:  # noqa: ANN401 - as the class has it
     if not _is_number(value) or not 0.0 <= value <= IDLE_MAX:
         raise TrainingError(f"{where}: idle {value!r}, expected 0 to {IDLE_MAX:g}")
     return float(value)
