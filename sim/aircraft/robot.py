@@ -36,7 +36,7 @@ class Pose:
 
     @staticmethod
     def of(position: Vector, rotation: Vector) -> Pose:
-        """rotation: roll, pitch, yaw [rad] about the fixed x, then y, then z axis, as in both formats."""
+        """Return a pose; rotation: roll, pitch, yaw [rad] about the fixed x, then y, then z axis."""
         return Pose(np.array(position), rotation_matrix(rotation))
 
     def __matmul__(self, inner: Pose) -> Pose:
@@ -204,7 +204,7 @@ def motor_plugins(root: ET.Element, where: str) -> Iterator[Drive]:
 
 
 def _speed_curve(plugin: ET.Element, name: str) -> Vector | None:
-    """GymFC's curve of speed over throttle: a, b, c of a u^2 + b u + c [rpm]."""
+    """Return GymFC's curve of speed over throttle: a, b, c of a u^2 + b u + c [rpm]."""
     curve = plugin.find("escTransferFunction")
     if curve is None:
         return None
@@ -213,7 +213,7 @@ def _speed_curve(plugin: ET.Element, name: str) -> Vector | None:
 
 
 def _torque(plugin: ET.Element, name: str, spin: int) -> Vector | None:
-    """GymFC's P controller on the joint's speed: gain, most torque that accelerates and that brakes."""
+    """Return GymFC's controller of the joint's speed: gain, most torque that accelerates and brakes."""
     pid = plugin.find("joint_control_pid")
     if pid is None:
         return None

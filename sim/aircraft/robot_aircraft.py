@@ -74,7 +74,7 @@ def import_aircraft(
 
 
 def _turning(robot: Robot, spins: Sequence[str] | None, where: str) -> list[Drive]:
-    """The drives in the order of the aircraft file's rotors, each with its spin, checked."""
+    """Return the drives in the order of the aircraft file's rotors, each with its spin, checked."""
     drives = list(robot.drives)
     if all(drive.number is not None for drive in drives):
         drives.sort(key=lambda drive: drive.number or 0)
@@ -112,7 +112,7 @@ def _turning(robot: Robot, spins: Sequence[str] | None, where: str) -> list[Driv
 
 
 def _in_bench_order(robot: Robot, drives: list[Drive]) -> list[Drive]:
-    """Four rotors in X: 1 rear right, 2 front right, 3 rear left, 4 front left; others as they are."""
+    """Return four rotors in X as 1 rear right, 2 front right, 3 rear left, 4 front left; others as given."""
     centre = np.mean([hub_of(robot, drive) for drive in drives], axis=0)
     places = {}
     for drive in drives:

@@ -22,7 +22,7 @@ def hub_of(robot: Robot, drive: Drive) -> Array:
 
 
 def part_lines(link: Link, where: str) -> list[str]:
-    """Name, place and mass of a link."""
+    """Return name, place and mass of a link as lines."""
     turn = rotation_angles(link.pose.turn)
     lines = [f"name = {json.dumps(link.name)}", f"position_m = {listed(vector_of(link.pose.position))}"]
     if max(map(abs, turn)) > 1e-9:
@@ -31,7 +31,7 @@ def part_lines(link: Link, where: str) -> list[str]:
 
 
 def _inertia(link: Link, where: str) -> Array:
-    """The tensor about the link's centre of mass, along its axes."""
+    """Return the tensor about the link's centre of mass, along its axes."""
     if link.inertia is None:
         raise AircraftError(f"{where}: link {link.name} has a mass but no inertia; give it one")
     turned: Array = link.centre.turn @ link.inertia @ link.centre.turn.T
@@ -39,7 +39,7 @@ def _inertia(link: Link, where: str) -> Array:
 
 
 def spun(link: Link, hub: Array, where: str) -> Part | None:
-    """A rotor's mass as it turns about z: in the body's axes, on the axis; None: it has none."""
+    """Return a rotor's mass as it turns about z, in the body's axes and on the axis; None: it has none."""
     if link.mass < MASS_MIN:
         return None
     whole = link.pose.turn @ _inertia(link, where) @ link.pose.turn.T
@@ -55,7 +55,7 @@ def alike(one: Part, other: Part) -> bool:
 
 
 def mass_lines(mass: float, centre: Vector, inertia: Array) -> list[str]:
-    """Mass, centre of mass and moments: three where there is nothing else, or the whole tensor."""
+    """Return mass, centre of mass and moments as lines: three where these are all, or the whole tensor."""
     moments = [inertia[0, 0], inertia[1, 1], inertia[2, 2]]
     products = [inertia[0, 1], inertia[0, 2], inertia[1, 2]]
     if max(map(abs, products)) > 1e-9 * max(moments):
@@ -87,5 +87,5 @@ def listed(values: Sequence[Any]) -> str:
 
 
 def _number(value: float) -> str:
-    """A number with at most nine significant digits; whole ones stay whole."""
+    """Return a number with at most nine significant digits; whole ones stay whole."""
     return str(value) if isinstance(value, int) else repr(float(f"{value:.9g}") + 0.0)

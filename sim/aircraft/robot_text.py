@@ -53,7 +53,7 @@ class Writer:
         self.notes: list[str] = []
 
     def text(self, name: str, file: str) -> str:
-        """The whole file."""
+        """Return the whole file."""
         robot = self._robot
         hubs = np.array([hub_of(robot, drive) for drive in self._drives])
         rotors = {drive.link for drive in self._drives}
@@ -88,14 +88,14 @@ class Writer:
         return "\n".join(lines) + "\n"
 
     def _line(self, key: str, said: Said, assumed: str = "") -> str:
-        """A key with its value, and whose it is; assumed: what is, where the source is empty."""
+        """Return a key with its value, and whose it is; assumed: what is, where the source is empty."""
         if not said.source:
             self.assumed.append(f"{key}: {assumed}")
         source = said.source or f"assumed: {assumed}"
         return f"{key} = {toml(said.value)} # {source}"
 
     def _propellers(self, hubs: Array) -> list[str]:
-        """The propellers' masses: one [propeller_part] where all are alike, else a part each."""
+        """Return the propellers' masses: one [propeller_part] where all are alike, else a part each."""
         links = [self._robot.links[drive.link] for drive in self._drives]
         parts = [spun(link, hub, self._where) for link, hub in zip(links, hubs, strict=True)]
         known = [part for part in parts if part is not None]
@@ -195,7 +195,7 @@ class Writer:
         return [*lines, "", "[propulsion.response]", *self._response(as_other)]
 
     def _curve(self) -> Said | None:
-        """The speed over the throttle, [rpm]: GymFC's curve, or a line up to the greatest speed."""
+        """Return the speed over the throttle [rpm]: GymFC's curve, or a line up to the greatest speed."""
         curve = self._given("speed_curve_rpm", "escTransferFunction")
         speed = self._common("speed_max", "maxRotVelocity")
         if curve is not None or speed is None:
@@ -248,7 +248,7 @@ class Writer:
         ]
 
     def _others(self) -> list[str]:
-        """Gyro and accelerometer, which a model does not have, and of another aircraft the battery too."""
+        """Return gyro and accelerometer, which no model has, and of another aircraft the battery too."""
         name = GYRO_OF if self._like is None else self._like
         document = tomllib.loads(aircraft_file(name).read_text())
         told = f"the {GYRO_OF}'s, as the chip is not known" if self._like is None else f"as of {self._like}"
@@ -264,7 +264,7 @@ class Writer:
         return lines
 
     def _body(self, rotors: set[str]) -> list[str]:
-        """The box around what collides but for the rotors; nothing where nothing does."""
+        """Return the box around what collides but for the rotors; nothing where nothing does."""
         corners = [
             link.pose.position + link.corners @ link.pose.turn.T
             for link in self._robot.links.values()

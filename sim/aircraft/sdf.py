@@ -126,7 +126,7 @@ class _Reader:
     def _resolved(
         self, name: str, frames: dict[str, ET.Element], prefix: str, at: Pose, seen: tuple[str, ...]
     ) -> Pose:
-        """The frame called `name` in that of its model."""
+        """Return the frame called `name` in that of its model."""
         if name in ("", MODEL):
             return HERE
         if name in seen or len(seen) > LINKS_MAX:
@@ -194,7 +194,7 @@ def _is_locked(axis: ET.Element | None) -> bool:
 
 
 def _pose(element: ET.Element, where: str) -> Pose:
-    """The `pose` of an element; none: where its frame is."""
+    """Return the `pose` of an element; none: where its frame is."""
     pose = element.find("pose")
     if pose is None:
         return HERE

@@ -120,7 +120,7 @@ def _end(joint: ET.Element, which: str, links: dict[str, ET.Element], where: str
 
 
 def _pose_of(link: str, joints: dict[str, ET.Element], where: str) -> Pose:
-    """The link's frame in that of the root, with all joints at zero."""
+    """Return the link's frame in that of the root, with all joints at zero."""
     pose, seen = HERE, {link}
     while link in joints:
         joint = joints[link]
@@ -164,7 +164,7 @@ def _link(element: ET.Element, pose: Pose, where: str) -> Link:
 
 
 def _collisions(element: ET.Element, what: str) -> tuple[Array | None, float | None]:
-    """Corners of the boxes around boxes, cylinders and spheres, and a cylinder's radius."""
+    """Return corners of the boxes around boxes, cylinders, spheres, and a cylinder's radius."""
     corners, radius = [], None
     for collision in element.iterfind("collision"):
         pose = _origin(collision, f"{what}: collision")

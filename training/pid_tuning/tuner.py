@@ -20,7 +20,7 @@ class Tuner(Protocol):
     """A search for the point of least cost."""
 
     def ask(self) -> Array:
-        """Points to try, (n, d)."""
+        """Return points to try, (n, d)."""
         ...
 
     def tell(self, candidates: Array, costs: Array) -> None:
@@ -37,7 +37,7 @@ class Costed(Protocol):
 
     @property
     def cost(self) -> float:
-        """The less, the better."""
+        """Return what is to be least."""
         ...
 
 

@@ -108,7 +108,7 @@ def check_names(controller: UsersController, names: Sequence[str]) -> None:
 
 
 def _encoded(parameter: Parameter, value: float) -> float:
-    """A value as 0..1 of its range, or of that of its logarithm."""
+    """Return a value as 0..1 of its range, or of that of its logarithm."""
     low, high = parameter.low, parameter.high
     if low > 0.0 and high / low > BROAD:
         return math.log(value / low) / math.log(high / low)
@@ -116,7 +116,7 @@ def _encoded(parameter: Parameter, value: float) -> float:
 
 
 def _decoded(parameter: Parameter, x: float) -> float:
-    """The value nearest to the one that `_encoded` gives as `x`."""
+    """Return the value nearest to the one that `_encoded` gives as `x`."""
     low, high, x = parameter.low, parameter.high, min(max(x, 0.0), 1.0)
     broad = low > 0.0 and high / low > BROAD
     value = low * (high / low) ** x if broad else low + x * (high - low)
@@ -134,7 +134,7 @@ class _Flights:
     commands: Array  # (n, 3) [rad/s], of the pulses
 
     def fly(self, candidates: Sequence[Values]) -> list[Trial]:
-        """Figures of each of the candidates."""
+        """Return the figures of each of the candidates."""
         spec, count, each = self.controller, len(candidates), len(self.commands)
         throttle = np.array([throttle_for(self.aircraft, level, spec.idle) for level in LEVELS], np.float32)
         flown = record(
@@ -167,7 +167,7 @@ class _Crowd:
     """Controllers of several candidates as one."""
 
     def __init__(self, each: Sequence[Controller], count: int) -> None:
-        """count: aircraft of each."""
+        """Join them; count: aircraft of each."""
         self._each, self._count = each, count
 
     def reset(self) -> None:
