@@ -70,6 +70,7 @@ ROOMS = (
     "sim/viewing",
     "sim/identification",
     "training/tasks",
+    "training/plugins.py",
     "training/config",
     "training/envs",
     "training/learners",

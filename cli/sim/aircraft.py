@@ -1,4 +1,4 @@
-"""`neuroflight aircraft`: figures of an aircraft file, whether it can fly, and a drawing."""
+"""`neuroflight aircraft`: figures of an aircraft file and whether it can fly; a file from another's model."""
 
 from __future__ import annotations
 
@@ -21,9 +21,70 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     check.add_argument("file", help="path of a .toml file, or the name of a shipped aircraft")
     check.add_argument("--draw", type=Path, metavar="FILE.png", help="draw it from above and from behind")
     check.add_argument("--json", action="store_true", help="print JSON instead of tables")
+    summary = "an aircraft file from a model of another simulator, URDF or SDF"
+    taken = actions.add_parser("import", help=summary, description=summary)
+    taken.add_argument("file", type=Path, metavar="FILE.urdf|FILE.sdf", help="expanded, if it is a template")
+    taken.add_argument("--out", type=Path, required=True, metavar="FILE.toml", help="a new file")
+    taken.add_argument(
+        "--like",
+        metavar="NAME|FILE",
+        help="the aircraft that has what the model does not say: drives, gyro, battery; default: the model's "
+        "motor plugins, and what is marked as assumed",
+    )
+    taken.add_argument(
+        "--spins",
+        metavar="cw,ccw,…",
+        help="turns of the rotors seen from above, where the model does not say them",
+    )
+    taken.add_argument("--name", metavar="NAME", help="of the aircraft; default: the model's")
+    taken.add_argument("--json", action="store_true", help="print JSON instead of lines")
 
 
 def run(args: argparse.Namespace) -> int:
+    """Act on a file. Returns 0, or 1 if an aircraft cannot fly."""
+    return _import(args) if args.action == "import" else _check(args)
+
+
+def _import(args: argparse.Namespace) -> int:
+    """Write the aircraft of a model, and print what it is and what is assumed."""
+    from cli.output import check_output
+    from sim.aircraft.robot_aircraft import import_aircraft
+    from toolchain.errors import AircraftError
+    from toolchain.files import write_text
+
+    check_output(args.out, ".toml")
+    if args.out.exists():
+        raise AircraftError(
+            f"--out {args.out}: exists; name a new file, so that nothing written by hand is lost"
+        )
+    spins = None if args.spins is None else args.spins.split(",")
+    found = import_aircraft(args.file, like=args.like, spins=spins, name=args.name)
+    write_text(args.out, found.text)
+    aircraft = found.aircraft
+    if args.json:
+        told = {
+            "name": aircraft.name,
+            "sha256": aircraft.sha256,
+            "motors": aircraft.motor_count,
+            "mass_kg": aircraft.mass_properties.mass,
+            "centre_of_mass_m": aircraft.mass_properties.centre.tolist(),
+            "inertia_kg_m2": aircraft.mass_properties.inertia.tolist(),
+            "assumed": list(found.assumed),
+            "notes": list(found.notes),
+        }
+        print(json.dumps(told, indent=2))
+        return 0
+    parts = f"{aircraft.motor_count} rotors, {aircraft.mass_properties.mass:.4g} kg"
+    print(f"{args.file} -> {args.out}: {aircraft.name}, {parts}")
+    for line in found.assumed:
+        print(f"assumed: {line}")
+    for line in found.notes:
+        print(line)
+    print(f"look at it: neuroflight aircraft check {args.out}")
+    return 0
+
+
+def _check(args: argparse.Namespace) -> int:
     """Examine, draw and print. Returns 0, or 1 if one of the verdicts is an error."""
     from sim.aircraft.model import load_aircraft
     from sim.design.airworthiness import Level, examine

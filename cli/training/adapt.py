@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cli.training.evaluation.ranges import check_ranges
+from cli.training.plugins import add_plugin_argument, load_named, words
 
 if TYPE_CHECKING:
     from sim.aircraft.model import Aircraft
@@ -36,6 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="DIR",
         help=f"a new folder: {AIRCRAFT}, {POLICY}, {PROOF} and the run; only if the proof holds",
     )
+    add_plugin_argument(parser)
     parser.add_argument("--steps", type=int, default=STEPS, metavar="N", help=f"default: {STEPS:,}")
     parser.add_argument("--seed", type=int, default=1, metavar="S", help="of the refinement; default: 1")
     parser.add_argument(
@@ -64,6 +66,7 @@ def run(args: argparse.Namespace) -> int:
         raise TrainingError(f"--seed {args.seed}, expected 0 or more")
     if args.out.exists():
         raise NeuroflightError(f"--out {args.out}: exists; name a new folder, so that no policy is replaced")
+    load_named(args)
     aircraft = load_aircraft(args.aircraft)
     factors = turning_factors(read_turning(args.log, aircraft.motor_count), aircraft, str(args.log))
     text = adapted_text(args.aircraft, aircraft, factors)
@@ -127,6 +130,7 @@ def _command(args: argparse.Namespace) -> str:
     return command_line(
         "adapt",
         str(args.log),
+        *words(args),
         aircraft=args.aircraft,
         policy=str(args.policy),
         steps=args.steps,

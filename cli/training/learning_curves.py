@@ -8,6 +8,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from cli.training.plugins import add_plugin_argument, load_named
+
 if TYPE_CHECKING:
     from sim.analysis.confidence import Mean
     from training.runs.learning_curves import Curve
@@ -36,6 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="one for each RUN; runs with the same label are seeds of one configuration; default: the "
         "folders' names",
     )
+    add_plugin_argument(parser)
     parser.add_argument(
         "--episodes",
         action="store_true",
@@ -56,6 +59,7 @@ def run(args: argparse.Namespace) -> int:
     from training.runs.learning_curves import curves
     from training.runs.learning_curves_plot import draw
 
+    load_named(args)
     labels = _labels(args)
     if len(args.runs) > RUNS_MAX:
         raise TrainingError(f"{len(args.runs)} runs, expected 1 to {RUNS_MAX}")

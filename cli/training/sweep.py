@@ -11,6 +11,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from cli.training.plugins import add_plugin_argument, load_named, words
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
@@ -31,6 +33,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
     parser.add_argument("file", type=Path, metavar="FILE.toml", help="what is varied; see docs/sweeps.md")
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for the results")
+    add_plugin_argument(parser)
     again = parser.add_mutually_exclusive_group()
     again.add_argument("--resume", action="store_true", help="continue the sweep in --out")
     again.add_argument("--force", action="store_true", help="replace the sweep in --out")
@@ -59,8 +62,11 @@ def run(args: argparse.Namespace) -> int:
     if not 1 <= cpus <= CPUS_MAX:
         raise TrainingError(f"--cpus {cpus}, expected 1 to {CPUS_MAX}")
     check_folder(args.out, "--out")
+    plugins = load_named(args)
     sweep = load_sweep(args.file)
-    command = command_line("sweep", str(args.file), out=str(args.out), cpus=args.cpus, force=args.force)
+    command = command_line(
+        "sweep", str(args.file), *words(args), out=str(args.out), cpus=args.cpus, force=args.force
+    )
     with claimed(args.out, "sweep"), _progress_bars(sweep, args.out) as callback:
         runs = run_sweep(
             sweep,
@@ -71,6 +77,7 @@ def run(args: argparse.Namespace) -> int:
             force=args.force,
             command=command,
             callback=callback,
+            plugins=plugins,
         )
     if args.json:
         print((args.out / RECORD).read_text(), end="")

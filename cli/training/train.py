@@ -10,6 +10,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from cli.training.plugins import add_plugin_argument, load_named, words
+
 if TYPE_CHECKING:
     from sim.aircraft.model import Aircraft
     from training.config.training_config import TrainingConfig
@@ -41,6 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="KEY=VALUE",
         help="change the configuration, such as world.throttle_max=0.8",
     )
+    add_plugin_argument(parser)
     parser.add_argument("--algorithm", metavar="NAME", help="such as ppo")
     parser.add_argument("--steps", type=int, metavar="N", help="control steps, all aircraft together")
     parser.add_argument("--seed", type=int, metavar="S", help="of the run")
@@ -64,6 +67,7 @@ def run(args: argparse.Namespace) -> int:
     from sim.aircraft.model import load_aircraft
     from toolchain.files import claimed
 
+    load_named(args)
     aircraft = load_aircraft(args.aircraft)
     config = _config(args, aircraft)
     _check_folder(args.out)
@@ -281,6 +285,7 @@ def _command(args: argparse.Namespace, config: TrainingConfig, seeds: int = 1) -
 
     return command_line(
         "train",
+        *words(args),
         aircraft=args.aircraft,
         config=args.config,
         algorithm=args.algorithm,

@@ -1,6 +1,7 @@
 """neuroflight tune-pid: PID gains for an aircraft, by Ziegler and Nichols' rules, then by CMA-ES.
 
-Or, with `--of betaflight`, settings of Betaflight by the same search.
+Or, with `--of betaflight`, settings of Betaflight by the same search, or with `--of FILE.py:CLASS` the
+parameters of a user's own controller.
 """
 
 from __future__ import annotations
@@ -12,11 +13,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cli.training.tune_pid_betaflight import check_betaflight, tune_betaflight_of
+from cli.training.tune_pid_betaflight import tune_betaflight_of
 from cli.training.tune_pid_report import (
     BETAFLIGHT,
     DISSERTATION,
     FLYING,
+    PID,
     SUBJECTS,
     TERMS,
     USUAL,
@@ -24,7 +26,16 @@ from cli.training.tune_pid_report import (
     document,
     print_tables,
 )
-from cli.training.tune_pid_search import Show, by_thrust, final_flights, flights_bar, search_bar
+from cli.training.tune_pid_search import (
+    Show,
+    by_thrust,
+    check_thrusts_only,
+    chosen_tuner,
+    final_flights,
+    flights_bar,
+    search_bar,
+)
+from cli.training.tune_pid_users import tune_users_of
 from toolchain.errors import TrainingError
 
 if TYPE_CHECKING:
@@ -45,10 +56,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--aircraft", default="nf1", metavar="NAME|FILE", help="shipped name or a .toml file")
     parser.add_argument(
         "--of",
-        choices=SUBJECTS,
+        metavar="|".join([*SUBJECTS, "FILE.py:CLASS"]),
         default=SUBJECTS[0],
-        help="what is tuned: the PID that stands beside a policy, or Betaflight, so that `compare` can fly "
-        "one as a pilot would have it",
+        help="what is tuned: the PID that stands beside a policy; Betaflight, so that `compare` can fly one "
+        "as a pilot would have it; or a controller of a file of yours",
+    )
+    parser.add_argument(
+        "--parameters",
+        nargs="+",
+        metavar="NAME",
+        help="of a controller of yours: those to search; default: all that its class declares",
+    )
+    parser.add_argument(
+        "--tuner",
+        metavar="FILE.py:CLASS",
+        help="a search of yours, with ask() and tell(), instead of CMA-ES",
     )
     parser.add_argument(
         "--terms",
@@ -114,6 +136,8 @@ def run(args: argparse.Namespace) -> int:
     aircraft = load_aircraft(args.aircraft)
     if args.of == BETAFLIGHT:
         return tune_betaflight_of(args, aircraft)
+    if args.of != PID:
+        return tune_users_of(args, aircraft)
     limits = _limits(args, aircraft)
     tuning = _tune(args, aircraft, limits)
     if tuning.interrupted:
@@ -148,6 +172,7 @@ def _check(args: argparse.Namespace) -> None:
     from cli.training.evaluation.ranges import check_ranges
     from sim.aircraft.pid_write import NAME
     from sim.physics.world import COUNT_MAX
+    from training.evaluation.users_controller import is_users_controller
     from training.pid_tuning.tuning import IDLE_MAX
 
     check_ranges(
@@ -155,11 +180,15 @@ def _check(args: argparse.Namespace) -> None:
         ("--budget", args.budget, 1, BUDGET_MAX),
         ("--max-change", args.max_change, 1e-4, 1.0),
     )
-    if args.of == BETAFLIGHT:
-        check_betaflight(args)
-        return
-    if args.build is not None:
+    if args.of not in SUBJECTS and not is_users_controller(args.of):
+        raise TrainingError(f"--of {args.of}, expected {', '.join(SUBJECTS)} or FILE.py:CLASS")
+    if args.of in SUBJECTS and args.parameters is not None:
+        raise TrainingError("--parameters: of a controller of yours; add --of FILE.py:CLASS")
+    if args.build is not None and args.of != BETAFLIGHT:
         raise TrainingError("--build: of Betaflight; add --of betaflight")
+    if args.of != PID:
+        check_thrusts_only(args)
+        return
     check_ranges(
         ("--check", args.check, 1, COUNT_MAX),
         ("--max-output", args.max_output, 1e-3, 1.0),
@@ -200,14 +229,15 @@ def _tune(args: argparse.Namespace, aircraft: Aircraft, limits: Limits) -> Tunin
     from training.pid_tuning.tuning import streams, tune
 
     draw, search = streams(args.seed)
+    tuner = chosen_tuner(args)
     with search_bar(args.budget, "ultimate gains") as show:
         if args.terms == DISSERTATION:
             trials = DissertationTrials.of(aircraft, limits, args.seed, draw)
-            return tune(trials, budget=args.budget, rng=search, progress=show)
+            return tune(trials, budget=args.budget, rng=search, progress=show, tuner=tuner)
         others = [settings for name, settings in aircraft.pids if name != args.name]
         begin = [settings for settings in others if settings.mixer is None]
         flights = FlyingTrials(aircraft, limits, draw)
-        return tune(flights, budget=args.budget, rng=search, progress=show, begin=begin)
+        return tune(flights, budget=args.budget, rng=search, progress=show, begin=begin, tuner=tuner)
 
 
 def _throttle(args: argparse.Namespace, aircraft: Aircraft) -> float:

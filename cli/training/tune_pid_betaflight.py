@@ -9,15 +9,16 @@ from typing import TYPE_CHECKING
 
 from cli.training.tune_pid_report import (
     BETAFLIGHT,
-    FLYING,
-    add_errors,
+    DEFAULTS,
+    TUNED,
     command,
     figures_document,
     figures_told,
     flights_told,
+    keeps_limit,
+    print_thrusts,
 )
-from cli.training.tune_pid_search import by_thrust, final_flights, flights_bar, search_bar
-from toolchain.errors import TrainingError
+from cli.training.tune_pid_search import by_thrust, chosen_tuner, final_flights, flights_bar, search_bar
 
 if TYPE_CHECKING:
     from sim.aircraft.model import Aircraft
@@ -26,27 +27,6 @@ if TYPE_CHECKING:
     from training.pid_tuning.betaflight_tuning import Settings, Tuning
 
     Checked = dict[str, dict[str, Evaluation]]  # by settings, then by thrust
-
-DEFAULTS, TUNED = "defaults", "tuned"
-CHECKED_MAX = 500  # commands at each thrust: a Betaflight for each flight at a time
-OF_A_PID = ("max_output", "max_idle", "name", "plot")  # options that say nothing of Betaflight
-
-
-def check_betaflight(args: argparse.Namespace) -> None:
-    """Refuse options of a PID's search and fill in the defaults. Raises NeuroflightError."""
-    from cli.output import check_output
-    from cli.training.evaluation.ranges import check_ranges
-    from training.pid_tuning.flying import CHANGE
-
-    if args.terms != FLYING:
-        raise TrainingError(f"--terms {args.terms}: of a PID's search; Betaflight's is by flying terms")
-    for name in OF_A_PID:
-        if getattr(args, name) is not None:
-            raise TrainingError(f"--{name.replace('_', '-')}: of a PID's search; leave it out")
-    args.check = 50 if args.check is None else args.check
-    check_ranges(("--check", args.check, 1, CHECKED_MAX))
-    check_output(args.write, ".txt")
-    args.limit = CHANGE if args.max_change is None else args.max_change
 
 
 def tune_betaflight_of(args: argparse.Namespace, aircraft: Aircraft) -> int:
@@ -59,7 +39,13 @@ def tune_betaflight_of(args: argparse.Namespace, aircraft: Aircraft) -> int:
     built = built_betaflight(args, aircraft)
     with search_bar(args.budget, "Betaflight's defaults") as show:
         tuning = tune_betaflight(
-            built, aircraft, args.limit, seed=args.seed, budget=args.budget, progress=show
+            built,
+            aircraft,
+            args.limit,
+            seed=args.seed,
+            budget=args.budget,
+            progress=show,
+            tuner=chosen_tuner(args),
         )
     if tuning.interrupted:
         print(f"interrupted after {len(tuning.trials)} candidates; the best is kept", file=sys.stderr)
@@ -73,15 +59,7 @@ def tune_betaflight_of(args: argparse.Namespace, aircraft: Aircraft) -> int:
     if not tuning.best.settings:
         print("nothing was found that beats Betaflight's defaults; try a larger --budget", file=sys.stderr)
         return 1
-    change = max(each.effort.change for each in checked[TUNED].values())
-    if change > args.limit:
-        print(
-            f"the motors change by {change:.4f} in 1 ms, more than {args.limit:g}; try a larger --budget or "
-            "a wider limit",
-            file=sys.stderr,
-        )
-        return 1
-    return 0
+    return keeps_limit(args, checked[TUNED])
 
 
 def _fly_unseen(args: argparse.Namespace, built: Betaflight, aircraft: Aircraft, best: Settings) -> Checked:
@@ -144,18 +122,9 @@ def _document(
 def _print(args: argparse.Namespace, aircraft: Aircraft, tuning: Tuning, checked: Checked) -> None:
     """Settings and figures, as a PID's."""
     from rich.console import Console
-    from rich.table import Table
 
-    console = Console()
     for name, of_thrusts in checked.items():
-        what = f"{args.check:,} unseen commands each, five in a flight, seed {args.seed}"
-        table = Table(title=f"Betaflight 4.6, {name}: {what}", title_justify="left")
-        for heading in ("", *of_thrusts):
-            table.add_column(heading, justify="right" if heading else "left")
-        add_errors(table, of_thrusts)
-        changes = (f"{each.effort.change:.4f}" for each in of_thrusts.values())
-        table.add_row("mean |Δu| of the motor values in 1 ms", *changes)
-        console.print(table)
+        print_thrusts(Console(), f"Betaflight 4.6, {name}", args, of_thrusts)
     for setting, value in tuning.best.settings.items():
         print(f"set {setting} = {value}")
     if args.write and tuning.best.settings:

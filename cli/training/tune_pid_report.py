@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
 
 PID, BETAFLIGHT = SUBJECTS = ("pid", "betaflight")
 FLYING, DISSERTATION = TERMS = ("flying", "dissertation")
+DEFAULTS, TUNED = "defaults", "tuned"  # of what is no PID
 # Defaults that decide what is found; a command is told without them.
 USUAL: dict[str, object] = {"terms": FLYING, "budget": 720}
 
@@ -69,6 +71,8 @@ def command(args: argparse.Namespace) -> str:
         max_output=args.max_output,
         max_change=args.max_change,
         max_idle=args.max_idle,
+        parameters=args.parameters,
+        tuner=args.tuner,
         name=None if args.name == usual_name else args.name,
     )
 
@@ -168,6 +172,35 @@ def add_errors(table: Table, checked: dict[str, Evaluation]) -> None:
     table.add_row("  average", *(f"{item.mae.mean():.2f}" for item in errors))
     table.add_row("MSE, (deg/s)²", *(_each(item.mse, 0) for item in errors))
     table.add_row("  average", *(f"{item.mse.mean():,.0f}" for item in errors))
+
+
+def print_thrusts(
+    console: Console, title: str, args: argparse.Namespace, of_thrusts: dict[str, Evaluation]
+) -> None:
+    """Figures at several thrusts as a table."""
+    from rich.table import Table
+
+    what = f"{args.check:,} unseen commands each, five in a flight, seed {args.seed}"
+    table = Table(title=f"{title}: {what}", title_justify="left")
+    for heading in ("", *of_thrusts):
+        table.add_column(heading, justify="right" if heading else "left")
+    add_errors(table, of_thrusts)
+    changes = (f"{each.effort.change:.4f}" for each in of_thrusts.values())
+    table.add_row("mean |Δu| of the motor values in 1 ms", *changes)
+    console.print(table)
+
+
+def keeps_limit(args: argparse.Namespace, of_thrusts: dict[str, Evaluation]) -> int:
+    """Return 0; 1, said on stderr, where the motors change by more than the limit."""
+    change = max(each.effort.change for each in of_thrusts.values())
+    if change <= args.limit:
+        return 0
+    print(
+        f"the motors change by {change:.4f} in 1 ms, more than {args.limit:g}; try a larger --budget or "
+        "a wider limit",
+        file=sys.stderr,
+    )
+    return 1
 
 
 def _each(values: NDArray[np.float64], digits: int) -> str:

@@ -1,11 +1,15 @@
-"""What `tune-pid` does of a PID and of Betaflight alike: progress, and the flights of the final figures."""
+"""What `tune-pid` does of all that it tunes alike: progress, and the flights of the final figures."""
 
 from __future__ import annotations
 
+import argparse
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from typing import TYPE_CHECKING, Protocol
+
+from cli.training.tune_pid_report import BETAFLIGHT, FLYING
+from toolchain.errors import TrainingError
 
 if TYPE_CHECKING:
     import numpy as np
@@ -13,8 +17,11 @@ if TYPE_CHECKING:
 
     from sim.aircraft.model import Aircraft
     from training.evaluation.evaluation import Evaluation, Flights
+    from training.pid_tuning.tuner import MakeTuner
     from training.tasks.flight import FlightTask
 
+CHECKED_MAX = 500  # commands at each thrust: a Betaflight for each flight at a time
+OF_A_PID = ("max_output", "max_idle", "name", "plot")  # options of its search alone
 Show = Callable[[int, int], None]  # how much is done, of how much
 
 
@@ -30,6 +37,31 @@ class Candidate(Protocol):
     def change(self) -> float:
         """Mean |change| in 1 ms."""
         ...
+
+
+def check_thrusts_only(args: argparse.Namespace) -> None:
+    """Refuse options of a PID's search and fill in the defaults of all others. Raises NeuroflightError."""
+    from cli.output import check_output
+    from cli.training.evaluation.ranges import check_ranges
+    from training.pid_tuning.flying import CHANGE
+
+    if args.terms != FLYING:
+        raise TrainingError(f"--terms {args.terms}: of a PID's search; all others are by flying terms")
+    for name in OF_A_PID:
+        if getattr(args, name) is not None:
+            raise TrainingError(f"--{name.replace('_', '-')}: of a PID's search; leave it out")
+    args.check = 50 if args.check is None else args.check
+    check_ranges(("--check", args.check, 1, CHECKED_MAX))
+    check_output(args.write, ".txt" if args.of == BETAFLIGHT else ".toml")
+    args.limit = CHANGE if args.max_change is None else args.max_change
+
+
+def chosen_tuner(args: argparse.Namespace) -> MakeTuner:
+    """Return what searches: CMA-ES, or the user's own."""
+    from training.pid_tuning.cma_es import CmaEs
+    from training.pid_tuning.tuner import load_tuner
+
+    return CmaEs if args.tuner is None else load_tuner(args.tuner)
 
 
 @contextmanager

@@ -22,12 +22,20 @@ from toolchain.errors import TrainingError
 from toolchain.files import file_size
 from training.config.config_table import NAME, ConfigReader
 from training.config.training_config import TrainingConfig
+from training.plugins import check_recorded
 
 FOLDER = Path(__file__).parents[1] / "recipes"
 FILE_BYTES_MAX = 1 << 20
 SUFFIXES = (".toml", ".json")
 KEY = re.compile(r"\w+(\.\w+)*", re.ASCII)
-RECORD_KEYS = ("aircraft", "motors", "observation_scale", "filters", "model")  # in training.json only
+RECORD_KEYS = (
+    "aircraft",
+    "motors",
+    "observation_scale",
+    "filters",
+    "model",
+    "plugins",
+)  # in training.json only
 
 
 def recipes() -> tuple[str, ...]:
@@ -44,6 +52,8 @@ def load_config(source: str | Path | None, overrides: Sequence[str] = ()) -> Tra
     """
     where, document = _read(source)
     record = {key: document.pop(key) for key in RECORD_KEYS if key in document and _is_json(source)}
+    if "plugins" in record:
+        check_recorded(record["plugins"], where)
     given = copy.deepcopy(document)
     origins: dict[str, str] = {}
     for override in sorted(overrides, key=_order):

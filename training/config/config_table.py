@@ -50,7 +50,7 @@ class ConfigReader:
                 raise self.error(_joined(path, name), "missing")
         try:
             return kind(**given)
-        except TrainingError as error:
+        except (TrainingError, ValueError) as error:  # ValueError: of a user's class
             raise self.error(path, str(error)) from None
 
     def field(self, kind: type[Any], name: str, value: object) -> object:
@@ -102,7 +102,8 @@ class ConfigReader:
         name = values.get(NAME, getattr(default, NAME, None))
         if not isinstance(name, str) or name not in registry:
             key = _joined(path, NAME) if NAME in values else path
-            raise self.error(key, f"got {shown(name)}, expected one of: {', '.join(registry)}")
+            own = "" if registry is ALGORITHMS else "; one of a file of yours needs its --plugin FILE.py"
+            raise self.error(key, f"got {shown(name)}, expected one of: {', '.join(registry)}{own}")
         return self.table(registry[name], {key: item for key, item in values.items() if key != NAME}, path)
 
     def _tuple(self, inside: tuple[Any, ...], value: object, path: str) -> tuple[object, ...]:
@@ -136,7 +137,9 @@ class ConfigReader:
             if isinstance(value, str) and len(value) <= TEXT_MAX and (value.isprintable() or not value):
                 return value
             raise self.error(path, f"got {shown(value)}, expected one line of at most {TEXT_MAX} characters")
-        raise TypeError(f"{path}: a configuration has no reader for {kind}")
+        raise self.error(
+            path, f"its field is of type {kind}, expected float, int, bool, str or a tuple of them"
+        )
 
 
 def _default(field: dataclasses.Field[Any]) -> object:

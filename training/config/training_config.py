@@ -31,6 +31,7 @@ from training.config.pathwise_config import PathwiseConfig
 from training.config.randomization import SAME, Randomization
 from training.config.selection import SelectionLimits
 from training.config.throttle import moving_throttle
+from training.plugins import plugins_of
 from training.tasks.reward import Reward, TrackingReward
 from training.tasks.task import PulseTask, Task
 
@@ -217,6 +218,11 @@ class TrainingConfig:
                 f"{table} setpoints, expected at most {TABLE_STEPS_MAX}; shorten the task or fly fewer"
             )
         yield from self.selection.errors()
+        if isinstance(self.algorithm, PathwiseConfig) and not isinstance(self.reward, TrackingReward):
+            yield (
+                f"reward {self.reward.name}: algorithm {self.algorithm.name} follows the gradient of its own "
+                f"loss and asks no reward; choose another, such as --algorithm ppo, or leave the reward out"
+            )
 
     def check(self, aircraft: Aircraft) -> None:
         """Raise TrainingError if this aircraft cannot be trained with the configuration."""
@@ -277,7 +283,8 @@ class TrainingConfig:
             check_cutoffs(terms, self.control_rate_hz)
             return terms
         except ValueError as error:
-            raise TrainingError(f"observation {self.observation!r}: {error}") from None
+            own = "; for one of your own see docs/own-modules.md" if "unknown" in str(error) else ""
+            raise TrainingError(f"observation {self.observation!r}: {error}{own}") from None
 
     def observation_scale(self, motors: int) -> list[float]:
         """Factor for each raw observation value."""
@@ -290,12 +297,14 @@ class TrainingConfig:
         """
         self.check(aircraft)
         model = self._model(aircraft)
+        plugins = plugins_of(self.task, self.reward)
         return {
             "aircraft": {"name": aircraft.name, "sha256": aircraft.sha256},
             "motors": aircraft.motor_count,
             "observation_scale": self.observation_scale(aircraft.motor_count),
             "filters": self.filters,
             **({} if model is None else {"model": model.document()}),
+            **({"plugins": plugins} if plugins else {}),
             **{field.name: _plain(getattr(self, field.name)) for field in fields(self)},
         }
 

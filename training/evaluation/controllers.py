@@ -1,4 +1,4 @@
-"""Controllers as a user names them (policy files, PIDs of the aircraft), and the conditions they fly in."""
+"""Controllers as a user names them (policies, PIDs, classes of his own), and the conditions they fly in."""
 
 from __future__ import annotations
 
@@ -23,6 +23,12 @@ from toolchain.policy.label import policy_label
 from toolchain.policy.model import read_policy
 from training.evaluation.betaflight import BetaflightSpec, record_betaflight
 from training.evaluation.evaluation import Event, Flights, record
+from training.evaluation.users_controller import (
+    UsersController,
+    is_users_controller,
+    load_users_controller,
+    users_label,
+)
 from training.tasks.pieces import RecordedPieces
 from training.tasks.sticks import OnSticks
 from training.tasks.task import Task
@@ -50,6 +56,8 @@ class ControllerSpec:
         """A short name for tables and plots."""
         if "pid" in self.facts:
             return f"PID {self.facts['pid']}"
+        if is_users_controller(self.name):
+            return users_label(self.name)
         return policy_label(self.name)
 
 
@@ -57,11 +65,13 @@ Contender = ControllerSpec | BetaflightSpec
 
 
 def load_controller(name: str, aircraft: Aircraft, idle: float | None = None) -> ControllerSpec:
-    """The controller called `name`: `pid`, `pid:NAME` of the aircraft file, or the path of a policy.onnx.
+    """The controller called `name`: `pid`, `pid:NAME` of the aircraft file, a policy.onnx or a FILE.py:CLASS.
 
-    idle: replaces its own unless None. Raises AircraftError or PolicyError if it does not exist, or drives
-    another number of motors.
+    idle: replaces its own unless None. Raises AircraftError, PolicyError or TrainingError if it does not
+    exist, or drives another number of motors.
     """
+    if is_users_controller(name):
+        return users_spec(load_users_controller(name), aircraft, name, idle)
     kind, _, which = name.partition(":")
     if kind == PID:
         settings = pid_settings(aircraft, which or None)
@@ -96,6 +106,24 @@ def load_controller(name: str, aircraft: Aircraft, idle: float | None = None) ->
         },
         mix=policy.mix,
         gyro_mean=policy.gyro_mean,
+    )
+
+
+def users_spec(
+    controller: UsersController, aircraft: Aircraft, name: str, idle: float | None = None
+) -> ControllerSpec:
+    """A class of a user's file as a controller; idle: replaces its own unless None."""
+    return ControllerSpec(
+        name=name,
+        build=lambda count: controller.build(aircraft, count),
+        control_rate_hz=controller.control_rate_hz,
+        idle=controller.idle if idle is None else idle,
+        facts={
+            "file_sha256": controller.sha256,
+            "parameters": ", ".join(f"{each}={value:g}" for each, value in controller.values.items()),
+        },
+        mix=controller.mix,
+        gyro_mean=controller.gyro_mean,
     )
 
 

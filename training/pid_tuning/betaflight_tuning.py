@@ -38,7 +38,7 @@ from training.pid_tuning.trial import (
     throttles,
     training_commands,
 )
-from training.pid_tuning.tuning import POPULATION
+from training.pid_tuning.tuner import POPULATION, MakeTuner, search
 from training.tasks.task import EpisodicTask, PulseTask, Setpoints, held
 
 Array = NDArray[np.float64]
@@ -133,32 +133,27 @@ def tune_betaflight(
     seed: int,
     budget: int,
     progress: Progress,
+    tuner: MakeTuner = CmaEs,
 ) -> Tuning:
     """Settings of least cost after about `budget` candidates (whole generations) of COMMANDS pulses each.
 
-    change: the most that a motor value may change in 1 ms on average, fraction. The same arguments give the
-    same settings. An interruption (KeyboardInterrupt) ends the search and keeps the best so far. Raises
-    AircraftError if Betaflight cannot fly the aircraft, LinkError when one fails.
+    change: the most that a motor value may change in 1 ms on average, fraction; tuner: what
+    searches. The same arguments give the same settings. An interruption (KeyboardInterrupt) ends the search
+    and keeps the best so far. Raises AircraftError if Betaflight cannot fly the aircraft, LinkError when one
+    fails.
     """
-    draw, search, thrust = (np.random.default_rng(s) for s in np.random.SeedSequence([seed, 1]).spawn(3))
+    draw, rng, thrust = (np.random.default_rng(s) for s in np.random.SeedSequence([seed, 1]).spawn(3))
     unbiased = replace(aircraft, gyro=replace(aircraft.gyro, bias=0.0))
     pulses, levels = training_commands(COMMANDS, draw), throttles(COMMANDS, THROTTLE_MAX, thrust)
     flights = _Flights(built, unbiased, change, seed, pulses, levels, held_commands())
-    cma_es = CmaEs(start(), np.full(len(KNOBS), SPREAD), POPULATION, search)
     (defaults,) = flights.fly([{}])
-    best = defaults
-    trials: list[Trial] = []
-    interrupted = False
-    try:
-        for _ in range(max(1, round(budget / POPULATION))):
-            points = cma_es.ask()
-            generation = flights.fly([decoded(point) for point in points])
-            cma_es.tell(points, np.array([trial.cost for trial in generation]))
-            trials += generation
-            best = min([best, *generation], key=lambda trial: trial.cost)
-            progress(len(trials), best)
-    except KeyboardInterrupt:
-        interrupted = True
+    trials, best, interrupted = search(
+        tuner(start(), np.full(len(KNOBS), SPREAD), POPULATION, rng),
+        lambda points: flights.fly([decoded(point) for point in points]),
+        defaults,
+        budget,
+        progress,
+    )
     return Tuning(defaults, tuple(trials), best, interrupted)
 
 

@@ -15,11 +15,11 @@ from sim.physics.rotor import target_speed, thrust_and_torque
 from toolchain.contract import GRAVITY
 from training.pid_tuning.cma_es import CmaEs
 from training.pid_tuning.trial import RATE_HZ, Trial, Trials
+from training.pid_tuning.tuner import POPULATION, MakeTuner, search
 from training.pid_tuning.ultimate_gain import RULES, UltimateGain, ultimate_gains
 
 Array = NDArray[np.float64]
 
-POPULATION = 12  # candidates of a generation; the usual number for 11 settings
 IDLE_START = 0.1
 IDLE_WEIGHT_MAX = 0.75  # thrust of all idling rotors in parts of the weight; more would hardly let it sink
 IDLE_MIN, IDLE_MAX = 1e-3, 0.5  # of the search; the least has no visible effect
@@ -63,10 +63,12 @@ def tune(
     rng: np.random.Generator,
     progress: Progress,
     begin: Sequence[PidSettings] = (),
+    tuner: MakeTuner = CmaEs,
 ) -> Tuning:
     """Return the settings of least cost after about `budget` candidates, in whole generations.
 
-    rng: of the search; begin: settings that it may begin with, if they cost less than every rule.
+    rng: of the search; begin: settings that it may begin with, if they cost less than every rule; tuner: what
+    searches.
 
     The same arguments give the same settings. An interruption (KeyboardInterrupt) during the search ends it
     and keeps the best so far. Raises TrainingError on an aircraft that no gain makes oscillate.
@@ -81,23 +83,18 @@ def tune(
     begun += [space.decoded(space.encoded(settings)) for settings in begin]
     starts = trials.fly(begun)
     rules = dict(zip(RULES, starts, strict=False))
-    first = best = min(starts, key=lambda trial: trial.cost)
-    flown: list[Trial] = []
+    first = min(starts, key=lambda trial: trial.cost)
     at = space.encoded(first.settings)
     spread = np.full(len(at), SPREAD_GAIN)
     spread[3:6] = SPREAD_INTEGRAL
-    cma_es = CmaEs(at, spread, POPULATION, rng)
-    try:
-        for _ in range(max(1, round(budget / POPULATION))):
-            points = cma_es.ask()
-            generation = trials.fly([space.decoded(point) for point in points])
-            cma_es.tell(points, np.array([trial.cost for trial in generation]))
-            flown += generation
-            best = min([best, *generation], key=lambda trial: trial.cost)
-            progress(len(flown), best)
-    except KeyboardInterrupt:
-        return Tuning(found, rules, first, tuple(flown), best, interrupted=True)
-    return Tuning(found, rules, first, tuple(flown), best, interrupted=False)
+    flown, best, interrupted = search(
+        tuner(at, spread, POPULATION, rng),
+        lambda points: trials.fly([space.decoded(point) for point in points]),
+        first,
+        budget,
+        progress,
+    )
+    return Tuning(found, rules, first, tuple(flown), best, interrupted)
 
 
 def idle_limit(aircraft: Aircraft) -> float:
@@ -141,18 +138,18 @@ class _Space:
         return self._rounded((tuple(roll), tuple(pitch), tuple(yaw)), cutoff, idle)
 
     def _rounded(self, gains: tuple[Vector, Vector, Vector], cutoff_hz: float, idle: float) -> PidSettings:
-        (a, b, c), (d, e, f), (g, h, i) = ([_significant(value) for value in axis] for axis in gains)
+        (a, b, c), (d, e, f), (g, h, i) = ([significant(value) for value in axis] for axis in gains)
         fixed, most = self.trials.idle, self.trials.limits.idle
         return PidSettings(
             ((a, b, c), (d, e, f), (g, h, i)),
-            _significant(cutoff_hz),
-            _significant(min(idle, most)) if fixed is None else fixed,
+            significant(cutoff_hz),
+            significant(min(idle, most)) if fixed is None else fixed,
             mix=self.trials.mix,
             gyro_mean=self.trials.gyro_mean,
         )
 
 
-def _significant(value: float) -> float:
+def significant(value: float) -> float:
     """`value` with DIGITS significant digits."""
     if value == 0.0 or not math.isfinite(value):
         return value

@@ -23,6 +23,7 @@ from toolchain.policy.plain_checkpoint import load_plain
 from training.checkpoints.metrics import CheckpointMetrics
 from training.checkpoints.selection import better, rank
 from training.config.selection import SelectionLimits
+from training.plugins import check_recorded
 from training.runs.rewards import Rewards
 
 KEPT_MAX = 7  # policies of other checkpoints than the chosen one, where that may prove unfit to fly
@@ -152,6 +153,7 @@ def load_run(path: Path, document: dict[str, Any]) -> tuple[Run, MonitorState]:
         raise TrainingError(f"{path} is no checkpoint that a run can go on from; train anew") from error
     if form != (CHECKPOINT_FORMAT, CHECKPOINT_VERSION):
         raise TrainingError(f"{path} is of version {form[1]}, expected {CHECKPOINT_VERSION}; train anew")
+    check_recorded(config.get("plugins", []), str(path))
     same = json.loads(json.dumps(document))
     different = sorted(key for key in {*config, *same} if config.get(key) != same.get(key))
     if different:

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from sim.aircraft.model import Aircraft
 from toolchain.errors import NeuroflightError
+from training.plugins import Plugin, load_plugins
 from training.runs.checkpoint import Policy
 from training.runs.train import Callback, Progress
 from training.sweeps.config import Trial, Validation
@@ -46,6 +47,7 @@ class Job:
     aircraft: Aircraft
     validation: Validation
     folder: Path
+    plugins: tuple[Plugin, ...] = ()  # whose rewards and tasks the run may name
 
 
 @dataclass(frozen=True)
@@ -74,6 +76,7 @@ def do(job: Job, out: Path, report: Report) -> End:
     if (out / STOP).exists():
         return End()
     try:
+        load_plugins([plugin.path for plugin in job.plugins])
         run_trial(job.trial, job.aircraft, job.validation, job.folder, _Reporter(out / STOP, report))
     except KeyboardInterrupt:
         return End()

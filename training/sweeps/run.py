@@ -10,6 +10,7 @@ from pathlib import Path
 from sim.plotting import save_png
 from toolchain.errors import TrainingError
 from toolchain.files import write_text
+from training.plugins import Plugin
 from training.sweeps import process_workers, ray_workers
 from training.sweeps.config import Sweep
 from training.sweeps.jobs import STOP, Job, SweepCallback, clear_stop
@@ -34,12 +35,13 @@ def run_sweep(
     force: bool = False,
     command: str = "",
     callback: SweepCallback | None = None,
+    plugins: tuple[Plugin, ...] = (),
 ) -> tuple[Run, ...]:
     """Do the unfinished runs; `out`/sweep.json is written after each, sweep.png at the end.
 
     cpus: runs at a time. address: of a Ray cluster, whose nodes all see `out`, or `ray_workers.LOCAL` for a
     Ray session of this machine; None: processes of this machine, without Ray. force: remove the runs that
-    `out` holds.
+    `out` holds. plugins: the users' files that the sweep was read with.
     Raises TrainingError if `out` holds a sweep already and neither `resume` nor `force` is asked for, or
     holds another; KeyboardInterrupt if it was stopped, see `jobs.request_stop`.
     """
@@ -56,7 +58,7 @@ def run_sweep(
     if resume:
         keeper.read()
     jobs = [
-        Job(run.trial, sweep.aircraft, sweep.validation, keeper.folder(run).resolve())
+        Job(run.trial, sweep.aircraft, sweep.validation, keeper.folder(run).resolve(), plugins)
         for run in keeper.runs
         if run.outcome is None
     ]

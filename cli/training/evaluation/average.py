@@ -29,7 +29,9 @@ def check_average(args: argparse.Namespace) -> None:
 
 
 def _is_policy(name: str) -> bool:
-    return name.partition(":")[0] not in ("pid", BETAFLIGHT)
+    from training.evaluation.users_controller import is_users_controller
+
+    return name.partition(":")[0] not in ("pid", BETAFLIGHT) and not is_users_controller(name)
 
 
 def average_document(entries: Sequence[Entry]) -> dict[str, object]:

@@ -19,6 +19,7 @@ from cli.training.evaluation.task_arguments import (
     task_name,
     task_of,
 )
+from cli.training.plugins import words as plugin_words
 
 if TYPE_CHECKING:
     from training.evaluation.controllers import Conditions, Contender
@@ -125,6 +126,7 @@ def command(name: str, args: argparse.Namespace, flown: Conditions, *words: str,
     return command_line(
         name,
         *words,
+        *plugin_words(args),
         aircraft=args.aircraft,
         task=task_name(flown.task) if args.commands is None else None,
         episodes=commands_flown(flown) if args.commands is None else None,

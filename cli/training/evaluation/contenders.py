@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from training.evaluation.controllers import Conditions, Contender
 
 BETAFLIGHT = "betaflight"
-CONTENDER = "POLICY.onnx|pid[:NAME]|betaflight[:tuned|:DIFF]"
+CONTENDER = "POLICY.onnx|pid[:NAME]|FILE.py:CLASS[:VALUES.toml]|betaflight[:tuned|:DIFF]"
 THRUST_MAX = 20.0  # of the weight
 
 

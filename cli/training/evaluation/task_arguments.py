@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from cli.logs.reading import add_recording_arguments, header_lines, part
 from cli.training.evaluation.ranges import check_ranges
+from cli.training.plugins import add_plugin_argument, load_named
 
 if TYPE_CHECKING:
     from training.evaluation.controllers import Conditions
@@ -36,10 +37,12 @@ def add_task_arguments(parser: argparse.ArgumentParser, episodes: int) -> None:
     """The arguments; `episodes` is the default number of random commands."""
     parser.add_argument(
         "--task",
-        choices=TASKS,
-        help="what is commanded; default: flight, ten commands one after another and a hover, a minute in "
-        "all; pilot: a pilot's minute, and a hover; with --command: pulse",
+        metavar="NAME",
+        help=f"what is commanded: {', '.join(TASKS)}, or a task of a --plugin; default: flight, ten "
+        "commands one after another and a hover, a minute in all; pilot: a pilot's minute, and a hover; with "
+        "--command: pulse",
     )
+    add_plugin_argument(parser)
     parser.add_argument(
         "--episodes",
         type=int,
@@ -90,9 +93,11 @@ def task_of(args: argparse.Namespace) -> tuple[Task, int]:
     """What is commanded, and its number of episodes."""
     from sim.physics.world import COUNT_MAX
     from toolchain.errors import TrainingError
+    from training.plugins import users_own
     from training.tasks.flight import FlightTask, PilotTask
     from training.tasks.task import ContinuousTask
 
+    load_named(args)
     if args.commands is None:
         if args.piece is not None:
             raise TrainingError("--piece: cuts recorded commands; give them with --commands")
@@ -106,11 +111,11 @@ def task_of(args: argparse.Namespace) -> tuple[Task, int]:
         if isinstance(task, FlightTask):
             short, flights = task.of_commands(episodes)
             task, episodes = (short if args.length is None else task), flights
-        long = isinstance(task, (FlightTask, PilotTask, ContinuousTask))
+        long = isinstance(task, (FlightTask, PilotTask, ContinuousTask)) or users_own(type(task))
         if long and episodes * task.duration_s > LONG_MAX_S:
             raise TrainingError(
                 f"{episodes} episodes of {task.duration_s:g} s, expected at most {LONG_MAX_S:g} s "
-                f"together; ask for fewer, or for shorter ones with --length"
+                f"together; ask for fewer with --episodes, or for shorter ones"
             )
         return task, episodes
     for option in ("task", "episodes", "named_command", "limit", "length"):
@@ -141,13 +146,21 @@ def _commanded(args: argparse.Namespace) -> Task:
     """The task of the arguments, with their limit, length or command."""
     from toolchain.contract import RATE_FULL_STICK_DEG_S
     from toolchain.errors import TrainingError
+    from training.plugins import users_own
     from training.tasks.flight import FlightTask
     from training.tasks.named_command import NamedCommand
     from training.tasks.registry import TASKS as BUILDERS
     from training.tasks.task import ContinuousTask, EpisodicTask, PulseTask, RandomCommands
 
     full = float(RATE_FULL_STICK_DEG_S)
-    task = BUILDERS[args.task or (TASKS[0] if args.named_command is None else PulseTask.name)]()
+    name = args.task or (TASKS[0] if args.named_command is None else PulseTask.name)
+    known = [*TASKS, *(each for each, kind in BUILDERS.items() if users_own(kind))]
+    if name not in known:
+        raise TrainingError(
+            f"--task {name}, expected one of: {', '.join(known)}; one of a file of yours needs its "
+            f"--plugin FILE.py"
+        )
+    task = BUILDERS[name]()
     if args.length is not None:
         if isinstance(task, FlightTask):
             check_ranges(("--length", args.length, FLIGHT_MIN_S, LENGTH_MAX_S))

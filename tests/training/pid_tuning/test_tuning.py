@@ -18,7 +18,8 @@ from training.evaluation.evaluation import figures, record
 from training.pid_tuning.dissertation import DissertationTrials
 from training.pid_tuning.flying import CHANGE, IDLE, FlyingTrials
 from training.pid_tuning.trial import Limits, Trial
-from training.pid_tuning.tuning import POPULATION, Tuning, idle_limit, streams, tune
+from training.pid_tuning.tuner import POPULATION
+from training.pid_tuning.tuning import Tuning, idle_limit, streams, tune
 from training.tasks.task import EpisodicTask, PulseTask
 
 NF1 = load_aircraft("nf1")

@@ -1,0 +1,186 @@
+"""Parameters of a user's own controller by the search that finds a PID's (CMA-ES), in the twin.
+
+A candidate flies pulses at four thrusts, as a PID's does by flying terms, but in Python: the candidates of a
+generation fly side by side in one world, and all fly the same commands. Its cost is
+a PID's too (see training/pid_tuning/flying.py), without the harder flights.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.aircraft.model import Aircraft
+from sim.analysis.metrics import effort, tracking
+from sim.control.controller import Controller
+from toolchain.errors import TrainingError
+from training.evaluation.evaluation import Flights, record
+from training.evaluation.users_controller import Parameter, UsersController
+from training.pid_tuning.cma_es import CmaEs
+from training.pid_tuning.flying import LEVELS, PENALTY, throttle_for
+from training.pid_tuning.trial import MARGIN, Pulses, training_commands
+from training.pid_tuning.tuner import POPULATION, MakeTuner, search
+from training.pid_tuning.tuning import significant
+from training.tasks.task import PulseTask
+
+Array = NDArray[np.float64]
+Array32 = NDArray[np.float32]
+Values = Mapping[str, float]
+
+COMMANDS = 12  # pulses that each candidate flies, three at each thrust
+SPREAD = 0.2  # standard deviation of the search's first points, of each parameter's range
+BROAD = 10.0  # ratio of a range above which it is searched by its logarithm
+
+
+@dataclass(frozen=True)
+class Trial:
+    """Values of the parameters and their figures on the training commands."""
+
+    values: Values
+    mae: float  # [deg/s], mean of the axes
+    change: float  # of the motor values in 1 ms
+    cost: float  # [deg/s]
+
+
+@dataclass(frozen=True)
+class Tuning:
+    """The course and result of a search."""
+
+    start: Trial  # as the class says
+    trials: tuple[Trial, ...]  # of the search, in the order flown
+    best: Trial
+    interrupted: bool
+
+
+def tune_users(
+    controller: UsersController,
+    aircraft: Aircraft,
+    change: float,
+    *,
+    names: Sequence[str],
+    seed: int,
+    budget: int,
+    progress: Callable[[int, Trial], None],
+    tuner: MakeTuner = CmaEs,
+) -> Tuning:
+    """Values of least cost of the parameters `names` after about `budget` candidates.
+
+    change: the most that a motor value may change in 1 ms on average, fraction; tuner: what searches. The
+    same arguments give the same values. names: see `check_names`.
+    """
+    check_names(controller, names)
+    draw, rng = (np.random.default_rng(part) for part in np.random.SeedSequence([seed, 1]).spawn(2))
+    unbiased = replace(aircraft, gyro=replace(aircraft.gyro, bias=0.0))
+    flights = _Flights(controller, unbiased, change, seed, training_commands(COMMANDS, draw))
+    parameters = {name: controller.parameters[name] for name in names}
+    (start,) = flights.fly([controller.values])
+    at = np.array([_encoded(each, controller.values[name]) for name, each in parameters.items()])
+
+    def fly(points: Array) -> list[Trial]:
+        decoded = [
+            {name: _decoded(each, x) for (name, each), x in zip(parameters.items(), point, strict=True)}
+            for point in points.tolist()
+        ]
+        return flights.fly([{**controller.values, **values} for values in decoded])
+
+    found = search(tuner(at, np.full(len(at), SPREAD), POPULATION, rng), fly, start, budget, progress)
+    trials, best, interrupted = found
+    return Tuning(start, tuple(trials), best, interrupted)
+
+
+def check_names(controller: UsersController, names: Sequence[str]) -> None:
+    """Raise TrainingError where there is nothing to tune, or a name is none of a parameter."""
+    has = ", ".join(controller.parameters) or "none"
+    for name in names:
+        if name not in controller.parameters:
+            raise TrainingError(
+                f"{controller.name}: no parameter {name}; its attribute `parameters` has: {has}"
+            )
+    if not names:
+        raise TrainingError(
+            f"{controller.name}: nothing to tune; give its class an attribute such as "
+            f'parameters = {{"p": (0.02, 0.001, 1.0)}}: start, least, greatest'
+        )
+
+
+def _encoded(parameter: Parameter, value: float) -> float:
+    """Return a value as 0..1 of its range, or of that of its logarithm."""
+    low, high = parameter.low, parameter.high
+    if low > 0.0 and high / low > BROAD:
+        return math.log(value / low) / math.log(high / low)
+    return (value - low) / (high - low)
+
+
+def _decoded(parameter: Parameter, x: float) -> float:
+    """Return the value nearest to the one that `_encoded` gives as `x`."""
+    low, high, x = parameter.low, parameter.high, min(max(x, 0.0), 1.0)
+    broad = low > 0.0 and high / low > BROAD
+    value = low * (high / low) ** x if broad else low + x * (high - low)
+    return min(max(significant(value), low), high)
+
+
+@dataclass(frozen=True, eq=False)
+class _Flights:
+    """The flights that every candidate makes."""
+
+    controller: UsersController
+    aircraft: Aircraft
+    change: float  # the limit
+    seed: int  # of the gyro's noise
+    commands: Array  # (n, 3) [rad/s], of the pulses
+
+    def fly(self, candidates: Sequence[Values]) -> list[Trial]:
+        """Return the figures of each of the candidates."""
+        spec, count, each = self.controller, len(candidates), len(self.commands)
+        throttle = np.array([throttle_for(self.aircraft, level, spec.idle) for level in LEVELS], np.float32)
+        flown = record(
+            _Crowd([spec.build(self.aircraft, each, values) for values in candidates], each),
+            self.aircraft,
+            Pulses(np.tile(self.commands, (count, 1)), PulseTask()),
+            episodes=count * each,
+            seed=self.seed,
+            control_rate_hz=spec.control_rate_hz,
+            throttle=np.tile(np.repeat(throttle, each // len(LEVELS)), count),
+            idle=spec.idle,
+            mix=spec.mix,
+            gyro_mean=spec.gyro_mean,
+        )
+        assert flown.motors is not None  # `record` keeps them
+        rows = [slice(first, first + each) for first in range(0, count * each, each)]
+        return [self._trial(values, flown, r) for values, r in zip(candidates, rows, strict=True)]
+
+    def _trial(self, values: Values, flown: Flights, rows: slice) -> Trial:
+        assert flown.motors is not None
+        errors = tracking(flown.setpoint[rows], flown.rate[rows], flown.step_s)
+        mae, mse = errors.mae.mean(axis=1), errors.mse.mean(axis=1)
+        moved = effort(flown.motors[rows], flown.step_s).change
+        cost = math.exp(float(np.log(mae * mse).mean()) / 3.0)
+        cost *= max(1.0, moved / (MARGIN * self.change)) ** PENALTY
+        return Trial(values, float(mae.mean()), moved, cost)
+
+
+class _Crowd:
+    """Controllers of several candidates as one."""
+
+    def __init__(self, each: Sequence[Controller], count: int) -> None:
+        """Join them; count: aircraft of each."""
+        self._each, self._count = each, count
+
+    def reset(self) -> None:
+        """See Controller."""
+        for one in self._each:
+            one.reset()
+
+    def step(self, setpoint: Array32, gyro: Array32, throttle: Array32) -> Array32:
+        """See Controller."""
+        rows = range(0, len(setpoint), self._count)
+        return np.concatenate(
+            [
+                one.step(*(part[at : at + self._count] for part in (setpoint, gyro, throttle)))
+                for one, at in zip(self._each, rows, strict=True)
+            ]
+        )
