@@ -26,6 +26,7 @@ class AdvanceRatio:
 
     thrust: Terms
     torque: Terms
+    ratio_least: float = 0.0  # J down to which they are used, of rotors that sink into their own wake
 
     @property
     def ratio_max(self) -> float:
@@ -43,7 +44,7 @@ class AdvanceRatio:
 
     def factors(self, ratio: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Factors of thrust and torque at advance ratios, any shape: the formula of rotor.c."""
-        at = np.clip(np.asarray(ratio, np.float64), 0.0, self.ratio_max)
+        at = np.clip(np.asarray(ratio, np.float64), self.ratio_least, self.ratio_max)
         thrust, torque = (1.0 + (first + second * at) * at for first, second in (self.thrust, self.torque))
         return np.maximum(thrust, 0.0), np.maximum(torque, 0.0)
 
@@ -52,9 +53,10 @@ def read_advance(table: StrictTable) -> AdvanceRatio:
     """The table's coefficients. Raises the table's error, one line, on what no propeller has."""
     thrust = _terms(table, "thrust")
     torque = _terms(table, "torque")
+    least = table.number("ratio_least", -RATIO_LAST, 0.0, 0.0)
     table.finish()
-    advance = AdvanceRatio(thrust, torque)
-    ratios = np.linspace(0.0, advance.ratio_max, 301)
+    advance = AdvanceRatio(thrust, torque, least)
+    ratios = np.linspace(least, advance.ratio_max, 301)
     for key, values in zip(("thrust", "torque"), advance.factors(ratios), strict=True):
         worst = int(np.argmax(values))
         if values[worst] > FACTOR_MAX:

@@ -42,6 +42,12 @@ class TorqueResponse:
     gain: float  # [N m s/rad]
     torque_up: float  # [N m], most it accelerates with
     torque_down: float  # [N m], most it brakes with
+    friction: float = 0.0  # [N m s/rad], of the bearing: part of `gain`, and what the limits have to overcome
+
+    @property
+    def speed_max(self) -> float:
+        """The speed [rad/s] at which friction takes all of the torque; infinite without friction."""
+        return self.torque_up / self.friction if self.friction else math.inf
 
 
 @dataclass(frozen=True)
@@ -80,7 +86,13 @@ class Propulsion:
     @property
     def speed_max(self) -> float:
         """Rotor speed at full command on the bench supply [rad/s]."""
-        return sum(self.speed_curve)
+        limit = self.response.speed_max if isinstance(self.response, TorqueResponse) else math.inf
+        return min(sum(self.speed_curve), limit)
+
+    @property
+    def friction(self) -> float:
+        """Friction of a rotor's bearing [N m s/rad] that its limited torque has to overcome."""
+        return self.response.friction if isinstance(self.response, TorqueResponse) else 0.0
 
 
 @dataclass(frozen=True)
@@ -385,7 +397,13 @@ def _response(table: StrictTable) -> Response:
             gain=table.number("gain", 1e-12, 10),
             torque_up=table.number("torque_up_n_m", 1e-9, 1000),
             torque_down=table.number("torque_down_n_m", 1e-9, 1000),
+            friction=table.number("friction_n_m_s", 0, 10, 0.0),
         )
+        if response.friction >= response.gain:
+            raise table.error(
+                "friction_n_m_s",
+                f"got {response.friction:g}, expected less than gain, {response.gain:g}, which includes it",
+            )
     else:
         response = FirstOrderResponse(
             time_constant_up=table.number("time_constant_up_s", 1e-4, 10),

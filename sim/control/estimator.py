@@ -33,6 +33,11 @@ def model_constants(aircraft: Aircraft, control_rate_hz: int) -> ModelConstants:
             f"aircraft {aircraft.name}: its delay {propulsion.delay:g} s is {delay} control steps, a model "
             f"has at most {ESTIMATOR_DELAY_MAX}; observe without rotor_estimate and rate_estimate"
         )
+    if propulsion.friction:
+        raise AircraftError(
+            f"aircraft {aircraft.name}: propulsion.response.friction_n_m_s {propulsion.friction:g}, a model "
+            f"of rotors has none; observe without rotor_estimate and rate_estimate"
+        )
     limited = isinstance(propulsion.response, TorqueResponse)
     first, second, third = response_rows(propulsion, dt, np.ones(1))[0].tolist()
     speed = _hover_speed(aircraft)

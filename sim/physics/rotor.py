@@ -32,6 +32,8 @@ def propulsion_struct(propulsion: Propulsion) -> Any:  # noqa: ANN401 - a struct
         efficiency=propulsion.efficiency,
         limited=isinstance(propulsion.response, TorqueResponse),
     )
+    if isinstance(propulsion.response, TorqueResponse):
+        assign(made, speed_max=propulsion.response.speed_max)
     if propulsion.advance is not None:
         assert propulsion.propeller_diameter is not None  # the reader of the file
         assign(
@@ -39,6 +41,7 @@ def propulsion_struct(propulsion: Propulsion) -> Any:  # noqa: ANN401 - a struct
             diameter=propulsion.propeller_diameter,
             thrust_advance=propulsion.advance.thrust,
             torque_advance=propulsion.advance.torque,
+            advance_least=propulsion.advance.ratio_least,
             advance_max=propulsion.advance.ratio_max,
         )
     return made
@@ -73,6 +76,8 @@ def response_rows(propulsion: Propulsion, dt: float, lag: Array) -> Array:
     if isinstance(response, TorqueResponse):
         inertia = propulsion.rotor_inertia
         settle = -np.expm1(-response.gain / inertia * passed)
+        if response.friction:  # of a torque that stands, in the step's course
+            passed = -np.expm1(-response.friction / inertia * passed) / response.friction * inertia
         return np.stack(
             [settle, response.torque_up / inertia * passed, response.torque_down / inertia * passed], axis=-1
         )

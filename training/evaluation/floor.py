@@ -7,7 +7,8 @@ Before it the rotors hold the old command with the thrust that the controller ha
 until the new rate is reached. There is no noise, and motors have no steps. The least mean absolute error and
 the least mean squared error are those of two sequences: nothing reaches both at once.
 
-Left out, as in the learner: the rotors' advance ratio, and the battery's voltage under load. Behind a command
+Left out, as in the learner: the rotors' advance ratio, and the battery's voltage under load. Where rotors
+have friction, or gain thrust as they sink, no floor is told. Behind a command
 that was held for less than a second the rotors are still on their way, since their acceleration holds a part
 of the yaw moment; a controller that is released then can be 0.6 % below.
 """
@@ -96,7 +97,9 @@ def floors(
 def scored(flights: Flights, controller: Contender, conditions: Conditions) -> Scores:
     """The figures of each episode with its floors, where those are known: see `floors`."""
     known = scores(flights)
-    if conditions.mount is not Mount.CENTRE:
+    propulsion = conditions.aircraft.propulsion
+    sinks = propulsion.advance is not None and propulsion.advance.ratio_least < 0.0
+    if conditions.mount is not Mount.CENTRE or propulsion.friction or sinks:
         return known
     least = floors_of(flights, conditions.aircraft, idle=controller.idle, charge=conditions.charge)
     return replace(known, floors=least)

@@ -27,9 +27,11 @@ struct propulsion {
 	double rotor_inertia;     /* [kg m^2] */
 	double efficiency;        /* electrical power to power on the shaft */
 	bool limited;             /* the rotors' acceleration has limits: see rotor_next_speed */
+	double speed_max;         /* [rad/s], where friction takes all of the limited torque; infinite without friction */
 	double diameter;          /* [m], of the propeller; the rest is used where rotors have an advance ratio */
 	double thrust_advance[2]; /* a1, a2: thrust at an advance ratio J is that at J = 0 times 1 + a1 J + a2 J^2 */
 	double torque_advance[2]; /* drag torque likewise */
+	double advance_least;     /* J below which both stay as they are there, 0 or less */
 	double advance_max;       /* J beyond which both stay as they are there */
 };
 

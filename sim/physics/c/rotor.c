@@ -21,8 +21,9 @@ void polynomial_values(const struct polynomial *p, size_t count, const double *a
 double rotor_target_speed(const struct propulsion *p, double command)
 {
 	const double *const curve = p->speed_curve;
+	const double speed = (curve[0] * command + curve[1]) * command + curve[2];
 
-	return (curve[0] * command + curve[1]) * command + curve[2];
+	return p->limited && speed > p->speed_max ? p->speed_max : speed;
 }
 
 /* voltage_ratio: of the battery under load to the supply that the curve was measured with. Speed is taken as
@@ -37,17 +38,21 @@ void rotor_target_speeds(const struct propulsion *p, size_t count, const double 
 /* Speed after a step towards a target that stands; never below zero.
  *
  * Rotors with limits: I dw/dt = clamp(K (H(u) - w), -down, +up), exact while the clamp is away or holds throughout;
- * response: share of the way, most gain and most loss of speed in a step. Source: facts of the published twin and Koch
- * 2019, chapter 5. Others are of first order, exact; response: share of the way up, share of the way down. */
+ * response: share of the way, most gain and most loss of speed in a step. Friction F of the bearing is part of K and is what
+ * the clamped torque also has to overcome: I dw/dt = clamp(K (H(u) - w) + F w, -down, +up) - F w. Source: facts of the
+ * published twins and Koch 2019, chapters 3 and 5. Others are of first order, exact; response: share of the way up, share of the way down. */
 double rotor_next_speed(const struct propulsion *p, const double *response, double speed, double target)
 {
 	const double away = target - speed;
 	double change;
 
 	if (p->limited) {
-		change = response[0] * away;
+		const double lost = speed / p->speed_max * response[1];
+
+		change = response[0] * away + lost;
 		change = change < -response[2] ? -response[2] : change;
 		change = change > response[1] ? response[1] : change;
+		change -= lost;
 	} else {
 		change = (away > 0.0 ? response[0] : response[1]) * away;
 	}
@@ -94,15 +99,15 @@ void rotor_loads(const struct propulsion *p, size_t count, const double *speed, 
 }
 
 /* J = V / (n D) of a rotor that moves along its axis at `inflow` V [m/s] and makes n revolutions a second, 0 to
- * advance_max. Below 0 (a rotor that sinks into its own wake) the formula has no measurement behind it: there J is 0. A
- * rotor that stands has advance_max, if it moves forward. */
+ * advance_max. Below 0, where a rotor sinks into its own wake, propellers are not measured: there J is advance_least at
+ * least, which is 0 unless the aircraft says otherwise. A rotor that stands has one of the limits, if it moves. */
 static double rotor_advance_ratio(const struct propulsion *p, double speed, double inflow)
 {
 	const double tip = speed * p->diameter;
 
-	if (!(inflow > 0.0))
-		return 0.0;
-	return TURN * inflow < p->advance_max * tip ? TURN * inflow / tip : p->advance_max;
+	if (inflow > 0.0)
+		return TURN * inflow < p->advance_max * tip ? TURN * inflow / tip : p->advance_max;
+	return TURN * inflow > p->advance_least * tip ? TURN * inflow / tip : p->advance_least;
 }
 
 static double rotor_advance_factor(const double *terms, double ratio)

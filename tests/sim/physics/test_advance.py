@@ -176,3 +176,12 @@ def test_a_punch_out_ends_where_thrust_left_weight_and_drag_balance(slope: float
     assert twin.rotation[0, 2, 2] > 0.9999
     assert terminal == pytest.approx(28.2 if slope else 45.4, abs=0.8)
     twin.close()
+
+
+def test_a_rotor_gains_thrust_as_it_sinks_down_to_the_least_ratio() -> None:
+    # At 5 m/s: J = -0.242520; 1 + 0.9 x 0.242520 - 0.1 x 0.242520^2 = 1.212386. At 20 m/s J would be -0.97.
+    text = TEXT + "\n[propulsion.advance_ratio]\nthrust = [-0.9, -0.1]\ntorque = [0, 0]\nratio_least = -0.5\n"
+    both = parse_aircraft(text.encode(), "own.toml")
+    assert wrench(both, (0, 0, -5))[2] == pytest.approx(1.212386 * LIFT, rel=1e-5)
+    assert wrench(both, (0, 0, -20))[2] == pytest.approx((1 + 0.9 * 0.5 - 0.1 * 0.25) * LIFT, rel=1e-5)
+    assert wrench(both, (0, 0, 5))[2] == wrench(REAL, (0, 0, 5))[2]

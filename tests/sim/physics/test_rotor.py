@@ -117,3 +117,29 @@ def test_rotor_drag_opposes_sideways_motion_at_the_hubs() -> None:
     hub_height = NF1.rotor_positions[0, 2]
     rolling = -4 * 1e-6 * 1000.0 * 2.0
     assert wrench[3:] == pytest.approx([rolling, hub_height * force, 0.0], abs=1e-12)
+
+
+def test_a_rotor_with_friction_follows_its_equation_and_stops_where_friction_takes_all_torque() -> None:
+    """Chapter 3's motors: I dw/dt = clamp(0.01 (838 u - w), +-2) - 0.0046 w, here in steps of 1 us."""
+    response = TorqueResponse(gain=0.0146, torque_up=2.0, torque_down=2.0, friction=0.0046)
+    inertia = 1.676e-4
+    rotor = replace(
+        PROPULSION,
+        speed_curve=(0.0, 838.0 * 0.01 / 0.0146, 0.0),
+        rotor_inertia=inertia,
+        response=response,
+    )
+    speed, exact = np.zeros(1), 0.0
+    worst = 0.0
+    for step in range(400):
+        command = 1.0 if step < 200 else 0.2
+        speed = next_speed(speed, target_speed(np.array([command]), rotor), 0.001, rotor)
+        for _ in range(1000):
+            torque = min(max(0.01 * (838.0 * command - exact), -2.0), 2.0) - 0.0046 * exact
+            exact += 1e-6 * torque / inertia
+        worst = max(worst, abs(float(speed[0]) - exact))
+        if step == 199:
+            assert float(speed[0]) == pytest.approx(2.0 / 0.0046, rel=0.01)
+    assert worst < 7.0  # of 435 rad/s, with steps of a millisecond
+    assert float(speed[0]) == pytest.approx(838.0 * 0.2 * 0.01 / 0.0146, rel=1e-6)
+    assert rotor.speed_max == pytest.approx(2.0 / 0.0046)

@@ -47,6 +47,11 @@ class PathwiseLearner:
         """Raises TrainingError, one line, on a configuration without such a gradient."""
         for error in _errors(config):
             raise TrainingError(error)
+        if aircraft.propulsion.friction:
+            raise TrainingError(
+                f"pathwise: aircraft {aircraft.name} has rotors with friction "
+                f"(propulsion.response.friction_n_m_s), which its gradient leaves out; train it with ppo"
+            )
         self._delay_s, self._config, self._pathwise = aircraft.propulsion.delay, config, pathwise
         surroundings = _surroundings(aircraft, config, pathwise)
         self._shape = surroundings.shape
