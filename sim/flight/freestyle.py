@@ -47,9 +47,20 @@ def stick_strokes(seed: int) -> tuple[Array, Array]:
     return rates, throttle
 
 
-def _corrections(rng: np.random.Generator, frames: int) -> Array:
+def calm_strokes(seed: int, flight_s: float, sigma_deg_s: float) -> Array:
+    """Commanded rates [deg/s] of a flight without aerobatics, normal, each axis of that standard deviation.
+
+    Body frame (N, 3), a row each FRAME_S. Source: Koch 2019, chapter 5, figure 5.15: the commands of its
+    pilots over all flights are about normal with 12.4 deg/s.
+    """
+    return _corrections(np.random.default_rng(seed), round(flight_s / FRAME_S), (sigma_deg_s,) * 3)
+
+
+def _corrections(
+    rng: np.random.Generator, frames: int, sigmas: tuple[float, float, float] = CRUISE_DEG_S
+) -> Array:
     """Small stick movements of a cruise [deg/s], (frames, 3)."""
-    return np.column_stack([sigma * _correlated(rng, frames, CRUISE_S) for sigma in CRUISE_DEG_S])
+    return np.column_stack([sigma * _correlated(rng, frames, CRUISE_S) for sigma in sigmas])
 
 
 def _correlated(rng: np.random.Generator, frames: int, seconds: float) -> Array:

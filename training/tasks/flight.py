@@ -8,12 +8,14 @@ from typing import ClassVar
 import numpy as np
 
 from sim.analysis.holding import DRIFT_S, FIFTHS
-from sim.flight.freestyle import FLIGHT_S, FRAME_S, stick_strokes
+from sim.flight.freestyle import FLIGHT_S, FRAME_S, calm_strokes, stick_strokes
+from toolchain.errors import TrainingError
 from training.tasks.limits import check_limits
 from training.tasks.sticks import OnSticks
 from training.tasks.task import FULL_STICK_DEG_S, LENGTH_MAX_S, PulseTask, RandomCommands, Setpoints, Task
 
 PULSES_MAX = 1000
+LENGTH_MIN_S = 1.0  # of a pilot's flight
 HOVER_THROTTLE = 0.3  # flown where nobody says: about a hover of the shipped aircraft
 
 
@@ -89,20 +91,35 @@ class FlightTask(RandomCommands):
 class PilotTask:
     """The sticks of a pilot's freestyle minute, of another pilot each, and then a hover.
 
-    They move as a hand does and hardly rest: see sim.flight.freestyle. The throttle is the evaluation's.
+    They move as a hand does and hardly rest: see sim.flight.freestyle. With `sigma_deg_s` he flies no
+    aerobatics: his commands are normal, of that standard deviation, for `length_s`. The throttle is the
+    evaluation's.
     """
 
     name: ClassVar[str] = "pilot"
+    length_s: float = FLIGHT_S  # before the hover; a freestyle has this one
+    sigma_deg_s: float = 0.0  # 0: a freestyle
     hover_s: float = 15.0
 
     def __post_init__(self) -> None:
         """Reject invalid values."""
-        check_limits(f"task {self.name}", self, hover_s=(DRIFT_S, LENGTH_MAX_S))
+        check_limits(
+            f"task {self.name}",
+            self,
+            length_s=(LENGTH_MIN_S, LENGTH_MAX_S),
+            sigma_deg_s=(0.0, FULL_STICK_DEG_S),
+            hover_s=(DRIFT_S, LENGTH_MAX_S),
+        )
+        if self.length_s != FLIGHT_S and not self.sigma_deg_s:
+            raise TrainingError(
+                f"task {self.name}: length_s {self.length_s:g}, expected {FLIGHT_S:g}: a freestyle is a "
+                f"minute; a calm flight, with sigma_deg_s, has any length"
+            )
 
     @property
     def duration_s(self) -> float:
         """Length of a flight [s]."""
-        return FLIGHT_S + self.hover_s
+        return self.length_s + self.hover_s
 
     @property
     def course(self) -> Course:
@@ -112,9 +129,13 @@ class PilotTask:
     def episodes(self, count: int, rng: np.random.Generator, rate_hz: int) -> Setpoints:
         """See Task."""
         setpoints = np.zeros((count, round(self.duration_s * rate_hz), 3), np.float32)
-        frames = (np.arange(round(FLIGHT_S * rate_hz)) / (FRAME_S * rate_hz) + 1e-9).astype(np.intp)
+        frames = (np.arange(round(self.length_s * rate_hz)) / (FRAME_S * rate_hz) + 1e-9).astype(np.intp)
         for number, seed in enumerate(rng.integers(2**31, size=count).tolist()):
-            rates = np.clip(stick_strokes(seed)[0], -FULL_STICK_DEG_S, FULL_STICK_DEG_S)
+            if self.sigma_deg_s:
+                rates = calm_strokes(seed, self.length_s + FRAME_S, self.sigma_deg_s)
+            else:
+                rates = stick_strokes(seed)[0]
+            rates = np.clip(rates, -FULL_STICK_DEG_S, FULL_STICK_DEG_S)
             setpoints[number, : len(frames)] = np.deg2rad(rates)[frames]
         return setpoints
 

@@ -70,7 +70,14 @@ def add_task_arguments(parser: argparse.ArgumentParser, episodes: int) -> None:
         "--length",
         type=float,
         metavar="SECONDS",
-        help="of an episode of the continuous task, 10, or of a flight, 60: ten commands, then a hover",
+        help="of an episode of the continuous task, 10, or of a flight, 60: ten commands, then a hover; with "
+        "--sigma before the hover",
+    )
+    parser.add_argument(
+        "--sigma",
+        type=float,
+        metavar="DEG_S",
+        help="standard deviation of the commands of the pilot task, who then flies no aerobatics",
     )
     parser.add_argument(
         "--commands",
@@ -118,7 +125,7 @@ def task_of(args: argparse.Namespace) -> tuple[Task, int]:
                 f"together; ask for fewer with --episodes, or for shorter ones"
             )
         return task, episodes
-    for option in ("task", "episodes", "named_command", "limit", "length"):
+    for option in ("task", "episodes", "named_command", "limit", "length", "sigma"):
         if getattr(args, option) is not None:
             word = "command" if option == "named_command" else option
             raise TrainingError(f"--{word}: the commands are those of {args.commands}; leave it out")
@@ -147,7 +154,7 @@ def _commanded(args: argparse.Namespace) -> Task:
     from toolchain.contract import RATE_FULL_STICK_DEG_S
     from toolchain.errors import TrainingError
     from training.plugins import users_own
-    from training.tasks.flight import FlightTask
+    from training.tasks.flight import FlightTask, PilotTask
     from training.tasks.named_command import NamedCommand
     from training.tasks.registry import TASKS as BUILDERS
     from training.tasks.task import ContinuousTask, EpisodicTask, PulseTask, RandomCommands
@@ -161,16 +168,22 @@ def _commanded(args: argparse.Namespace) -> Task:
             f"--plugin FILE.py"
         )
     task = BUILDERS[name]()
+    if args.sigma is not None:
+        if not isinstance(task, PilotTask):
+            raise TrainingError(f"--sigma: of the pilot task, got {task.name}; leave it out")
+        check_ranges(("--sigma", args.sigma, 0.1, full))
+        task = replace(task, sigma_deg_s=args.sigma)
     if args.length is not None:
         if isinstance(task, FlightTask):
             check_ranges(("--length", args.length, FLIGHT_MIN_S, LENGTH_MAX_S))
             task = task.of_length(args.length)
-        elif isinstance(task, ContinuousTask):
+        elif isinstance(task, ContinuousTask) or (isinstance(task, PilotTask) and task.sigma_deg_s):
             check_ranges(("--length", args.length, LENGTH_MIN_S, LENGTH_MAX_S))
             task = replace(task, length_s=args.length)
         else:
             raise TrainingError(
-                f"--length: of the flight and the continuous task, got {task.name}; leave it out"
+                f"--length: of the flight and the continuous task, or the pilot's with --sigma, got "
+                f"{task.name}; leave it out"
             )
     if args.limit is not None:
         if not isinstance(task, RandomCommands) or task.distribution != "uniform":
@@ -227,7 +240,8 @@ def flown_words(flown: Conditions) -> str:
         return f"{flights} of {commands} and a hover, {task.duration_s:g} s, seed {flown.seed}"
     if isinstance(task, PilotTask):
         flights = f"{flown.episodes} flights" if flown.episodes > 1 else "a flight"
-        return f"{flights} of a pilot's minute and a hover, {task.duration_s:g} s, seed {flown.seed}"
+        what = f"a pilot's commands of {task.sigma_deg_s:g} deg/s" if task.sigma_deg_s else "a pilot's minute"
+        return f"{flights} of {what} and a hover, {task.duration_s:g} s, seed {flown.seed}"
     if isinstance(task, ContinuousTask):
         episodes = f"{flown.episodes} episodes" if flown.episodes > 1 else "an episode"
         return f"{episodes} of {task.name}, {task.length_s:g} s, seed {flown.seed}"

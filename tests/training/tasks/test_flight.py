@@ -169,3 +169,18 @@ def test_flights_are_told_behind_sticks_too() -> None:
     )
     assert flown.course is not None
     assert scores(flown).holding is not None
+
+
+def test_a_calm_pilots_commands_are_normal_of_the_sigma_and_for_the_time_asked_for() -> None:
+    flown = np.rad2deg(
+        PilotTask(length_s=124.0, sigma_deg_s=12.4).episodes(20, np.random.default_rng(4), 500)
+    )
+    assert flown.shape == (20, 69_500, 3)
+    sticks = flown[:, :62_000]
+    assert not flown[:, 62_000:].any() and sticks[:, -50:].any()
+    assert sticks.std(axis=(0, 1)) == pytest.approx([12.4] * 3, rel=0.05)
+    # Normal: 68.3 % within one sigma, 95.4 % within two.
+    within = [(np.abs(sticks) < sigmas * 12.4).mean() for sigmas in (1.0, 2.0)]
+    assert within == pytest.approx([0.683, 0.954], abs=0.01)
+    with pytest.raises(TrainingError, match="length_s 124, expected 60: a freestyle is a minute"):
+        PilotTask(length_s=124.0)
