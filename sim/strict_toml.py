@@ -146,7 +146,7 @@ class StrictTable:
             raise self.error(key, f"got {shown(value)}, expected a number")
         if not low <= value <= high:  # NaN included
             raise self.error(key, f"got {shown(value)}, expected {low:g} to {high:g}")
-        return float(value)
+        return value if isinstance(value, float) else float(value)  # a float may know how it was written
 
 
 def shown(value: object) -> str:

@@ -188,7 +188,7 @@ def _list(args: argparse.Namespace, known: Experiments, results: Sequence[RowRes
     """Each row with what is stored of it and its command; what that runs only of rows that were named."""
     from rich.console import Console
 
-    from training.reproduction.page import measured, quoted
+    from training.reproduction.page import differing, judged, measured, quoted
 
     if args.json:
         print(json.dumps([_document(each, known) for each in results], indent=2))
@@ -201,12 +201,15 @@ def _list(args: argparse.Namespace, known: Experiments, results: Sequence[RowRes
             console.print(f"    no run fills it: {row.hardware}", markup=False)
             continue
         budgets = " and ".join(each.budgets) or "nothing stored"
-        verdict = f", {each.verdict.value}" if each.results and each.verdict else ", a picture"
+        verdict = each.verdict.value if each.verdict else "not run"
+        verdict = f", {verdict or 'no verdict'}" if each.results else ", a picture"
         console.print(f"    {budgets}{verdict}", markup=False)
         for result in each.results:
             ours, theirs = measured(result), quoted(result.figure)
-            judged = f": {result.judged}" if result.judged and str(result.judged) else ""
-            console.print(f"    {result.figure.what}: {ours}; dissertation {theirs}{judged}", markup=False)
+            verdict = f": {judged(result)}" if judged(result) else ""
+            differs = f"; differs: {told}" if (told := differing(result, row, known)) else ""
+            line = f"    {result.figure.what}: {ours}; dissertation {theirs}{verdict}{differs}"
+            console.print(line, markup=False)
         console.print(
             f"    neuroflight reproduce {row.name} --budget {args.budget}", markup=False, style="dim"
         )
@@ -220,7 +223,7 @@ def _print(console: Console, results: Sequence[RowResult]) -> None:
     from rich.markup import escape
     from rich.table import Table
 
-    from training.reproduction.page import measured, quoted
+    from training.reproduction.page import barred, judged, measured, quoted
 
     for each in results:
         row = each.row
@@ -228,13 +231,12 @@ def _print(console: Console, results: Sequence[RowResult]) -> None:
             title = escape(f"{row.place}: {row.title}")
             table = Table(title=title, title_justify="left", box=None, pad_edge=False)
             table.add_column("")
-            for heading in ("dissertation", "ours"):
+            for heading in ("dissertation", "bar", "ours"):
                 table.add_column(heading, justify="right")
             table.add_column("")
             for result in each.results:
-                value = measured(result)
-                judged = "" if result.judged is None else str(result.judged)
-                table.add_row(escape(result.figure.what), quoted(result.figure), value, judged)
+                theirs, bar = quoted(result.figure), barred(result)
+                table.add_row(escape(result.figure.what), theirs, bar, measured(result), judged(result))
             console.print(table)
         else:
             console.print(f"{row.place}: {row.title}: a picture", markup=False)
@@ -243,6 +245,8 @@ def _print(console: Console, results: Sequence[RowResult]) -> None:
 
 
 def _document(each: RowResult, known: Experiments) -> dict[str, Any]:
+    from training.reproduction.page import barred, differing, judged
+
     row = each.row
     return {
         "row": row.name,
@@ -266,10 +270,12 @@ def _document(each: RowResult, known: Experiments) -> dict[str, Any]:
                 "what": result.figure.what,
                 "quote": result.figure.quote and result.figure.quote.name,
                 "dissertation": result.figure.quote and result.figure.quote.value,
-                "margin": result.figure.quote and result.figure.quote.margin,
+                "margin": result.figure.quote and result.figure.quote.allowed,
+                "bar": barred(result) or None,
                 "ours": result.value,
                 "ours_margin": result.margin,
-                "verdict": result.judged and str(result.judged),
+                "verdict": judged(result) or None,
+                "differs": differing(result, row, known) or None,
             }
             for result in each.results
         ],

@@ -12,6 +12,7 @@ import pytest
 from cli.main import main
 
 Capture = pytest.CaptureFixture[str]
+POLICIES = Path(__file__).resolve().parents[2] / "training" / "policies"
 TUNED, PUBLISHED = "pid:tuned", "pid:published"
 
 
@@ -78,23 +79,28 @@ def test_flights_are_flown_unless_the_user_says_and_tell_rest_and_drift(
     assert "rest, fifth 5" in table and "drift, °" in table
 
 
-def test_agents_are_averaged_and_the_best_has_the_lowest_error(
-    shipped_policy: Path, tmp_path: Path, capsys: Capture
-) -> None:
-    agent = tmp_path / "agent.onnx"
-    agent.write_bytes(shipped_policy.read_bytes())
-    words = ["compare", TUNED, str(shipped_policy), str(agent), "--task", "episodic", "--episodes", "4"]
+def test_agents_are_averaged_and_the_best_has_the_lowest_error(capsys: Capture) -> None:
+    """Koch 2019, chapter 3: the best agent has the lowest sum of the errors of the three axes."""
+    agents = [str(POLICIES / name / "policy.onnx") for name in ("nf1-nominal", "nf1")]
+    words = ["compare", TUNED, *agents, "--task", "episodic", "--episodes", "4"]
     document = told(capsys, *words, "--average")
     (average,) = document["average"]
-    assert average["controllers"] == [str(shipped_policy), str(agent)]
-    assert (average["episodes"], average["best"]) == (8, str(shipped_policy))
-    one = document["comparison"][1]["response"]
+    assert (average["controllers"], average["episodes"]) == (agents, 8)
+    first, other = (entry["response"] for entry in document["comparison"][1:])
     for name in ("success", "rise_ms", "peak", "error", "slope"):
-        assert average["response"][name]["value"] == pytest.approx(one[name]["value"])
-        assert average["response"][name]["count"] == [2 * count for count in one[name]["count"]]
-    assert average["sum_of_errors"][0] == pytest.approx(sum(one["error"]["value"]))
+        means, counts = (np.array([each[name][key] for each in (first, other)]) for key in ("value", "count"))
+        pooled = (means * counts).sum(axis=0) / counts.sum(axis=0)
+        assert average["response"][name]["value"] == pytest.approx(pooled)
+        assert average["response"][name]["count"] == counts.sum(axis=0).tolist()
+    sums = [sum(each["error"]["value"]) for each in (first, other)]
+    assert average["sum_of_errors"] == pytest.approx(sums)
+    assert sums[0] != pytest.approx(sums[1], rel=1e-3)
+    best = agents[0] if sums[0] < sums[1] else agents[1]
+    assert average["best"] == best
+    turned = told(capsys, "compare", TUNED, *reversed(agents), *words[4:], "--average")
+    assert turned["average"][0]["best"] == best
     assert main([*words, "--average"]) == 0
-    assert f"best of 2: {shipped_policy}" in capsys.readouterr().out.replace("\n", "")
+    assert f"best of 2: {best}" in capsys.readouterr().out.replace("\n", "")
 
 
 @pytest.mark.parametrize(
@@ -106,7 +112,10 @@ def test_agents_are_averaged_and_the_best_has_the_lowest_error(
         (["--task", "continuous", "--command", "1", "2", "3"], "got continuous"),
         (["--task", "episodic", "--limit", "9", "--command", "1", "2", "3"], "--limit: of random commands"),
         (["--length", "15"], "--length 15.0, expected 20 to 600"),
-        (["--task", "pulse", "--length", "5"], "--length: of the flight and the continuous task, got pulse"),
+        (
+            ["--task", "pulse", "--length", "5"],
+            "--length: of the flight and the continuous task, or the pilot's with --sigma, got pulse",
+        ),
         (["--limit", "50"], "--limit: of the episodic and the continuous task, got flight"),
         (["--task", "flight", "--command", "1", "2", "3"], "got flight"),
         (["--episodes", "1700"], "170 episodes of 60 s, expected at most 10000 s together"),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import tomllib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from decimal import Decimal
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -23,6 +24,26 @@ SHOWN = {"yes": True, "no": False}
 Axes = tuple[float, float, float]  # roll, pitch, yaw
 
 
+class Printed(float):
+    """A number as it is printed, with the zeros at its end."""
+
+    __slots__ = ("text",)
+    text: str
+
+    def __new__(cls, text: str) -> Printed:
+        """The number that a text shows."""
+        number = super().__new__(cls, text)
+        number.text = text.replace("_", "")
+        return number
+
+    @property
+    def decimals(self) -> int:
+        """How many are printed; negative: the number is rounded to tens, hundreds and so on."""
+        exponent = Decimal(self.text).as_tuple().exponent
+        assert isinstance(exponent, int)
+        return -exponent
+
+
 class QuoteError(NeuroflightError):
     """A file of quotes that is damaged, or an id that it does not have."""
 
@@ -35,8 +56,8 @@ class Quote:
     place: str  # "Table 3.9", or the chapter and section
     label: str  # of the place in the LaTeX source
     what: str
-    value: tuple[float, ...]  # one number, or three: axes, gains or coefficients
-    margin: float | None  # half width of its 95 % confidence interval, where one is printed
+    value: tuple[Printed, ...]  # one number, or three: axes, gains or coefficients
+    margin: Printed | None  # half width of its 95 % confidence interval, where one is printed
     unit: str  # "-" for none
     printed: bool  # False: only defined in the source
 
@@ -73,13 +94,13 @@ class Quotes:
 
     def axes(self, name: str) -> Axes:
         """Roll, pitch and yaw: of a triple, or of the row of a table that has these columns."""
-        if name in self._quotes:
-            if len(self._quotes[name].value) != 3:
-                raise QuoteError(f"{FILE.name}: {name}: got one number, expected three")
-            roll, pitch, yaw = self._quotes[name].value
-        else:
+        if name not in self._quotes:
             roll, pitch, yaw = (self.number(f"{name}/{axis}") for axis in AXES)
-        return roll, pitch, yaw
+            return roll, pitch, yaw
+        if len(self._quotes[name].value) != 3:
+            raise QuoteError(f"{FILE.name}: {name}: got one number, expected three")
+        first, second, third = self._quotes[name].value
+        return first, second, third
 
 
 @cache
@@ -93,7 +114,7 @@ def read_quotes(path: Path) -> Quotes:
     if file_size(path) > FILE_BYTES_MAX:
         raise QuoteError(f"{path.name}: {file_size(path)} bytes, expected at most {FILE_BYTES_MAX}")
     try:
-        document = tomllib.loads(path.read_text())
+        document = tomllib.loads(path.read_text(), parse_float=Printed)
     except (OSError, ValueError) as error:
         raise QuoteError(f"{path.name}: not TOML: {error}") from None
     root = StrictTable(document, path.name, QuoteError)
@@ -132,7 +153,7 @@ def _cells(table: StrictTable, raw: Mapping[str, Any], file: str) -> Iterator[Qu
             raise rows.error(name, f"got {shown(cells)}, expected a list of {len(columns)} cells")
         for column, (head, cell) in enumerate(zip(columns, cells, strict=True)):
             one = StrictTable({head: cell}, file, QuoteError, f"{start}/{name}/")
-            value, *margin = one.numbers(head, 1, 2, -LIMIT, LIMIT)
+            value, *margin = (_printed(number) for number in one.numbers(head, 1, 2, -LIMIT, LIMIT))
             yield Quote(
                 id=f"{start}/{name}/{head}",
                 place=f"Table {number}",
@@ -152,10 +173,10 @@ def _figures(text: StrictTable) -> Iterator[Quote]:
     figures = text.table("figures")
     for name in figures.names():
         figure = figures.table(name)
-        value = figure.numbers("value", 1, 3, -LIMIT, LIMIT)
+        value = tuple(_printed(number) for number in figure.numbers("value", 1, 3, -LIMIT, LIMIT))
         if len(value) == 2:
             raise figure.error("value", "got 2 numbers, expected one or three")
-        margin = figure.number("margin", 0.0, LIMIT) if figure.has("margin") else None
+        margin = _printed(figure.number("margin", 0.0, LIMIT)) if figure.has("margin") else None
         yield Quote(
             id=f"{chapter}/{name}",
             place=f"Chapter {chapter}, {section}",
@@ -168,6 +189,11 @@ def _figures(text: StrictTable) -> Iterator[Quote]:
         )
         figure.finish()
     text.finish()
+
+
+def _printed(number: float) -> Printed:
+    """A number of the file; a whole one has lost nothing when it was read."""
+    return number if isinstance(number, Printed) else Printed(f"{number:.0f}")
 
 
 def _units(table: StrictTable, key: str, unit: str, expected: tuple[str, ...]) -> tuple[str, ...]:

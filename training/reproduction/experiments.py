@@ -1,8 +1,9 @@
 """The experiments as data: rows of figures beside the dissertation's, and the commands that measure ours.
 
-`experiments.toml` has both. A step is one `neuroflight` command for each budget; it may use the folders of
-other steps, which then come first. A row is a table or a figure of the dissertation, or a part of one: its
-figures name a quote, and where in a step's output ours stands (see `lookup`).
+`experiments.toml` has both, and patterns of them (see `patterns`). A step is one `neuroflight` command for
+each budget; it may use the folders of other steps, which then come first. A row is a table or a figure of the
+dissertation, or a part of one: its figures name a quote, and where in a step's output ours stands (see
+`lookup`).
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from typing import Literal
 from sim.strict_toml import StrictTable
 from toolchain.errors import NeuroflightError
 from training.dissertation.quotes import QuoteError
+from training.reproduction.patterns import PatternError, expanded
 from training.reproduction.quoted import Quoted, quoted
 
 FILE = Path(__file__).with_name("experiments.toml")
@@ -26,8 +28,11 @@ Budget = Literal["quick", "full"]
 BUDGETS: tuple[Budget, ...] = ("quick", "full")
 OUT, PLOT = "out", "plot"  # in braces in a command: the step's own folder, and its picture
 FOLDER = re.compile(r"\{([\w.-]+)\}")
+POLICIES = re.compile(r"\{([\w.-]+)/\*\}")  # of all seeds that a step trains
+BY_BUDGET = re.compile(r"<([^<>|]*)\|([^<>|]*)>")
 ROWS_MAX, FIGURES_MAX, STEPS_MAX = 400, 60, 200
-AIMS = ("lower", "higher", "near", "effect", "told")  # or "to NUMBER"
+AIMS = ("lower", "higher", "near")  # or "to NUMBER"
+YES = {"yes": True, "no": False}
 TARGET = re.compile(r"to (-?\d+(?:\.\d+)?)")
 
 
@@ -81,14 +86,24 @@ class Figure:
     ours: Source
     margin: Source | None  # half the width of its 95 % interval
     against: Source | None  # given: ours is the change from that, in %
+    times: Source | None  # given: ours is multiplied by that
+    per: Source | None  # given: ours is divided by that
     scale: float
-    aim: str  # what is better: one of AIMS, or "to NUMBER": the nearer to it
-    within: float  # of "near": the largest relative difference that counts as reached
+    mean: bool  # of its axes
+    aim: str  # what is better: one of AIMS, or "to NUMBER": the nearer to it; empty: it has no verdict
+    input: bool  # ours was set to the quote
+    unlike: str  # why the two cannot be compared
+    metric: str  # how ours is measured otherwise
 
     @property
     def sources(self) -> tuple[Source, ...]:
         """Where all that it is made of stands."""
-        return tuple(source for source in (self.ours, self.against, self.margin) if source is not None)
+        return tuple(source for source in (*self.made_of, self.margin) if source is not None)
+
+    @property
+    def made_of(self) -> tuple[Source | None, ...]:
+        """Where ours stands, what it is taken against, multiplied by and divided by."""
+        return self.ours, self.against, self.times, self.per
 
 
 @dataclass(frozen=True)
@@ -164,8 +179,12 @@ def experiments() -> Experiments:
 
 def parse(text: str, where: str) -> Experiments:
     """Experiments from TOML; a row that names no known step or quote is an error."""
-    table = StrictTable(tomllib.loads(text), where, ReproduceError)
-    steps = {step.name: step for step in _steps(table.table("steps"))}
+    try:
+        document = expanded(tomllib.loads(text))
+    except PatternError as error:
+        raise ReproduceError(f"{where}: {error}") from None
+    table = StrictTable(document, where, ReproduceError)
+    steps = _steps(table.table("steps"))
     _check_order(steps, where)
     rows = tuple(_row(row, steps) for row in table.tables("rows", 1, ROWS_MAX))
     table.finish()
@@ -181,21 +200,32 @@ def parse(text: str, where: str) -> Experiments:
     return Experiments(rows, steps)
 
 
-def _steps(table: StrictTable) -> Iterator[Step]:
+def _steps(table: StrictTable) -> Mapping[str, Step]:
     names = table.names()
     if not 1 <= len(names) <= STEPS_MAX:
         raise ReproduceError(f"{len(names)} steps, expected 1 to {STEPS_MAX}")
-    for name in names:
-        step = table.table(name)
-        full = _command(step, "full")
-        yield Step(name, _command(step, "quick") if step.has("quick") else full, full)
-        step.finish()
+    texts = {name: " ".join(table.lines(name)) for name in names}
+    by_budget = [{name: _of_budget(text, i) for name, text in texts.items()} for i in (1, 2)]
+
+    def command(name: str, of: Mapping[str, str]) -> str:
+        return POLICIES.sub(lambda found: _policies(found[1], of.get(found[1], "")), of[name])
+
+    table.finish()
+    return {name: Step(name, *(command(name, of) for of in by_budget)) for name in names}
 
 
-def _command(table: StrictTable, key: str) -> str:
-    """The words of a command; it may stand on several lines."""
-    lines = table.lines(key)
-    return " ".join(" ".join(lines).split())
+def _of_budget(text: str, index: int) -> str:
+    """A command in one line, with those words of `<quick|full>` that the index chooses."""
+    return " ".join(BY_BUDGET.sub(lambda found: found[index], text).split())
+
+
+def _policies(step: str, text: str) -> str:
+    """The policies that the training `text` of a step leaves, one for each seed."""
+    first, count = (
+        int(found[1]) if (found := re.search(rf"--{option} (\d+)", text)) else 1
+        for option in ("seed", "seeds")
+    )
+    return " ".join(f"{{{step}}}/seed-{seed}/policy.onnx" for seed in range(first, first + count))
 
 
 def _check_order(steps: Mapping[str, Step], where: str) -> None:
@@ -236,31 +266,52 @@ def _row(table: StrictTable, steps: Mapping[str, Step]) -> Row:
 
 def _figures(table: StrictTable, steps: Mapping[str, Step]) -> Iterator[Figure]:
     fewest = 0 if table.has("picture") else 1
+    given, unlike = table.choice("input", YES, "no"), table.text("unlike", "")
     if not table.has("figures") and not fewest:
         return
     for entry in table.tables("figures", fewest, FIGURES_MAX):
-        try:
-            quote = quoted(entry.text("quote")) if entry.has("quote") else None
-        except QuoteError as error:
-            raise entry.error("quote", f"{error}") from None
-        aim = entry.text("aim", None if quote else "told")
-        if aim not in AIMS and not TARGET.fullmatch(aim):
+        quote = _quote(entry)
+        aim = entry.text("aim", "")
+        if aim and aim not in AIMS and not TARGET.fullmatch(aim):
             raise entry.error("aim", f"got {aim!r}, expected one of: {', '.join(AIMS)}, or 'to NUMBER'")
-        beside = entry.text("beside", "")
-        if beside and quote is not None:
-            raise entry.error("beside", "there is a quote as well; keep one")
-        yield Figure(
+        figure = Figure(
             what=entry.text("what"),
             quote=quote,
-            beside=beside,
+            beside=entry.text("beside", ""),
             ours=_source(entry, "ours", steps),
             margin=_source(entry, "margin", steps) if entry.has("margin") else None,
             against=_source(entry, "against", steps) if entry.has("against") else None,
+            times=_source(entry, "times", steps) if entry.has("times") else None,
+            per=_source(entry, "per", steps) if entry.has("per") else None,
             scale=entry.number("scale", -1e12, 1e12, 1.0),
+            mean=entry.choice("mean", YES, "no"),
             aim=aim,
-            within=entry.number("within", 0.0, 10.0, 0.1),
+            input=given and quote is not None,
+            unlike=entry.text("unlike", unlike) if quote is not None and not aim else "",
+            metric=entry.text("metric", ""),
         )
+        if quote is None and aim:
+            raise entry.error("aim", "there is no quote to reach")
+        if quote is not None and figure.beside:
+            raise entry.error("beside", "there is a quote as well; keep one")
+        if quote is not None and [bool(aim), figure.input, bool(figure.unlike)].count(True) != 1:
+            raise entry.error("quote", "expected one of: an aim, unlike = 'why', or a row of input = 'yes'")
         entry.finish()
+        yield figure
+
+
+def _quote(entry: StrictTable) -> Quoted | None:
+    """What the dissertation prints, or what follows from that as ours does from our figures."""
+    if not entry.has("quote"):
+        return None
+    try:
+        quote = quoted(entry.text("quote"))
+        other = quoted(entry.text("quote_per")) if entry.has("quote_per") else None
+        if entry.choice("mean", YES, "no"):
+            quote, other = quote.mean, other.mean if other else None
+        return quote.rounded if other is None else quote.over(other).rounded
+    except (QuoteError, ValueError) as error:
+        raise entry.error("quote", f"{error}") from None
 
 
 def _source(table: StrictTable, key: str, steps: Mapping[str, Step]) -> Source:

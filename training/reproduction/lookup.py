@@ -2,7 +2,8 @@
 
 A path is keys joined by dots. `[2]` is an entry of a list, `[1:4]` the mean over some of its entries, and
 `[best 1:4]` that one of them whose summed error (`response.error.value`, over the axes) is the least: the
-dissertation's choice of an agent (chapter 3).
+dissertation's choice of an agent (chapter 3). `margin` is half the distance of `low` and `high` where they
+stand; of a mean over entries it is as if each of them had flown commands of its own.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from training.reproduction.experiments import Figure, ReproduceError
 Value = float | tuple[float, ...]  # of one thing, or of roll, pitch, yaw
 PART = re.compile(r"([^.\[\]]+)|\[(best )?(-?\d+)(?:(:)(\d+)?)?\]")
 CHOSEN_BY = "response.error.value"
+MARGIN = "margin"
 
 
 def find(document: Any, path: str) -> Value:  # noqa: ANN401 - any JSON value
@@ -30,6 +32,8 @@ def find(document: Any, path: str) -> Value:  # noqa: ANN401 - any JSON value
         rest = path[at:].removeprefix(".")
         key, best, index, span, end = part.groups()
         if key is not None:
+            if key == MARGIN and isinstance(value, dict) and {"low", "high"} <= value.keys():
+                return _half(_number(value["low"], path), _number(value["high"], path))
             if not isinstance(value, dict) or key not in value:
                 raise ReproduceError(f"path {path}: {key}: not in the command's output")
             value = value[key]
@@ -44,23 +48,49 @@ def find(document: Any, path: str) -> Value:  # noqa: ANN401 - any JSON value
             if not some:
                 raise ReproduceError(f"path {path}: {part.group()}: the list has {len(value)} entries")
             if best is None:
-                return _mean([find(each, rest) for each in some])
+                found = [find(each, rest) for each in some]
+                return _mean_margin(found) if rest.endswith(MARGIN) else _mean(found)
             value = min(some, key=_error)
         if path[at : at + 1] == ".":
             at += 1
     return _number(value, path)
 
 
-def ours(figure: Figure, found: Value, against: Value | None) -> Value:
-    """Our figure from what stands in the output, or the change in % from `against`; scaled."""
-    if against is None:
-        return _each(found, lambda value: figure.scale * value)
-    if isinstance(found, tuple) and isinstance(against, tuple):
-        changes = tuple(_change(new, old) for new, old in zip(found, against, strict=True))
-        return _each(changes, lambda value: figure.scale * value)
-    if isinstance(found, tuple) or isinstance(against, tuple):
+def ours(
+    figure: Figure,
+    found: Value,
+    against: Value | None = None,
+    times: Value | None = None,
+    per: Value | None = None,
+) -> Value:
+    """Our figure: what was found, or its change in % from `against`; times `times`, over `per`; scaled."""
+    steps: tuple[tuple[Value | None, Callable[[float, float], float]], ...] = (
+        (against, _change),
+        (times, lambda value, factor: value * factor),
+        (per, lambda value, other: value / other if other else math.nan),
+    )
+    found = _axes(figure, found)
+    for other, of in steps:
+        if other is not None:
+            found = _pairs(figure, found, _axes(figure, other), of)
+    return scaled(found, figure.scale)
+
+
+def _axes(figure: Figure, value: Value) -> Value:
+    return sum(value) / len(value) if figure.mean and isinstance(value, tuple) else value
+
+
+def scaled(value: Value, factor: float) -> Value:
+    """A value times a factor, axis by axis."""
+    return tuple(factor * each for each in value) if isinstance(value, tuple) else factor * value
+
+
+def _pairs(figure: Figure, new: Value, old: Value, of: Callable[[float, float], float]) -> Value:
+    if isinstance(new, tuple) and isinstance(old, tuple):
+        return tuple(of(*each) for each in zip(new, old, strict=True))
+    if isinstance(old, tuple):
         raise ReproduceError(f"{figure.what}: one number is compared with three")
-    return figure.scale * _change(found, against)
+    return tuple(of(each, old) for each in new) if isinstance(new, tuple) else of(new, old)
 
 
 def _error(entry: Any) -> float:  # noqa: ANN401 - any JSON value
@@ -80,8 +110,19 @@ def _mean(values: Sequence[Value]) -> Value:
     return sum(value for value in values if not isinstance(value, tuple)) / len(values)
 
 
-def _each(value: Value, of: Callable[[float], float]) -> Value:
-    return tuple(of(each) for each in value) if isinstance(value, tuple) else of(value)
+def _half(low: Value, high: Value) -> Value:
+    if isinstance(low, tuple) and isinstance(high, tuple):
+        return tuple((b - a) / 2.0 for a, b in zip(low, high, strict=True))
+    assert not isinstance(low, tuple) and not isinstance(high, tuple)
+    return (high - low) / 2.0
+
+
+def _mean_margin(margins: Sequence[Value]) -> Value:
+    """Half the width of the interval of a mean, from those of as many independent ones."""
+    count = len(margins)
+    columns = zip(*(each if isinstance(each, tuple) else (each,) for each in margins), strict=True)
+    found = tuple(math.hypot(*column) / count for column in columns)
+    return found if isinstance(margins[0], tuple) else found[0]
 
 
 def _number(value: Any, path: str) -> Value:  # noqa: ANN401 - any JSON value

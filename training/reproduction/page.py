@@ -6,10 +6,12 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from itertools import groupby
 
+from training.dissertation.conditions import conditions
+from training.reproduction.conditions import COLUMNS, differences
 from training.reproduction.experiments import Experiments, Figure, Row
 from training.reproduction.lookup import Value
 from training.reproduction.stored import Kept, Result, RowResult, row_result
-from training.reproduction.verdict import Verdict
+from training.reproduction.verdict import Judged, Verdict, bar
 from training.results_page.markdown import table
 
 CHAPTERS = {
@@ -19,7 +21,9 @@ CHAPTERS = {
     5: "The aircraft's own digital twin (GymFC v2)",
     6: "Future work",
 }
-HEADINGS = ("", "dissertation", "ours", "")
+HEADINGS = ("", "dissertation", "bar", "ours", "verdict", "differs")
+VERDICTS = (Verdict.SURPASSED, Verdict.REACHED, Verdict.NOT_REACHED)
+SMALL_DECIMALS = 6  # numbers with more are written with a power of ten
 
 
 def render(experiments: Experiments, kept: Mapping[str, Kept], pictures: str) -> str:
@@ -29,30 +33,29 @@ def render(experiments: Experiments, kept: Mapping[str, Kept], pictures: str) ->
     for chapter, rows in groupby(results, lambda result: result.row.chapter):
         parts.append(f"## Chapter {chapter}: {CHAPTERS[chapter]}" if chapter < 6 else f"## {CHAPTERS[6]}")
         filled = [each for each in rows if not each.row.hardware]
-        for place, group in groupby(filled, lambda result: result.row.place):
-            parts += _place(place, list(group), experiments, pictures)
-    parts.append(_hardware(experiments.rows))
+        for place in dict.fromkeys(result.row.place for result in filled):
+            group = [result for result in filled if result.row.place == place]
+            parts += _place(place, group, experiments, pictures)
+    parts += [_alike(results, experiments), _hardware(experiments.rows)]
     return "\n\n".join(parts) + "\n"
 
 
-def shown(value: Value | None, figure: Figure | None = None) -> str:
-    """A value with as many digits as the dissertation prints of it, or three that count."""
+def shown(value: Value | None, figure: Figure) -> str:
+    """A value of ours with the digits that it is judged by, or three that count."""
     if value is None:
         return "not run"
-    digits = figure.quote.digits if figure is not None and figure.quote is not None else None
     values = value if isinstance(value, tuple) else (value,)
-    if digits is not None and any(values) and all(abs(each) < 10.0**-digits for each in values):
-        digits = None  # nothing of them would be seen
+    digits = None
+    if figure.quote is not None:
+        digits = figure.quote.decimals if figure.aim else figure.quote.digits
+        if not figure.aim and any(values) and all(abs(each) < 10.0**-digits for each in values):
+            digits = None  # nothing of them would be seen
     return " / ".join(_digits(each, digits) for each in values)
 
 
 def quoted(figure: Figure) -> str:
     """The dissertation's figure as it prints it, with its confidence."""
-    quote = figure.quote
-    if quote is None:
-        return figure.beside or "drawn"
-    text = shown(quote.value, figure)
-    return text if quote.margin is None else f"{text} ± {shown(quote.margin, figure)}"
+    return figure.beside or "drawn" if figure.quote is None else figure.quote.text
 
 
 def measured(result: Result) -> str:
@@ -61,8 +64,32 @@ def measured(result: Result) -> str:
     return text if result.margin is None else f"{text} ± {shown(result.margin, result.figure)}"
 
 
+def barred(result: Result) -> str:
+    """What our figure is held against."""
+    held = bar(result.figure, result.margin)
+    return "" if held is None else str(held)
+
+
+def judged(result: Result) -> str:
+    """The verdict as it is printed."""
+    told = Verdict.INPUT if result.figure.input else Verdict.UNLIKE if result.figure.unlike else None
+    if result.judged is None:  # not measured: some are known all the same
+        return "" if told is None else str(Judged(told, why=result.figure.unlike))
+    return str(result.judged)
+
+
+def differing(result: Result, row: Row, experiments: Experiments) -> str:
+    """In what our figure was made otherwise, if it has a bar."""
+    if bar(result.figure) is None:
+        return ""
+    told = [str(each) for each in differences(row.name, result.figure, experiments, result.budget or "full")]
+    if result.figure.metric:
+        told.append(f"metric: {result.figure.metric}")
+    return "; ".join(told)
+
+
 def _digits(value: float, digits: int | None) -> str:
-    if digits is not None:
+    if digits is not None and digits <= SMALL_DECIMALS:
         return f"{round(value, digits) + 0.0:,.{digits}f}"
     if value != 0.0 and (abs(value) < 1e-3 or abs(value) >= 1e7):
         return f"{value:.2e}"
@@ -71,18 +98,19 @@ def _digits(value: float, digits: int | None) -> str:
 
 def _summary(results: Sequence[RowResult]) -> str:
     counted = Counter(result.verdict for result in results if result.row.figures)
-    names = (
-        (Verdict.SURPASSED, "surpassed"),
-        (Verdict.REACHED, "reached"),
-        (Verdict.NOT_REACHED, "not reached"),
+    told = [f"{counted[verdict]} {verdict.value}" for verdict in VERDICTS]
+    told += [f"{counted[None]} not run"] if counted[None] else []
+    figures = Counter(
+        each.judged.verdict for result in results for each in result.results if each.judged is not None
     )
-    told = [f"{counted[verdict]} {name}" for verdict, name in names]
-    other = [result for result in results if not result.row.figures and not result.row.hardware]
-    plain = counted[Verdict.TOLD] + len(other)
+    of_figures = ", ".join(f"{figures[verdict]} {verdict.value}" for verdict in VERDICTS)
+    pictures = sum(not result.row.figures and not result.row.hardware for result in results)
     hardware = sum(bool(result.row.hardware) for result in results)
     return (
-        f"{len(results)} rows: {', '.join(told)}; {plain} pictures and figures without a better or worse, "
-        f"{hardware} that no run fills. A row counts as the worst of its figures."
+        f"{len(results)} rows: {', '.join(told)}; {counted[Verdict.UNLIKE]} not comparable, "
+        f"{counted[Verdict.INPUT]} inputs, {counted[Verdict.TOLD] + pictures} pictures and figures without a "
+        f"printed one, {hardware} that no run fills. A row counts as the worst of its figures. Of "
+        f"{sum(figures[verdict] for verdict in VERDICTS)} figures with a verdict {of_figures}."
     )
 
 
@@ -98,10 +126,11 @@ def _place(place: str, group: Sequence[RowResult], experiments: Experiments, pic
             told = many and not each.figure.what.startswith(group_name)
             name = f"{group_name}, {each.figure.what}" if told else each.figure.what
             budget = " (quick)" if each.budget == "quick" else ""
-            judged = "" if each.judged is None else str(each.judged)
-            body.append((name, quoted(each.figure), measured(each) + budget, judged))
+            differs = differing(each, result.row, experiments)
+            ours = measured(each) + budget
+            body.append((name, quoted(each.figure), barred(each), ours, judged(each), differs))
     if body:
-        parts.append(table(HEADINGS, body))
+        parts.append(table(*_used(HEADINGS, body)))
     for result in group:
         if result.row.why:
             head = f"{result.row.title.rpartition(': ')[2]}: " if len(group) > 1 else ""
@@ -111,6 +140,12 @@ def _place(place: str, group: Sequence[RowResult], experiments: Experiments, pic
     names = " ".join(_names([result.row for result in group], experiments))
     parts.append(f"`neuroflight reproduce {names} --budget full`")
     return parts
+
+
+def _used(headings: Sequence[str], body: Sequence[Sequence[str]]) -> tuple[list[str], list[list[str]]]:
+    """A table without the columns in which nothing stands."""
+    kept = [i for i in range(len(headings)) if i == 0 or any(row[i] for row in body)]
+    return [headings[i] for i in kept], [[row[i] for i in kept] for row in body]
 
 
 def _common(titles: Sequence[str]) -> str:
@@ -129,25 +164,68 @@ def _names(rows: Sequence[Row], experiments: Experiments) -> Sequence[str]:
     return [row.name for row in rows]
 
 
+def _alike(results: Sequence[RowResult], experiments: Experiments) -> str:
+    """All rows with a verdict: in what they are the same as the dissertation's experiment."""
+    body = []
+    for result in results:
+        held = [each for each in result.results if bar(each.figure) is not None]
+        if not held:
+            continue
+        found = [
+            differences(result.row.name, each.figure, experiments, each.budget or "full") for each in held
+        ]
+        cells = []
+        for terms in COLUMNS.values():
+            told = dict.fromkeys(str(each) for some in found for each in some if each.term in terms)
+            cells.append("; ".join(told) or "yes")
+        metrics = "; ".join(dict.fromkeys(each.figure.metric for each in held if each.figure.metric))
+        verdict = "not run" if result.verdict is None else result.verdict.value
+        body.append((result.row.name, *cells[:3], metrics or "yes", *cells[3:], verdict))
+    headings = ("row", *list(COLUMNS)[:3], "metric", *list(COLUMNS)[3:], "verdict")
+    known = conditions()
+    stand_ins = [
+        f"- {name}, in place of {each.of}: {each.differs}."
+        for name, each in known.aircraft.items()
+        if each.differs
+    ]
+    stand_ins += [f"- recipe {name}: {each.differs}." for name, each in known.recipes.items()]
+    return "\n\n".join([ALIKE, "\n".join(stand_ins), table(headings, body, align="---")])
+
+
 def _hardware(rows: Sequence[Row]) -> str:
     body = [(row.place, row.title, row.hardware) for row in rows if row.hardware]
     return f"## What no run fills\n\n{table(('', '', 'why'), body, align='---')}"
 
 
+ALIKE = """## Same conditions?
+
+Rows with a verdict: what is not the same as in the dissertation's experiment, ours first. "yes": the same, or
+not printed, or it does not apply. Aircraft and recipes that are not quite the dissertation's:"""
+
 HEAD = """# The dissertation's experiments, run again
 
 Written by `neuroflight reproduce --store` from the files in [results/dissertation/](results/dissertation/);
 `neuroflight reproduce --check` tests whether it is up to date. Beside each figure that W. Koch printed
-(*Flight Controller Synthesis via Deep Reinforcement Learning*, 2019) stands ours from the same experiment in
-this project's simulator, host program or emulated board: other physics engine, other learner's code, other
-random commands of the same distribution. Rates are in deg/s, roll / pitch / yaw. Tables and figures are
-numbered by their order in the source.
+(*Flight Controller Synthesis via Deep Reinforcement Learning*, 2019) stands ours from the same experiment
+in this project's simulator, host program or emulated board: other physics engine, other learner's code,
+other random commands of the same distribution, as far as that is printed. Rates are in deg/s, roll / pitch
+/ yaw; errors of ours are of the true rate. Tables and figures are numbered by their order in the source.
 
-*Surpassed*: better on every axis. *Reached*: no worse than the printed confidence or rounding allows; of an
-effect, the same sign and at least half its size. *Not reached*: worse on the axes named; the reason stands
-below. (quick) marks figures of the quick budget, a twentieth to a five-hundredth of the dissertation's
-steps: their verdicts say little. What a row runs: `neuroflight reproduce --list ROW`.
+One rule for all figures. The margin is the printed confidence, or half of the last printed digit, whichever
+is more, and with ours where that is told (the root of both squares); where none is printed, as much is
+taken for it as for ours, of as many commands. *Reached*: worse than printed by no more than the margin on
+any axis; this limit is the *bar*. *Surpassed*: better than printed by more than the margin on every axis; a
+difference within it is a tie, and no win. *Not reached*: beyond the bar on the axes named; the reason
+stands below. Where neither more nor less is better, the bar is the margin to both sides, and nothing is
+surpassed. Ours is compared as it is shown, rounded to the decimals of the bar. *Input*: we set it to what
+is printed, or fitted it to that. *Not comparable*: two things that are not the same. A ratio stands beside
+the same ratio of printed figures, with the margin that follows from both. *Differs* tells in what ours was
+made otherwise, first ours, then in brackets the dissertation's, as far as both are known (aircraft and
+recipes: [below](#same-conditions)); where it is empty, nothing that is printed differs. (quick) marks
+figures of the quick budget, a twentieth to a five-hundredth of the dissertation's steps: their verdicts say
+little. What a row runs: `neuroflight reproduce --list ROW`.
 
 The aircraft of chapters 3 and 4 are [iris-3.toml](../training/reproduction/iris-3.toml) and
 [iris-4.toml](../training/reproduction/iris-4.toml), with their simulator's motors, which no such aircraft
-has. Chapter 5's is the [NF1](../sim/aircraft/nf1.toml)."""
+has, held at the centre of mass. Chapter 5's is the [NF1](../sim/aircraft/nf1.toml), hung at its centre of
+thrust."""

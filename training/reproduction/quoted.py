@@ -2,31 +2,60 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
-from training.dissertation.quotes import AXES, quotes
+from training.dissertation.quotes import AXES, Printed, quotes
 
-DIGITS_MAX = 6
+DIGITS = 2  # that count in the margin of a figure that follows from printed ones
+DECIMALS_MAX = 4  # of one
 
 
 @dataclass(frozen=True)
 class Quoted:
-    """One number or several, with their confidence."""
+    """One number or several, with what each may stand for."""
 
     name: str  # of the quote, or of a row of a table with columns roll, pitch and yaw
     value: tuple[float, ...]
-    margin: tuple[float, ...] | None  # half widths of their 95 % confidence, where they are printed
+    allowed: tuple[float, ...]  # half width of what it may stand for: its confidence, or half its last digit
+    text: str  # as it is printed, with its confidence
+    digits: int  # decimals of the value that are printed
+    decimals: int  # that are needed to write a value with its half width
+    confident: bool = False  # whether a confidence is printed of each number
 
     @property
-    def digits(self) -> int:
-        """Decimals that are printed, at most."""
-        return max(_decimals(value) for value in (*self.value, *(self.margin or ())))
+    def rounded(self) -> Quoted:
+        """The same with no more decimals than are shown; a margin is at least the last of them."""
+        least = 10.0**-self.decimals
+        value = tuple(round(number, self.decimals) for number in self.value)
+        allowed = tuple(max(round(width, self.decimals), least) for width in self.allowed)
+        return replace(self, value=value, allowed=allowed)
 
     @property
-    def allowed(self) -> tuple[float, ...]:
-        """Half width of what each number may stand for: its confidence, or more where rounding took more."""
-        rounded = 0.5 * 10.0**-self.digits
-        return tuple(max(rounded, margin) for margin in self.margin or (0.0,) * len(self.value))
+    def mean(self) -> Quoted:
+        """The mean of its axes."""
+        count = len(self.value)
+        if count == 1:
+            return self
+        found = _follows(
+            f"mean of {self.name}", [sum(self.value) / count], [math.hypot(*self.allowed) / count]
+        )
+        return replace(found, confident=self.confident)
+
+    def over(self, other: Quoted) -> Quoted:
+        """Its ratio to another figure. Raises ValueError where that may be 0."""
+        if len(self.value) != len(other.value):
+            raise ValueError(f"{self.name} has {len(self.value)} numbers, {other.name} {len(other.value)}")
+        if any(abs(number) <= allowed for number, allowed in zip(other.value, other.allowed, strict=True)):
+            raise ValueError(f"{other.name} may be 0; nothing is divided by it")
+        ratios, widths = [], []
+        for i, number in enumerate(self.value):
+            ratios.append(number / other.value[i])
+            wide = math.hypot(self.allowed[i], ratios[i] * other.allowed[i])
+            widths.append(abs(wide / other.value[i]))
+        found = _follows(f"{self.name} / {other.name}", ratios, widths)
+        return replace(found, confident=self.confident and other.confident)
 
 
 def quoted(name: str) -> Quoted:
@@ -34,19 +63,49 @@ def quoted(name: str) -> Quoted:
     known = quotes()
     if name in known or f"{name}/{AXES[0]}" not in known:
         quote = known[name]
-        margin = None if quote.margin is None else (quote.margin,) * len(quote.value)
-        return Quoted(name, quote.value, margin)
+        return printed(name, quote.value, [quote.margin] * len(quote.value))
     cells = [known[f"{name}/{axis}"] for axis in AXES]
-    margins = [cell.margin for cell in cells if cell.margin is not None]
+    return printed(name, [number for cell in cells for number in cell.value], [cell.margin for cell in cells])
+
+
+def printed(name: str, value: Sequence[Printed], margin: Sequence[Printed | None]) -> Quoted:
+    """A figure from its numbers as they are printed, each with its confidence, where that is printed."""
+    allowed, decimals = [], []
+    for number, width in zip(value, margin, strict=True):
+        rounded = 0.5 * 10.0**-number.decimals
+        confidence = 0.0 if width is None else float(width)
+        allowed.append(max(rounded, confidence))
+        finer = 0 if width is None else width.decimals
+        decimals.append(max(number.decimals, finer) if confidence >= rounded else number.decimals + 1)
+    text = " / ".join(map(written, value))
+    widths = [width for width in margin if width is not None]
+    if len(widths) == len(value):
+        text += " ± " + " / ".join(map(written, widths[:1] if len(set(widths)) == 1 else widths))
+    digits = max(0, *(number.decimals for number in value))
     return Quoted(
         name,
-        tuple(number for cell in cells for number in cell.value),
-        tuple(margins) if len(margins) == len(cells) else None,
+        tuple(map(float, value)),
+        tuple(allowed),
+        text,
+        digits,
+        max(0, *decimals),
+        len(widths) == len(value),
     )
 
 
-def _decimals(value: float) -> int:
-    if value == int(value):
-        return 0
-    text = f"{value:.{DIGITS_MAX}f}".rstrip("0")
-    return len(text.partition(".")[2]) or DIGITS_MAX
+def written(number: Printed) -> str:
+    """A number as the dissertation prints it."""
+    if "e" in number.text.lower():
+        return f"{float(number):,.0f}" if abs(number) >= 1.0 else number.text
+    return f"{number:,.{number.decimals}f}"
+
+
+def _follows(name: str, value: Sequence[float], allowed: Sequence[float]) -> Quoted:
+    """A figure that is computed from printed ones, to as many decimals as its margin is worth."""
+    least = min(width for width in allowed if width > 0.0)
+    decimals = min(DECIMALS_MAX, max(0, DIGITS - 1 - math.floor(math.log10(least))))
+    found = Quoted(name, tuple(value), tuple(allowed), "", decimals, decimals).rounded
+    shown = (
+        " / ".join(f"{number:,.{decimals}f}" for number in each) for each in (found.value, found.allowed)
+    )
+    return Quoted(name, tuple(value), tuple(allowed), " ± ".join(shown), decimals, decimals)

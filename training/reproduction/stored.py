@@ -13,11 +13,12 @@ from PIL import Image
 
 from toolchain.files import file_size, replacing, write_text
 from training.reproduction.experiments import BUDGETS, Budget, Figure, ReproduceError, Row, Source
-from training.reproduction.lookup import Value, find, ours
+from training.reproduction.lookup import Value, find, ours, scaled
 from training.reproduction.steps import Done
 from training.reproduction.verdict import Judged, Verdict, judge
 
 FILE_BYTES_MAX = 1 << 20
+WORST_FIRST = (Verdict.NOT_REACHED, Verdict.REACHED, Verdict.SURPASSED, Verdict.UNLIKE, Verdict.INPUT)
 WIDTH_MAX, COLOURS = 1200, 200  # pixels and colours of a stored picture
 
 
@@ -55,15 +56,11 @@ class RowResult:
 
     @property
     def verdict(self) -> Verdict | None:
-        """The worst of its figures; None if one is not measured, or none has a verdict."""
-        found = [result.judged.verdict for result in self.results if result.judged]
-        if len(found) < len(self.results):
+        """The worst of its figures that have a bar, else what they are; None if one is not measured."""
+        found = {result.judged.verdict for result in self.results if result.judged}
+        if not self.measured:
             return None
-        found = [each for each in found if each is not Verdict.TOLD]
-        for verdict in (Verdict.NOT_REACHED, Verdict.REACHED, Verdict.SURPASSED):
-            if verdict in found:
-                return verdict
-        return Verdict.TOLD
+        return next((verdict for verdict in WORST_FIRST if verdict in found), Verdict.TOLD)
 
     @property
     def measured(self) -> bool:
@@ -99,15 +96,19 @@ def row_result(row: Row, kept: Mapping[str, Kept]) -> RowResult:
 
 
 def _result(figure: Figure, kept: Mapping[str, Kept]) -> Result:
-    found = _value(figure.ours, kept)
-    against = _value(figure.against, kept) if figure.against else None
-    width = _value(figure.margin, kept) if figure.margin else None
-    if found is None or (figure.against and against is None) or (figure.margin and width is None):
+    values = [None if source is None else _value(source, kept) for source in figure.made_of]
+    found = values[0]
+    if found is None or any(
+        source and value is None for source, value in zip(figure.made_of, values, strict=True)
+    ):
         return Result(figure, None, None, None, None)
-    value = ours(figure, found, against)
-    margin = None if width is None else ours(figure, width, None)
-    quick = any(kept[source.step].budget == "quick" for source in figure.sources)
-    return Result(figure, value, margin, judge(figure, value), "quick" if quick else "full")
+    value = ours(figure, found, *values[1:])
+    width = None if figure.margin is None else _value(figure.margin, kept)
+    margin = None if width is None else scaled(width, abs(figure.scale))
+    if figure.mean and isinstance(margin, tuple):
+        margin = sum(margin) / len(margin)  # of axes that may err together
+    quick = any(kept[source.step].budget == "quick" for source in figure.sources if source.step in kept)
+    return Result(figure, value, margin, judge(figure, value, margin), "quick" if quick else "full")
 
 
 def _value(source: Source, kept: Mapping[str, Kept]) -> Value | None:

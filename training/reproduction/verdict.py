@@ -1,30 +1,36 @@
-"""Ours beside the dissertation's: reached, surpassed or not reached, axis by axis."""
+"""Ours beside the dissertation's, by one rule for all figures.
+
+The margin of a comparison is the printed confidence, or half of the last printed digit, whichever is more,
+and ours beside it: the root of the sum of their squares. Where ours has a confidence and the dissertation's
+has none, as much is taken for it as for ours, which flew as many commands. Ours is *surpassed* if it is
+better by more than the margin on every axis, *reached* if it is worse by no more than the margin on any,
+else *not reached*. A difference within the margin is a tie, so it is no win. Numbers are compared as the
+page shows them: rounded to the decimals of the bar.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import Enum
 
-from training.reproduction.experiments import TARGET, Figure
+from training.reproduction.experiments import TARGET, Figure, ReproduceError
 from training.reproduction.lookup import Value
 from training.reproduction.quoted import Quoted
 
 AXES = ("roll", "pitch", "yaw")
-EFFECT_LEAST = 0.5  # of a printed effect: a change of the same sign and half its size has reached it
 
 
 class Verdict(Enum):
     """How our figure compares with the dissertation's."""
 
-    SURPASSED = "surpassed"  # better on every axis
-    REACHED = "reached"  # no worse on any axis than the printed confidence or rounding allows
+    SURPASSED = "surpassed"  # better by more than the margin on every axis
+    REACHED = "reached"  # worse by no more than the margin on any axis
     NOT_REACHED = "not reached"
-    TOLD = "told"  # it has no better and no worse
-
-    def __str__(self) -> str:
-        """As it is printed."""
-        return "" if self is Verdict.TOLD else self.value
+    UNLIKE = "not comparable"  # the two are not of the same thing
+    INPUT = "input"  # ours was set to the dissertation's
+    TOLD = ""  # it has no printed figure beside it
 
 
 @dataclass(frozen=True)
@@ -33,27 +39,73 @@ class Judged:
 
     verdict: Verdict
     axes: tuple[str, ...] = ()
+    why: str = ""  # of UNLIKE
 
     def __str__(self) -> str:
         """As it is printed."""
-        return f"{self.verdict}: {', '.join(self.axes)}" if self.axes else str(self.verdict)
+        more = self.why or ", ".join(self.axes)
+        return f"{self.verdict.value}: {more}" if more else self.verdict.value
 
 
-def judge(figure: Figure, value: Value) -> Judged:
-    """The verdict on our `value` of a figure.
+@dataclass(frozen=True)
+class Bar:
+    """What our figure is held against, on each axis; no more of its badness than `most` is reached."""
 
-    Reached is what is within the printed confidence; where none is printed, within half of the last printed
-    digit. A figure that the dissertation gives three numbers for is compared axis by axis.
-    """
+    aim: str
+    ideal: tuple[float, ...]  # of "near" and "to NUMBER": the badness is the distance to it
+    most: tuple[float, ...]
+    less: tuple[float, ...]  # less badness than that is surpassed
+    decimals: int
+
+    def verdict(self, axis: int, value: float) -> Verdict:
+        """The verdict on our value of an axis."""
+        bad = round(_badness(self.aim, round(value, self.decimals), self.ideal[axis]), self.decimals)
+        if bad < self.less[axis]:
+            return Verdict.SURPASSED
+        return Verdict.REACHED if bad <= self.most[axis] else Verdict.NOT_REACHED
+
+    def __str__(self) -> str:
+        """As it is printed."""
+        sign = -1.0 if self.aim == "higher" else 1.0
+        limits = _joined(f"{sign * limit + 0.0:,.{self.decimals}f}" for limit in self.most)
+        if self.aim in ("lower", "higher"):
+            return f"{'<=' if self.aim == 'lower' else '>='} {limits}"
+        return f"within {limits} of {_joined(f'{ideal:,.12g}' for ideal in self.ideal)}"
+
+
+def bar(figure: Figure, confidence: Value | None = None) -> Bar | None:
+    """The bar of a figure whose value of ours has that confidence; None: it has none."""
     quote = figure.quote
-    if quote is None or figure.aim == "told":
+    if quote is None or not figure.aim:
+        return None
+    target = TARGET.fullmatch(figure.aim)
+    ideal = quote.value if target is None else (float(target[1]),) * len(quote.value)
+    printed = [_badness(figure.aim, *each) for each in zip(quote.value, ideal, strict=True)]
+    margins = _margins(quote, confidence)
+    most, less = (
+        tuple(
+            round(bad + sign * margin, quote.decimals) for bad, margin in zip(printed, margins, strict=True)
+        )
+        for sign in (1, -1)
+    )
+    return Bar(figure.aim, ideal, most, less, quote.decimals)
+
+
+def judge(figure: Figure, value: Value, confidence: Value | None = None) -> Judged:
+    """The verdict on our `value` of a figure; one with three numbers is compared axis by axis."""
+    if figure.input:
+        return Judged(Verdict.INPUT)
+    if figure.unlike:
+        return Judged(Verdict.UNLIKE, why=figure.unlike)
+    found = value if isinstance(value, tuple) else (value,)
+    held = bar(figure, confidence)
+    if held is None:
         return Judged(Verdict.TOLD)
-    printed, found = quote.value, value if isinstance(value, tuple) else (value,)
-    if len(printed) != len(found):
-        printed, found = _mean_of(printed), _mean_of(found)
-    margins = _margins(quote, len(found))
-    compare = _comparison(figure)
-    results = [compare(*each) for each in zip(found, printed, margins, strict=True)]
+    if len(found) != len(held.most):
+        raise ReproduceError(
+            f"{figure.what}: {len(found)} numbers beside {len(held.most)} of the dissertation"
+        )
+    results = [held.verdict(axis, each) for axis, each in enumerate(found)]
     missed = tuple(AXES[i] for i, each in enumerate(results) if each is Verdict.NOT_REACHED)
     if missed:
         return Judged(Verdict.NOT_REACHED, missed if len(results) == 3 and len(missed) < 3 else ())
@@ -61,45 +113,25 @@ def judge(figure: Figure, value: Value) -> Judged:
     return Judged(Verdict.SURPASSED if surpassed else Verdict.REACHED)
 
 
-def _mean_of(values: tuple[float, ...]) -> tuple[float, ...]:
-    """One number for all axes, where the other side has only one."""
-    return (sum(values) / len(values),)
+def _margins(quote: Quoted, confidence: Value | None) -> tuple[float, ...]:
+    """How far ours and the dissertation's may lie apart and still be the same, on each axis."""
+    if confidence is None:
+        return quote.allowed
+    ours = confidence if isinstance(confidence, tuple) else (confidence,) * len(quote.allowed)
+    pairs = zip(quote.allowed, ours, strict=True)
+    if quote.confident:
+        return tuple(math.hypot(*pair) for pair in pairs)
+    return tuple(max(rounded, math.sqrt(2.0) * own) for rounded, own in pairs)
 
 
-def _margins(quote: Quoted, count: int) -> tuple[float, ...]:
-    return quote.allowed if len(quote.allowed) == count else (max(quote.allowed),) * count
-
-
-def _comparison(figure: Figure) -> Callable[[float, float, float], Verdict]:
-    """Compares our number with the printed one and its margin."""
-    aim, within = figure.aim, figure.within
+def _badness(aim: str, value: float, ideal: float) -> float:
+    """What is better the less it is."""
     if aim == "lower":
-        return lambda our, its, margin: _least(our, its, margin)
-    if aim == "higher":
-        return lambda our, its, margin: _least(-our, -its, margin)
-    if aim == "near":
-        return lambda our, its, margin: _near(our, its, max(margin, within * abs(its)))
-    if aim == "effect":
-        return lambda our, its, margin: _effect(our, its)
-    target = TARGET.fullmatch(aim)
-    assert target is not None
-    ideal = float(target[1])
-    return lambda our, its, margin: _least(abs(our - ideal), abs(its - ideal), margin)
+        return value
+    return -value if aim == "higher" else abs(value - ideal)
 
 
-def _least(our: float, its: float, margin: float) -> Verdict:
-    if our < its:
-        return Verdict.SURPASSED
-    return Verdict.REACHED if our <= its + margin else Verdict.NOT_REACHED
-
-
-def _near(our: float, its: float, far: float) -> Verdict:
-    return Verdict.REACHED if abs(our - its) <= far else Verdict.NOT_REACHED
-
-
-def _effect(our: float, its: float) -> Verdict:
-    """Of a change in %: the same sign, and as large or at least half as large."""
-    size = our / its if its else 0.0
-    if size >= 1.0:
-        return Verdict.SURPASSED
-    return Verdict.REACHED if size >= EFFECT_LEAST else Verdict.NOT_REACHED
+def _joined(texts: Iterable[str]) -> str:
+    """Those of all axes, or once what is the same for all."""
+    found = list(texts)
+    return found[0] if len(set(found)) == 1 else " / ".join(found)

@@ -233,7 +233,8 @@ Written by `neuroflight results` from the files in [results/](results/); `neurof
 whether it is up to date. All figures are of simulated flights: unless a section says otherwise the twin turns
 about its centre of mass; errors are against its true rate, in deg/s, roll / pitch / yaw. The dissertation is
 W. Koch, *Flight Controller Synthesis via Deep Reinforcement Learning* (2019); its rows were measured in its
-own simulator, on other commands of the same distribution. All its experiments, run again, among them those of
+own simulator, on other commands of the same distribution, and the NF1's on a rig that holds it at its centre
+of thrust: roll has 29 % more inertia there, pitch 21 %. All its experiments, run again, among them those of
 chapter 3 on the Iris: [dissertation.md](dissertation.md)."""
 ABOUT_PULSES = """Half a second of rest, a command from N(0, 100 deg/s) on all axes held for 2 s, 2 s of
 rest. ± is 95 % confidence of the mean over commands. IAE to ITSE are sums over 1 ms samples divided by the

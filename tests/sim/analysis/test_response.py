@@ -83,6 +83,19 @@ def test_success_begins_again_when_the_rate_leaves_the_band() -> None:
     assert each.all_in_band_750 == pytest.approx([0.8])
 
 
+@pytest.mark.parametrize(("turn", "settles"), [(0.81, True), (0.83, False)])
+def test_a_rate_that_crosses_the_band_as_the_command_ends_has_not_settled(turn: float, settles: bool) -> None:
+    """A ramp that comes into the band 0.11 s before the command ends, or 0.09 s.
+
+    "Eventually settles" (Koch 2019, chapter 3) has no number. A tenth of a second is ours: the published PID
+    takes 70 to 100 ms to rise, so a rate on its way through the band is in it for a fifth of that.
+    """
+    command = np.array([[100.0, -100.0, 40.0]])
+    part = np.clip((T - turn) * 11.25, 0.0, 1.0)  # of the command: 0.9 of it 80 ms later
+    each = response(held(part[None, :, None] * command[:, None], command))
+    assert each.success.tolist() == each.success_bare.tolist() == [[settles] * 3]
+
+
 def test_bands_with_and_without_floor_differ_when_the_command_is_small() -> None:
     command = np.array([[20.0, 20.0, 0.5]])
     rate = np.full((1, 1000, 3), [17.0, 14.0, 4.0])  # off by 3, 6 and 3.5 deg/s

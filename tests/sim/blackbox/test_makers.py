@@ -94,17 +94,18 @@ def test_maker_and_version_are_those_of_the_header(
         ({"Firmware type": "Cleanflight"}, None),
     ],
 )
-@pytest.mark.parametrize("name", ["gyroADC", "gyroData"])
+@pytest.mark.parametrize("name", ["gyroADC", "gyroData", "gyroUnfilt"])
 def test_gyro_is_in_its_makers_unit(
     name: str, lines: dict[str, object], deg_s: float | None, tmp_path: Path
 ) -> None:
     rows = np.column_stack([np.arange(-40, 40) * 41, np.arange(80), np.full(80, -820)])
     told = units(tmp_path, rows.tolist(), [f"{name}[{axis}]" for axis in range(3)], lines)
+    gyro = told.gyro_unfiltered if name == "gyroUnfilt" else told.gyro
     if deg_s is None:
-        assert told.gyro is None
+        assert gyro is None
         return
-    assert told.gyro is not None
-    assert np.abs(np.rad2deg(told.gyro.astype(float)) - rows * deg_s).max() < 1e-3
+    assert gyro is not None
+    assert np.abs(np.rad2deg(gyro.astype(float)) - rows * deg_s).max() < 1e-3
 
 
 @pytest.mark.parametrize(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import shlex
 import tomllib
+from decimal import Decimal
 from pathlib import Path
 
 import pytest
@@ -19,7 +20,7 @@ from training.reproduction.experiments import BUDGETS, experiments
 from training.reproduction.page import render
 from training.reproduction.steps import PICTURES, Place
 from training.reproduction.stored import read_stored, row_result, sources
-from training.reproduction.verdict import Verdict
+from training.reproduction.verdict import Verdict, bar
 
 ROOT = Path(__file__).resolve().parents[3]
 STORED = ROOT / "docs" / "results" / "dissertation"
@@ -28,6 +29,9 @@ PAGE = ROOT / "docs" / "dissertation.md"
 EXTENDED = ROOT / "training" / "reproduction" / "nf1-extended.toml"
 ROWS_LEAST = 60
 QUOTES_LEAST = 100
+VERDICTS_LEAST = 150
+QUOTES = ROOT / "training" / "dissertation" / "quotes.toml"
+AXES = ("roll", "pitch", "yaw")
 
 
 def test_rows_cover_every_table_that_the_dissertation_measured() -> None:
@@ -78,12 +82,89 @@ def test_quick_is_never_more_than_full() -> None:
     assert compared == set(SIZES)
 
 
-def test_every_quoted_figure_of_the_page_is_of_the_file_of_quotes() -> None:
-    page = PAGE.read_text()
-    shown = [figure for row in experiments().rows for figure in row.figures if figure.quote is not None]
-    assert len(shown) >= QUOTES_LEAST
-    for figure in shown:
-        assert figure.what.replace("|", "/") in page
+def test_figures_of_the_page_are_printed_as_the_file_of_quotes_has_them() -> None:
+    """Read as text, so that no zero is lost on the way."""
+    document = tomllib.loads(QUOTES.read_text(), parse_float=str)
+    texts: dict[str, list[str]] = {}
+    for table in document["table"]:
+        start = "/".join(filter(None, (table["number"], table.get("part"))))
+        for name, cells in table["rows"].items():
+            pairs = [[str(n) for n in (cell if isinstance(cell, list) else [cell])] for cell in cells]
+            texts[f"{start}/{name}"] = [
+                " / ".join(pair[i] for pair in pairs[:3]) for i in range(len(pairs[0]))
+            ]
+    cells = [line.split(" | ") for line in PAGE.read_text().splitlines() if line.startswith("| ")]
+    shown = {cell[1].replace(",", "") for cell in cells if len(cell) > 2}
+    figures = [figure for row in experiments().rows for figure in row.figures if figure.quote]
+    whole = {figure.quote.name for figure in figures if figure.quote and figure.quote.name in texts}
+    assert len(whole) >= QUOTES_LEAST
+    for name in whole:
+        value, *margin = texts[name]
+        parts = set(margin[0].split(" / ")) if margin else set()
+        text = f"{value} ± {margin[0] if len(parts) > 1 else parts.pop()}" if margin else value
+        assert text in shown, name
+
+
+LINE = re.compile(r"^\| .* \|$", re.MULTILINE)
+BAR = re.compile(r"(<=|>=|within) ([-\d.,/ ]+?)(?: of ([-\d.,/ e]+))?")
+
+
+def numbers(text: str, count: int = 0) -> list[Decimal]:
+    """Those of a cell, its confidence left out; one that stands for all axes is there for each of `count`."""
+    found = [Decimal(each.replace(",", "")) for each in text.partition(" ± ")[0].split(" / ")]
+    return found * count if len(found) == 1 and count else found
+
+
+def verdict_of(printed: str, bar: str, ours: str) -> str:
+    """What follows from three cells of the page and the rule in its head, in exact decimals."""
+    parts = BAR.fullmatch(bar)
+    assert parts, bar
+    kind, limits, ideals = parts.groups()
+    his, own = numbers(printed), numbers(ours.removesuffix(" (quick)"))
+    assert len(his) == len(own)
+    results = []
+    for theirs, mine, most, goal in zip(
+        his, own, numbers(limits, len(his)), numbers(ideals or "0", len(his)), strict=True
+    ):
+        # What is better the less it is.
+        limit, bad, printed_bad = {
+            "<=": (most, mine, theirs),
+            ">=": (-most, -mine, -theirs),
+            "within": (most, abs(mine - goal), abs(theirs - goal)),
+        }[kind]
+        margin = limit - printed_bad
+        assert margin > 0
+        results.append("reached" if bad >= printed_bad - margin else "surpassed")
+        if bad > limit:
+            results[-1] = "not reached"
+    missed = [axis for axis, result in zip(AXES, results, strict=False) if result == "not reached"]
+    if missed:
+        return "not reached" + (f": {', '.join(missed)}" if len(results) == 3 and len(missed) < 3 else "")
+    return "surpassed" if set(results) == {"surpassed"} else "reached"
+
+
+def test_every_verdict_follows_from_what_the_page_shows() -> None:
+    judged = 0
+    for table in PAGE.read_text().split("\n\n"):
+        head, *lines = [line.strip("| ").split(" | ") for line in LINE.findall(table)] or [[]]
+        if "bar" not in head:
+            continue
+        for line in lines[1:]:
+            # The first cell is empty in the heading, which loses it.
+            cells = dict(zip(["what", *head], [each.strip() for each in line], strict=False))
+            if not cells.get("bar") or cells["ours"] == "not run":
+                continue
+            assert cells["verdict"] == verdict_of(cells["dissertation"], cells["bar"], cells["ours"]), line
+            judged += 1
+    counted = re.search(r"Of (\d+) figures with a verdict", PAGE.read_text())
+    assert counted and judged == int(counted[1]) >= VERDICTS_LEAST
+
+
+def test_every_printed_figure_that_is_not_an_input_has_a_bar_or_a_reason() -> None:
+    for row in experiments().rows:
+        for figure in row.figures:
+            if figure.quote is not None and not figure.input:
+                assert (bar(figure) is None) is bool(figure.unlike), (row.name, figure.what)
 
 
 def test_the_page_is_what_the_stored_figures_give() -> None:
@@ -112,15 +193,15 @@ def test_stored_figures_are_those_that_rows_read() -> None:
     for name, step in kept.items():
         assert name in known.steps
         assert {(name, path) for path in step.figures} <= read
-    missing = [row.name for row in known.rows if not row.hardware and not row_result(row, kept).measured]
-    assert missing == []
+    lacking = {name for name, path in read if name not in kept or path not in kept[name].figures}
+    assert lacking == set()
 
 
 def test_stored_figures_are_of_the_commands_as_they_are_now() -> None:
     known = experiments()
     for name, step in read_stored(STORED).items():
         words = Place(ROOT, ROOT / reproduce.OUT, step.budget).words(known.steps[name])
-        assert shlex.split(step.command) == ["neuroflight", *words]
+        assert shlex.split(step.command) == ["neuroflight", *words], name
 
 
 def test_pictures_of_the_page_are_there() -> None:
@@ -156,7 +237,7 @@ def test_a_row_that_is_not_reached_at_the_full_budget_says_why() -> None:
 
 def test_headline_rows_are_of_the_full_budget() -> None:
     kept = read_stored(STORED)
-    for name in ("iris-ppo-1-flown", "nf5-flown", "nf4-short-flown", "timing"):
+    for name in ("iris-ppo-1-flown", "nf5-flown", "nf4-flown", "timing"):
         assert kept[name].budget == "full"
 
 
@@ -169,14 +250,16 @@ def test_list_names_rows_figures_and_commands(capsys: pytest.CaptureFixture[str]
         assert f"{row.name}  {row.place}: {row.title}" in printed
         command = f"    neuroflight reproduce {row.name} --budget full"
         assert (command in printed) is not bool(row.hardware)
-    verdict = re.compile(r" {4}MAE: \d / \d / \d; dissertation 3 / 2 / 2: (reached|not reached: \w+(, \w+)*)")
+    verdict = re.compile(
+        r" {4}IAE: [\d.,/ ±]+; dissertation 3,311 / 2,235 / 2,075: (reached|not reached.*); differs: .+"
+    )
     assert any(verdict.fullmatch(line) for line in printed)
 
 
 def test_list_of_a_row_tells_what_it_runs(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["reproduce", "--list", "3.9-ppo"]) == 0
     printed = capsys.readouterr().out
-    for part in ("Table 3.9", "full, surpassed", "m = 1: ", "iris-ppo-1: neuroflight train --aircraft "):
+    for part in ("Table 3.9", "full, not reached", "m = 1: ", "iris-ppo-1: neuroflight train --aircraft "):
         assert part in printed
 
 

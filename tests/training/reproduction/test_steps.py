@@ -14,13 +14,10 @@ from training.reproduction.inputs import inputs
 from training.reproduction.steps import Done, Place, Watcher, execute_here, run_steps
 
 TEXT = """
-[steps.train]
-quick = "train --steps 10 --out {out}"
-full = "train --steps 1000 --out {out}"
-[steps.fly]
-full = "compare {train}/policy.onnx --plot {plot}"
-[steps.alone]
-full = '''
+[steps]
+train = "train --steps <10|1000> --out {out}"
+fly = "compare {train}/policy.onnx --plot {plot}"
+alone = '''
 evaluate pid
   --episodes 5'''
 [[rows]]
@@ -126,7 +123,7 @@ def test_another_command_is_another_result(known: Experiments, tmp_path: Path) -
     assert [words[0] for words in again.seen] == ["evaluate"]
 
 
-RECIPE = TEXT.replace("train --steps 10 ", "train --config recipe.toml ")
+RECIPE = TEXT.replace("train --steps <10|1000> ", "train --config recipe.toml ")
 
 
 def test_another_content_of_a_recipe_is_another_result(tmp_path: Path) -> None:
@@ -211,7 +208,7 @@ def test_a_checkpoint_of_another_command_is_removed(known: Experiments, tmp_path
     folder = tmp_path / "quick/train"
     folder.mkdir(exist_ok=True)
     (folder / "checkpoint.pt").write_bytes(b"half")
-    changed = parse(TEXT.replace("--steps 10 ", "--steps 11 "), "test")
+    changed = parse(TEXT.replace("--steps <10|", "--steps <11|"), "test")
     again = Commands()
     run(changed, tmp_path, again)
     assert "--resume" not in again.seen[0]
@@ -230,14 +227,76 @@ def test_a_command_is_stopped_on_request() -> None:
         execute_here(["evaluate", "pid", "--episodes", "1000", "--json"], root, lambda: True)
 
 
+PATTERNS = """
+[each.way]
+up = { word = "--up", label = "Up" }
+down = { word = "", label = "Down" }
+[each.m]
+1 = {}
+2 = {}
+[steps]
+"<way>-<m>" = "train <way.word> --set m=<m> <--seeds 2|--seed 4 --seeds 3> --out {out}"
+"<way>-<m>-flown" = "compare pid {<way>-<m>/*} --episodes <2|30>"
+[[rows]]
+name = "3.9-<way>"
+place = "Table 3.9"
+title = "Rise: <way.label>"
+figures = [
+    { what = "m = <m>", quote = "3.9/ppo-<m>", ours = "<way>-<m>-flown a", aim = "lower" },
+    { what = "once", ours = "<way>-1-flown b" },
+]
+"""
+
+
+def test_a_pattern_stands_for_each_of_its_values() -> None:
+    known = parse(PATTERNS, "test")
+    assert list(known.steps) == [
+        f"{way}-{m}{end}" for end in ("", "-flown") for way in ("up", "down") for m in (1, 2)
+    ]
+    assert known.steps["up-2"].quick == "train --up --set m=2 --seeds 2 --out {out}"
+    assert known.steps["down-1"].full == "train --set m=1 --seed 4 --seeds 3 --out {out}"
+    flown = known.steps["up-2-flown"]
+    assert flown.quick == "compare pid {up-2}/seed-1/policy.onnx {up-2}/seed-2/policy.onnx --episodes 2"
+    seeds = " ".join(f"{{up-2}}/seed-{seed}/policy.onnx" for seed in (4, 5, 6))
+    assert flown.full == f"compare pid {seeds} --episodes 30"
+    assert flown.needs == ("up-2",)
+    rows = {row.name: row for row in known.rows}
+    assert [row.title for row in rows.values()] == ["Rise: Up", "Rise: Down"]
+    figures = [(each.what, each.ours.step) for each in rows["3.9-down"].figures]
+    assert figures == [("m = 1", "down-1-flown"), ("m = 2", "down-2-flown"), ("once", "down-1-flown")]
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "named"),
+    [
+        ("<way.word>", "<way.wrd>", "way up has no wrd"),
+        ('"3.9-<way>"', '"3.9-x"', "<way> is in no name"),
+        (
+            'place = "Table 3.9"',
+            'place = "Table 3.9"\nwhy = { "3.9-left" = "x" }',
+            "why 3.9-left: no such row",
+        ),
+    ],
+)
+def test_a_mistake_in_a_pattern_is_named(before: str, after: str, named: str) -> None:
+    assert before in PATTERNS
+    with pytest.raises(ReproduceError) as caught:
+        parse(PATTERNS.replace(before, after), "test")
+    assert named in str(caught.value)
+
+
 @pytest.mark.parametrize(
     ("before", "after", "named"),
     [
         ("{train}/policy", "{trian}/policy", "needs {trian}, which is no step"),
-        ('"train --steps 10 --out {out}"', '"train {fly}"', "needs itself"),
+        ('"train --steps <10|1000> --out {out}"', '"train {fly}"', "needs itself"),
         ('quote = "3.9/ppo-1"', 'quote = "3.9/ppo-9"', "no quote '3.9/ppo-9'"),
         ('ours = "fly a.b"', 'ours = "fyl a.b"', "fyl"),
         ('aim = "lower"', 'aim = "better"', "expected one of: lower"),
+        (', aim = "lower"', "", "expected one of: an aim, unlike = 'why', or a row of input"),
+        ('aim = "lower"', 'aim = "lower", unlike = "x"', "unlike: unknown key"),
+        ('ours = "alone c"', 'ours = "alone c", aim = "lower"', "no quote to reach"),
+        ('quote = "3.9/ppo-1"', 'quote = "3.9/ppo-1", quote_per = "3.12/pid"', "may be 0"),
         ('picture = "fly"', 'picture = "alone"', r"expected a step whose command has {plot}"),
         ('name = "4.7"', 'name = "3.9-ppo"', "second time"),
         ('name = "4.7"', 'name = "nine"', "expected such as 3.9"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 from pathlib import Path
 
@@ -41,11 +42,11 @@ def test_table_has_the_manuals_addresses_when_loaded() -> None:
 
 
 def test_the_committed_table_is_the_scripts_when_the_description_is_at_hand() -> None:
-    """Where it is not, the digest inside the file stands for it."""
-    assert load_table().sha256 == SVD_SHA256
     svd = Path(os.environ.get("NEUROFLIGHT_SVD", ROOT.parent / "shared" / "svd" / "stm32f7x2.svd"))
-    if svd.is_file():
-        assert render(extract(svd)) == TABLE.read_text()
+    if not svd.is_file():
+        pytest.skip(f"needs the vendor's description, SHA-256 {SVD_SHA256}; set NEUROFLIGHT_SVD to its path")
+    assert load_table().sha256 == SVD_SHA256 == hashlib.sha256(svd.read_bytes()).hexdigest()
+    assert render(extract(svd)) == TABLE.read_text()
 
 
 def test_a_row_edited_by_hand_is_refused_when_read(tmp_path: Path) -> None:

@@ -52,9 +52,11 @@ def test_outputs_fall_within_ten_thousand_steps_when_they_cost() -> None:
     try:
         learner.learn(0, reports.append)
         outputs = 0.5 + 0.5 * learner.outputs(np.zeros((1, 6), np.float32))
+        updates = learner.state()["updates"]
     finally:
         learner.close()
     assert learner.steps == reports[-1].steps == 10_000
+    assert updates == 25 * 10_000 // (ddpg1.aircraft * ddpg1.horizon)  # Adam's corrections count on
     assert outputs.mean() < 0.3
     assert reports[-1].reward > reports[0].reward + 0.1
 

@@ -33,9 +33,12 @@ def test_outputs_fall_within_ten_thousand_steps_when_they_cost() -> None:
     try:
         learner.learn(0, reports.append)
         outputs = 0.5 + 0.5 * learner.outputs(np.zeros((1, 6), np.float32))
+        updates = learner.state()["updates"]
     finally:
         learner.close()
     assert learner.steps == reports[-1].steps == 10_240
+    # Adam's corrections count on: 10 rollouts, the epochs of each, and the minibatches of its 1024 samples.
+    assert updates == 10 * ppo1.epochs * 1024 // ppo1.minibatch
     assert reports[0].reward == pytest.approx(-0.5, abs=0.05)
     assert reports[-1].reward > -0.45
     assert np.clip(outputs, 0.0, 1.0).mean() < 0.45

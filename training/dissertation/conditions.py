@@ -1,0 +1,87 @@
+"""What the dissertation's experiments were made with: conditions.toml, read strictly."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from functools import cache
+from pathlib import Path
+
+from sim.strict_toml import StrictTable
+from toolchain.errors import NeuroflightError
+
+FILE = Path(__file__).with_name("conditions.toml")
+EXPERIMENTS_MAX, ROWS_MAX = 100, 20
+TEXTS = ("aircraft", "mount", "task", "machine", "reward", "inputs", "network")
+NUMBERS = {"length_s": 1e4, "commands": 1e6, "steps": 1e9, "agents": 100}  # the largest
+
+
+class ConditionsError(NeuroflightError):
+    """A file of conditions that is damaged, or that lacks an aircraft."""
+
+
+@dataclass(frozen=True)
+class StandIn:
+    """A file of ours that stands for something of the dissertation."""
+
+    of: str  # which aircraft; of a recipe empty: that of the row
+    differs: str  # empty: in nothing that is known
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """Conditions of some rows."""
+
+    rows: tuple[str, ...]  # patterns of their names
+    place: str
+    values: Mapping[str, str | float]
+
+
+@dataclass(frozen=True)
+class Conditions:
+    """All of the file."""
+
+    experiments: tuple[Experiment, ...]
+    aircraft: Mapping[str, StandIn]  # by the name of our file
+    recipes: Mapping[str, StandIn]
+
+    def of(self, row: str) -> Mapping[str, str | float]:
+        """The conditions of a row, with "place"; empty: the file has none."""
+        found: dict[str, str | float] = {}
+        for experiment in self.experiments:
+            if any(fnmatchcase(row, pattern) for pattern in experiment.rows):
+                found |= {**experiment.values, "place": experiment.place}
+        return found
+
+    def stands_for(self, name: str) -> StandIn:
+        """What an aircraft of ours stands for. Raises ConditionsError if the file does not tell."""
+        if name not in self.aircraft:
+            known = ", ".join(self.aircraft)
+            raise ConditionsError(f"{FILE.name}: no [aircraft.{name}], expected one of: {known}")
+        return self.aircraft[name]
+
+
+@cache
+def conditions() -> Conditions:
+    """The shipped conditions. Raises ConditionsError naming the key that is wrong."""
+    table = StrictTable(tomllib.loads(FILE.read_text()), FILE.name, ConditionsError)
+    found = []
+    for entry in table.tables("experiment", 1, EXPERIMENTS_MAX):
+        values: dict[str, str | float] = {key: entry.text(key) for key in TEXTS if entry.has(key)}
+        values |= {key: entry.number(key, 0.0, most) for key, most in NUMBERS.items() if entry.has(key)}
+        found.append(Experiment(tuple(entry.text("rows").split()), entry.text("place"), values))
+        entry.finish()
+    aircraft, recipes = _stand_ins(table.table("aircraft")), _stand_ins(table.table("recipe"))
+    table.finish()
+    return Conditions(tuple(found), aircraft, recipes)
+
+
+def _stand_ins(table: StrictTable) -> Mapping[str, StandIn]:
+    found = {}
+    for name in table.names():
+        entry = table.table(name)
+        found[name] = StandIn(entry.text("of", ""), entry.text("differs", ""))
+        entry.finish()
+    return found

@@ -1,0 +1,174 @@
+"""What a row was made with, by the words of its steps and their recipes, beside what the dissertation had."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+from sim.flight.scenario import load_scenario
+from training.config.config_file import load_config
+from training.config.training_config import TrainingConfig
+from training.dissertation.conditions import conditions
+from training.reproduction.experiments import FOLDER, Budget, Experiments, Figure, Step
+from training.tasks.registry import TASKS
+
+TERMS_SHOWN = 3
+ROOT = Path(__file__).resolve().parents[2]
+FLOWN = ("compare", "evaluate")  # commands that fly controllers on a task
+WITH_CONTROLLERS = (*FLOWN, "power", "learning-curves")
+SHIPPED = "training/policies/nf1/policy.onnx"
+MACHINES = {  # what takes the place of the dissertation's, by command
+    "timing": "the emulated board",
+    "power": "the twin's model of power",
+    "build": "an image for a MATEKF722",
+    "stability": "Bullet",
+}
+CHOSEN = re.compile(r"(?:comparison|controllers)\[(?:best )?(-?\d+)")  # the controller that a path is of
+COLUMNS = {  # of the page's table, with the terms that each is of
+    "aircraft": ("aircraft", "machine"),
+    "mount": ("mount",),
+    "task": ("task", "length_s", "commands", "reward"),
+    "budget": ("steps", "agents", "recipe"),
+    "network": ("inputs", "network"),
+}
+NAMES = {"length_s": "length", "steps": "training"}
+UNITS = {"length_s": " s", "steps": " steps"}
+
+
+@dataclass(frozen=True)
+class Difference:
+    """A term in which ours is not as the dissertation's."""
+
+    term: str
+    ours: str
+    theirs: str  # empty: no one word
+
+    def __str__(self) -> str:
+        """As it is printed."""
+        told = f"{NAMES.get(self.term, self.term)} {self.ours}"
+        return f"{told} ({self.theirs})" if self.theirs else told
+
+
+def ours(figure: Figure, known: Experiments, budget: Budget) -> Mapping[str, str | float]:
+    """The terms of a figure of ours."""
+    words = known.steps[figure.ours.step].words(budget)
+    found: dict[str, str | float] = {}
+    if words[0] in MACHINES:
+        found["machine"] = MACHINES[words[0]]
+    if words[0] in FLOWN:
+        found |= _task(words, known, budget)
+        found["mount"] = _option(words, "--mount") or "centre"
+    aircraft = _option(words, "--aircraft")
+    policy = _policy(figure, words, known, budget)
+    named = FOLDER.match(policy)
+    if named:
+        aircraft = aircraft or _option(known.steps[named[1]].words(budget), "--aircraft")
+    if aircraft:
+        found["aircraft"] = Path(aircraft).stem
+    if policy:
+        config, agents = _of_step(known.steps[named[1]], budget) if named else (_of_file(policy), 1)
+        found |= _training(config, agents)
+        if named and (recipe := _option(known.steps[named[1]].words(budget), "--config")):
+            found["recipe"] = recipe
+        if "mount" in found and config.world.mount != found["mount"]:
+            found["mount"] = f"{found['mount']}, trained {config.world.mount}"
+    return found
+
+
+def _policy(figure: Figure, words: Sequence[str], known: Experiments, budget: Budget) -> str:
+    """The policy that a figure is of; empty: of none."""
+    if words[0] == "build":
+        return _option(words, "--policy") or SHIPPED
+    if words[0] == "timing" and (image := FOLDER.match(words[1])):
+        return _policy(figure, known.steps[image[1]].words(budget), known, budget)
+    if words[0] not in WITH_CONTROLLERS:
+        return ""
+    controllers = words[1 : next((i for i, word in enumerate(words) if word.startswith("--")), None)]
+    chosen = CHOSEN.search(figure.ours.path)
+    controller = controllers[int(chosen[1]) if chosen else 0]
+    return controller if FOLDER.match(controller) or controller.endswith(".onnx") else ""
+
+
+def differences(row: str, figure: Figure, known: Experiments, budget: Budget) -> Sequence[Difference]:
+    """What is not as in the dissertation, where both are known."""
+    theirs = conditions().of(row)
+    found = []
+    for term, own in ours(figure, known, budget).items():
+        if term == "recipe" and str(own) in conditions().recipes:
+            found.append(Difference(term, str(own), ""))
+        if term not in theirs:
+            continue
+        if term == "aircraft":
+            stands = conditions().stands_for(str(own))
+            own = stands.of if not stands.differs else own
+        if own != theirs[term]:
+            found.append(Difference(term, _shown(term, own), _shown(term, theirs[term])))
+    return found
+
+
+def _shown(term: str, value: str | float) -> str:
+    text = value if isinstance(value, str) else f"{value:,.6g}" if value < 1e6 else f"{value:,.0f}"
+    return text + UNITS.get(term, "")
+
+
+def _option(words: Sequence[str], name: str) -> str | None:
+    return words[words.index(name) + 1] if name in words else None
+
+
+def _task(words: Sequence[str], known: Experiments, budget: Budget) -> dict[str, str | float]:
+    """What is flown, how long and how often."""
+    episodes = _option(words, "--episodes")
+    if log := _option(words, "--commands"):
+        named = FOLDER.match(log)
+        return _flight(known.steps[named[1]], budget) if named else {"task": f"the commands of {log}"}
+    name = _option(words, "--task") or "flight"
+    length = float(_option(words, "--length") or TASKS[name]().duration_s)
+    count = float(episodes or 1) if "--command" in words or episodes else 1000.0
+    if "--sigma" in words:
+        name = "a pilot's normal commands"
+    return {"task": name, "length_s": length, "commands": count}
+
+
+@cache
+def _flight(step: Step, budget: Budget) -> dict[str, str | float]:
+    """The commands of a flight that is played to a controller."""
+    words = step.words(budget)
+    scenario = load_scenario(str(_option(words, "--scenario")), int(_option(words, "--seed") or 0))
+    return {
+        "task": f"the commands of scenario {scenario.name}",
+        "length_s": round(scenario.duration_s, 1),
+    }
+
+
+def _training(config: TrainingConfig, agents: int) -> dict[str, str | float]:
+    """What a policy has learnt from."""
+    terms = dict.fromkeys(term.partition("@")[0] for term in config.observation.split(","))
+    return {
+        "steps": config.steps,
+        "agents": agents,
+        "reward": config.reward.name,
+        "inputs": ", ".join(terms) if len(terms) <= TERMS_SHOWN else f"{len(terms)} terms",
+        "network": f"{', '.join(map(str, config.hidden))} {config.activation}",
+    }
+
+
+@cache
+def _of_step(step: Step, budget: Budget) -> tuple[TrainingConfig, int]:
+    """The configuration that a step trains, and how many agents it does."""
+    words = step.words(budget)
+    overrides: list[str] = []
+    if "--set" in words:
+        rest = words[words.index("--set") + 1 :]
+        overrides = rest[: next((i for i, word in enumerate(rest) if word.startswith("--")), None)]
+    if steps := _option(words, "--steps"):
+        overrides.append(f"steps={steps}")
+    return load_config(_option(words, "--config"), overrides), int(_option(words, "--seeds") or 1)
+
+
+@cache
+def _of_file(policy: str) -> TrainingConfig:
+    """The configuration of a policy that comes with the project."""
+    return load_config(ROOT / Path(policy).with_name("training.json"))
