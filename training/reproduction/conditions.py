@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 
@@ -16,6 +16,7 @@ from training.reproduction.experiments import FOLDER, Budget, Experiments, Figur
 from training.tasks.registry import TASKS
 
 TERMS_SHOWN = 3
+TRAINED = ", trained "
 ROOT = Path(__file__).resolve().parents[2]
 FLOWN = ("compare", "evaluate")  # commands that fly controllers on a task
 WITH_CONTROLLERS = (*FLOWN, "power", "learning-curves")
@@ -74,7 +75,7 @@ def ours(figure: Figure, known: Experiments, budget: Budget) -> Mapping[str, str
         if named and (recipe := _option(known.steps[named[1]].words(budget), "--config")):
             found["recipe"] = recipe
         if "mount" in found and config.world.mount != found["mount"]:
-            found["mount"] = f"{found['mount']}, trained {config.world.mount}"
+            found["mount"] = f"{found['mount']}{TRAINED}{config.world.mount}"
     return found
 
 
@@ -95,8 +96,16 @@ def _policy(figure: Figure, words: Sequence[str], known: Experiments, budget: Bu
 def differences(row: str, figure: Figure, known: Experiments, budget: Budget) -> Sequence[Difference]:
     """What is not as in the dissertation, where both are known."""
     theirs = conditions().of(row)
+    terms: dict[str, str | float] = {}
+    for source in (figure.per, figure.against, figure.ours):
+        if source is None:
+            continue
+        made = ours(replace(figure, ours=source), known, budget)
+        if "mount" in made and TRAINED in str(terms.get("mount", "")):  # the other side's says more
+            made = {**made, "mount": terms["mount"]}
+        terms |= made
     found = []
-    for term, own in ours(figure, known, budget).items():
+    for term, own in terms.items():
         if term == "recipe" and str(own) in conditions().recipes:
             found.append(Difference(term, str(own), ""))
         if term not in theirs:

@@ -16,7 +16,7 @@ from cli.main import parser
 from sim.aircraft.model import load_aircraft
 from training.dissertation.conditions import FILE, ConditionsError, conditions
 from training.reproduction.conditions import differences
-from training.reproduction.experiments import Experiments, Row, experiments, parse
+from training.reproduction.experiments import Experiments, Row, Source, experiments, parse
 from training.reproduction.page import differing
 from training.reproduction.steps import Place
 from training.reproduction.stored import Result, read_stored, row_result
@@ -84,11 +84,19 @@ def expected(known: Experiments, row: Row, result: Result) -> set[str]:
 
 
 def learnt(known: Experiments, result: Result) -> tuple[set[float], set[str]]:
-    """Steps and mounts of the trainings behind a figure; none behind a PID's."""
-    path = result.figure.ours.path
+    """Steps and mounts of the trainings behind a figure and what it is compared with; none behind a PID's."""
+    figure = result.figure
+    sources = [source for source in (figure.ours, figure.per, figure.against) if source is not None]
+    found = [learnt_by(known, result, source) for source in sources]
+    return set().union(*(steps for steps, _ in found)), set().union(*(mounts for _, mounts in found))
+
+
+def learnt_by(known: Experiments, result: Result, source: Source) -> tuple[set[float], set[str]]:
+    """The same of one of them."""
+    path = source.path
     if "comparison[0]" in path:
         return set(), set()
-    trainings = [name for name in known.steps[result.figure.ours.step].needs if name in training_steps(known)]
+    trainings = [name for name in known.steps[source.step].needs if name in training_steps(known)]
     if not trainings or "controllers[1]" in path or "comparison[2]" in path:
         told = json.loads((ROOT / "training" / "policies" / "nf1" / "training.json").read_text())["config"]
         return {float(told["steps"])}, {told["world"]["mount"]}
