@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -16,7 +16,6 @@ from training.reproduction.experiments import FOLDER, Budget, Experiments, Figur
 from training.tasks.registry import TASKS
 
 TERMS_SHOWN = 3
-TRAINED = ", trained "
 ROOT = Path(__file__).resolve().parents[2]
 FLOWN = ("compare", "evaluate")  # commands that fly controllers on a task
 WITH_CONTROLLERS = (*FLOWN, "power", "learning-curves")
@@ -75,7 +74,7 @@ def ours(figure: Figure, known: Experiments, budget: Budget) -> Mapping[str, str
         if named and (recipe := _option(known.steps[named[1]].words(budget), "--config")):
             found["recipe"] = recipe
         if "mount" in found and config.world.mount != found["mount"]:
-            found["mount"] = f"{found['mount']}{TRAINED}{config.world.mount}"
+            found["mount"] = f"{found['mount']}, trained {config.world.mount}"
     return found
 
 
@@ -94,28 +93,26 @@ def _policy(figure: Figure, words: Sequence[str], known: Experiments, budget: Bu
 
 
 def differences(row: str, figure: Figure, known: Experiments, budget: Budget) -> Sequence[Difference]:
-    """What is not as in the dissertation, where both are known."""
+    """Return what is not as in the dissertation: of ours first, then of what ours is compared with."""
+    found: dict[str, Difference] = {}
+    for source in (figure.ours, figure.per, figure.against):
+        for each in () if source is None else _of_source(row, replace(figure, ours=source), known, budget):
+            found.setdefault(each.term, each)
+    return list(found.values())
+
+
+def _of_source(row: str, figure: Figure, known: Experiments, budget: Budget) -> Iterator[Difference]:
     theirs = conditions().of(row)
-    terms: dict[str, str | float] = {}
-    for source in (figure.per, figure.against, figure.ours):
-        if source is None:
-            continue
-        made = ours(replace(figure, ours=source), known, budget)
-        if "mount" in made and TRAINED in str(terms.get("mount", "")):  # the other side's says more
-            made = {**made, "mount": terms["mount"]}
-        terms |= made
-    found = []
-    for term, own in terms.items():
+    for term, own in ours(figure, known, budget).items():
         if term == "recipe" and str(own) in conditions().recipes:
-            found.append(Difference(term, str(own), ""))
+            yield Difference(term, str(own), "")
         if term not in theirs:
             continue
         if term == "aircraft":
             stands = conditions().stands_for(str(own))
             own = stands.of if not stands.differs else own
         if own != theirs[term]:
-            found.append(Difference(term, _shown(term, own), _shown(term, theirs[term])))
-    return found
+            yield Difference(term, _shown(term, own), _shown(term, theirs[term]))
 
 
 def _shown(term: str, value: str | float) -> str:
