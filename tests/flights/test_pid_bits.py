@@ -8,9 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import closing
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -27,9 +26,9 @@ from sim.ports.library import ReferencePort
 from sim.ports.port import FirmwarePort
 from sim.ports.python_controller import ControllerPort
 from tests.flights.recomputed import recomputed
+from tests.given_task import Given
 from training.evaluation.controllers import load_controller
 from training.evaluation.evaluation import record
-from training.tasks.task import Setpoints
 
 Flown = Callable[..., Trace]
 NF1 = load_aircraft("nf1")
@@ -44,23 +43,6 @@ def busy(mount: Mount) -> Scenario:
     """A second of commands on all axes, from throttle closed to full."""
     segments = (Segment(0.1, (250.0 * (-1) ** k, 60.0 * k, -50.0 * k), min(1.0, 0.12 * k)) for k in range(10))
     return Scenario("busy", tuple(segments), mount).under_pid()
-
-
-@dataclass(frozen=True, eq=False)
-class Given:
-    """The setpoints of a flight."""
-
-    name: ClassVar[str] = "given"
-    setpoint: Setpoints
-
-    @property
-    def duration_s(self) -> float:
-        """See Task."""
-        return 1e-3 * float(self.setpoint.shape[1])
-
-    def episodes(self, count: int, rng: np.random.Generator, rate_hz: int) -> Setpoints:
-        """See Task."""
-        return self.setpoint
 
 
 def supplied(full: float | None) -> tuple[Aircraft, float | None]:

@@ -1,7 +1,6 @@
 """Trial flights of a PID tuning by flying terms: the C flights against the twin, and what costs."""
 
-from dataclasses import dataclass, replace
-from typing import ClassVar
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,34 +10,17 @@ from sim.analysis.metrics import effort
 from sim.control.pid import Pid
 from sim.control.pid_table import mixer, pid_settings
 from sim.physics.variation import Variation
+from tests.given_task import Given
 from toolchain.contract import Mix
 from training.evaluation.evaluation import record
 from training.learners.pathwise.flights import LANES
 from training.pid_tuning import flying
 from training.pid_tuning.flying import AS_FILED, HARDER, LATE_S, LEVELS, SLOW, FlyingTrials, throttle_for
 from training.pid_tuning.trial import Limits
-from training.tasks.task import Setpoints
 
 NF1 = load_aircraft("nf1")
 FLYING = pid_settings(NF1, "flying")
 LIMITS = Limits(1.0, flying.CHANGE, flying.IDLE, of_motors=True)
-
-
-@dataclass(frozen=True, eq=False)
-class Given:
-    """Setpoints as they are."""
-
-    name: ClassVar[str] = "given"
-    setpoint: Setpoints
-
-    @property
-    def duration_s(self) -> float:
-        """See Task."""
-        return 1e-3 * float(self.setpoint.shape[1])
-
-    def episodes(self, count: int, rng: np.random.Generator, rate_hz: int) -> Setpoints:
-        """See Task."""
-        return self.setpoint
 
 
 def twin_figures(aircraft: Aircraft, trials: FlyingTrials) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
