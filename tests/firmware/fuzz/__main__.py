@@ -1,6 +1,6 @@
 """`python -m tests.firmware.fuzz`: libFuzzer looks for bytes that break a promise of the firmware.
 
-Each target runs under the address and undefined-behaviour sanitizers, from the committed corpus on. What it
+Each target runs under the address and undefined-behaviour sanitizers, from its seeds on. What it
 finds is kept, with the words of the sanitizer, in build/fuzz/findings. Returns 1 if it found something.
 """
 
@@ -12,7 +12,6 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from tests.firmware.fuzz.build import TARGETS, Workbench
-from tests.firmware.fuzz.corpus import SEEDS, write
 from tests.firmware.fuzz.fuzzer import fuzz
 from toolchain.errors import BuildError
 
@@ -25,7 +24,6 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("targets", nargs="*", metavar="TARGET", help=f"default: all of {', '.join(TARGETS)}")
     parser.add_argument("--seconds", type=int, default=30, metavar="N", help="of each target (30)")
     parser.add_argument("--jobs", type=int, default=1, metavar="N", help="processes of each target (1)")
-    parser.add_argument("--seeds", action="store_true", help="only write the committed corpus anew")
     args = parser.parse_args(argv)
     strange = [name for name in args.targets if name not in TARGETS]
     if strange or args.seconds < 1 or args.jobs < 1:
@@ -33,11 +31,6 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(f"tests.firmware.fuzz: {wrong or '--seconds and --jobs: 1 at least'}", file=sys.stderr)
         return 1
     chosen = args.targets or list(TARGETS)
-    if args.seeds:
-        for name in chosen:
-            if name in SEEDS:
-                write(name)
-        return 0
     found = 0
     try:
         bench = Workbench(SCRATCH / "clang", "clang")

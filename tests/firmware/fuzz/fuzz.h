@@ -1,5 +1,5 @@
 /* What the fuzz targets share. A target is libFuzzer's LLVMFuzzerTestOneInput; clang links it with libFuzzer, gcc with
- * replay.c, which runs the committed corpus. Each input starts from the same state: the same bytes do the same. */
+ * replay.c, which runs the seeds. Each input starts from the same state: the same bytes do the same. */
 #ifndef FUZZ_H
 #define FUZZ_H
 

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import re
-import shutil
 import subprocess
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
-from tests.firmware.fuzz.corpus import CORPUS, WORDS
+from tests.firmware.fuzz.corpus import WORDS, write
 
 INPUT_MAX = 2048  # bytes
 SLOW_S = 10  # an input that takes longer is a finding
@@ -35,12 +34,12 @@ class Run:
 
 
 def fuzz(program: Path, target: str, seconds: int, jobs: int, scratch: Path) -> Run:
-    """Run `program` for so long in so many processes, from the committed corpus on."""
+    """Run `program` for so long in so many processes, from the seeds on."""
     kept = scratch / "findings" / target
     kept.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix=f"fuzz-{target}-") as folder:
         grown = Path(folder) / "corpus"
-        shutil.copytree(CORPUS / target, grown)
+        write(target, grown)
         before = set(kept.iterdir())
         command = [
             str(program),
