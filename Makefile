@@ -22,7 +22,7 @@ export PYTHONDONTWRITEBYTECODE :=
 
 VENV := .venv
 # By module: where the path of the checkout holds a space, an installed script may not find its interpreter.
-RUN  := $(VENV)/bin/python -m cli.main
+RUN  := $(VENV)/bin/python -m neuroflight.cli.main
 PYTEST = $(VENV)/bin/python -m pytest -n $(JOBS) --dist worksteal
 CLANG_PACKAGES := clang libclang-rt-dev
 ARM_PACKAGES := gcc-arm-none-eabi libnewlib-arm-none-eabi llvm
@@ -123,8 +123,10 @@ cppcheck: # the analyser of C, brought as the ARM compiler is
 lint: $(READY) cppcheck ## style and types; C warnings are errors in every build
 	@$(VENV)/bin/ruff check . && $(VENV)/bin/ruff format --check .
 	@find firmware -path firmware/generated -prune -o -name '*.[ch]' -print | xargs $(VENV)/bin/clang-format --dry-run -Werror
+	@mkdir -p build/typed/neuroflight && ln -sfn ../../../neuroflight.py build/typed/neuroflight/__init__.py
+	@for room in cli flash sim toolchain training; do ln -sfn ../../../$$room build/typed/neuroflight/$$room; done
 	@$(VENV)/bin/python -m mypy & types=$$!; \
-	$(VENV)/bin/python -m toolchain.image.cppcheck "$(POLICY)"; analysed=$$?; wait $$types && exit $$analysed
+	$(VENV)/bin/python -m neuroflight.toolchain.image.cppcheck "$(POLICY)"; analysed=$$?; wait $$types && exit $$analysed
 
 clean: ## what builds leave behind; the environment and training runs stay
 	rm -rf build firmware/generated

@@ -1,4 +1,6 @@
-"""`import neuroflight` registers the environment `neuroflight/Attitude-v0` with Gymnasium.
+"""The package `neuroflight`: `neuroflight.sim` is the folder sim/ beside this file, and so are the others.
+
+`import neuroflight` also registers the environment `neuroflight/Attitude-v0` with Gymnasium.
 
 An installation imports this whenever Python starts (setup.py), as Gymnasium has no plugins since its version
 1.0: so `gymnasium.make` knows the name without an import. Every start of Python pays for it, so it imports
@@ -7,7 +9,10 @@ little, and waits for Gymnasium.
 
 from __future__ import annotations
 
+import os
 import sys
+
+__path__ = [os.path.dirname(__file__)]  # noqa: PTH120 - pathlib takes milliseconds at every start
 
 TYPE_CHECKING = False  # type checkers take it for typing's, whose import takes milliseconds
 if TYPE_CHECKING:
@@ -26,8 +31,8 @@ def register() -> None:
     if ENVIRONMENT_ID not in gymnasium.registry:
         gymnasium.register(
             ENVIRONMENT_ID,
-            entry_point="training.envs.gym_env:AttitudeEnv",
-            vector_entry_point="training.envs.gym_vector:AttitudeVectorEnv",
+            entry_point="neuroflight.training.envs.gym_env:AttitudeEnv",
+            vector_entry_point="neuroflight.training.envs.gym_vector:AttitudeVectorEnv",
         )
 
 

@@ -15,7 +15,7 @@ import os
 import sys
 from collections.abc import Sequence
 
-from toolchain.errors import NeuroflightError
+from neuroflight.toolchain.errors import NeuroflightError
 
 SUMMARY = (
     "From the digital twin of an aircraft to a flight firmware whose rate controller is a neural network."
@@ -120,7 +120,9 @@ def parser() -> argparse.ArgumentParser:
     commands = top.add_subparsers(dest="command", required=True, metavar="COMMAND")
     for name, summary in COMMANDS.items():
         sub = commands.add_parser(name, help=summary, description=summary)
-        module = importlib.import_module(f"cli.{room_of[name].replace('/', '.')}.{name.replace('-', '_')}")
+        module = importlib.import_module(
+            f"neuroflight.cli.{room_of[name].replace('/', '.')}.{name.replace('-', '_')}"
+        )
         module.add_arguments(sub)
         sub.set_defaults(run=module.run)
     return top

@@ -7,8 +7,8 @@ import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from toolchain.errors import NeuroflightError
-from toolchain.files import check_writable
+from neuroflight.toolchain.errors import NeuroflightError
+from neuroflight.toolchain.files import check_writable
 
 
 def check_output(path: Path | None, suffix: str) -> None:

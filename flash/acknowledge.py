@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from flash import records
-from flash.client import Client
-from flash.records import Fault
-from toolchain.contract import FallbackCause, Msp
+from neuroflight.flash import records
+from neuroflight.flash.client import Client
+from neuroflight.flash.records import Fault
+from neuroflight.toolchain.contract import FallbackCause, Msp
 
 
 @dataclass(frozen=True)

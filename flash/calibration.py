@@ -5,10 +5,10 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
-from flash import messages, records
-from flash.client import Client
-from toolchain.contract import CALIBRATION_MS, Msp
-from toolchain.errors import LinkError
+from neuroflight.flash import messages, records
+from neuroflight.flash.client import Client
+from neuroflight.toolchain.contract import CALIBRATION_MS, Msp
+from neuroflight.toolchain.errors import LinkError
 
 WAIT_S = 10.0  # a still gyro takes CALIBRATION_MS
 PAUSE_S = 0.05  # between two looks

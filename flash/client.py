@@ -6,11 +6,11 @@ import time
 from collections import deque
 from collections.abc import Callable
 
-from flash import requests
-from flash.msp import Corrupt, Decoder, Direction, Message, encode, request
-from flash.transport import Transport
-from toolchain.contract import Msp, Refusal
-from toolchain.errors import LinkError
+from neuroflight.flash import requests
+from neuroflight.flash.msp import Corrupt, Decoder, Direction, Message, encode, request
+from neuroflight.flash.transport import Transport
+from neuroflight.toolchain.contract import Msp, Refusal
+from neuroflight.toolchain.errors import LinkError
 
 TIMEOUT_S = 1.0  # a board answers within a few milliseconds, the emulated one within tenths of a second
 STORING_TIMEOUT_S = (

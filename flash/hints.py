@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from flash.messages import bit_names
+from neuroflight.flash.messages import bit_names
 
 HINTS = {  # by the names of contract.ArmingReason
     "BOOT_GRACE": "it has just started: wait for arming_delay_ms",

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from flash import messages, records
-from flash.client import Client, RefusedError
-from flash.hints import betaflight_reasons
-from flash.messages import ApiVersion, BoardInfo, BuildInfo, Identity, PolicyInfo
-from toolchain.contract import MSP_API_MAJOR, MSP_PROTOCOL_VERSION, Msp
-from toolchain.errors import LinkError
+from neuroflight.flash import messages, records
+from neuroflight.flash.client import Client, RefusedError
+from neuroflight.flash.hints import betaflight_reasons
+from neuroflight.flash.messages import ApiVersion, BoardInfo, BuildInfo, Identity, PolicyInfo
+from neuroflight.toolchain.contract import MSP_API_MAJOR, MSP_PROTOCOL_VERSION, Msp
+from neuroflight.toolchain.errors import LinkError
 
 
 @dataclass(frozen=True)

@@ -10,10 +10,10 @@ import struct
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from flash.payload import Reader
-from toolchain.contract import MspField, MspGroup, MspLayout
-from toolchain.contract.msp_layouts import NUMBERS
-from toolchain.errors import LinkError
+from neuroflight.flash.payload import Reader
+from neuroflight.toolchain.contract import MspField, MspGroup, MspLayout
+from neuroflight.toolchain.contract.msp_layouts import NUMBERS
+from neuroflight.toolchain.errors import LinkError
 
 Values = dict[str, Any]
 

@@ -11,9 +11,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
 
-from flash import records, requests
-from flash.payload import Reader
-from toolchain.contract import MSP_MODE_ARMED, MSP_POLICY_NONE, ArmingReason, Mix, Msp
+from neuroflight.flash import records, requests
+from neuroflight.flash.payload import Reader
+from neuroflight.toolchain.contract import MSP_MODE_ARMED, MSP_POLICY_NONE, ArmingReason, Mix, Msp
 
 FIRST_YEAR = 10  # of FC_VERSION: from here on its first number counts years, as Betaflight's app takes it
 # Minor of the API from which this project's RAW_IMU has MSP_GYRO_COUNTS and MSP_ACCELERATION_COUNTS; before

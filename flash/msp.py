@@ -19,7 +19,7 @@ from enum import Enum, IntEnum, auto
 from functools import reduce
 from operator import xor
 
-from toolchain.contract import CRC8_DVB_S2_POLY, MSP_PAYLOAD_MAX
+from neuroflight.toolchain.contract import CRC8_DVB_S2_POLY, MSP_PAYLOAD_MAX
 
 V1_COMMAND_MAX = 254  # 255 would be a v2 frame inside a v1 frame, which nobody here speaks
 JUMBO_MARK = 255  # the v1 size that announces a u16 size

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from flash import messages, records
-from flash.client import Client
-from flash.hints import HINTS, betaflight_reasons
-from flash.info import is_ours
-from flash.messages import Analog, Attitude, BatteryState
-from toolchain.contract import GyroIdentity, Msp
+from neuroflight.flash import messages, records
+from neuroflight.flash.client import Client
+from neuroflight.flash.hints import HINTS, betaflight_reasons
+from neuroflight.flash.info import is_ours
+from neuroflight.flash.messages import Analog, Attitude, BatteryState
+from neuroflight.toolchain.contract import GyroIdentity, Msp
 
 
 @dataclass(frozen=True)

@@ -6,8 +6,8 @@ import struct
 from enum import IntEnum
 from typing import Any, TypeVar
 
-from toolchain.contract import Msp
-from toolchain.errors import LinkError
+from neuroflight.toolchain.contract import Msp
+from neuroflight.toolchain.errors import LinkError
 
 Kind = TypeVar("Kind", bound=IntEnum)
 

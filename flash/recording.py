@@ -11,9 +11,9 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from flash.stream import Sample
-from toolchain.contract import AXES
-from toolchain.files import replacing
+from neuroflight.flash.stream import Sample
+from neuroflight.toolchain.contract import AXES
+from neuroflight.toolchain.files import replacing
 
 SUFFIXES = (".csv", ".npz")
 

@@ -5,8 +5,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import IntEnum
 
-from flash.payload import Reader
-from toolchain.contract import FallbackCause, FlightState, GyroHealth, GyroIdentity, Msp, StopCause, Task
+from neuroflight.flash.payload import Reader
+from neuroflight.toolchain.contract import (
+    FallbackCause,
+    FlightState,
+    GyroHealth,
+    GyroIdentity,
+    Msp,
+    StopCause,
+    Task,
+)
 
 # Registers of a fault record, in the order of the reply: firmware/src/storage/fault_record.h.
 FAULT_REGISTERS = ("r0", "r1", "r2", "r3", "r12", "lr", "pc", "psr", "cfsr", "hfsr", "mmfar", "bfar", "sp")

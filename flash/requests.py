@@ -10,9 +10,9 @@ import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from flash.payload import Reader
-from flash.policy_errors import policy_error
-from toolchain.contract import (
+from neuroflight.flash.payload import Reader
+from neuroflight.flash.policy_errors import policy_error
+from neuroflight.toolchain.contract import (
     CHANNEL_COUNT,
     CHANNEL_MAX_US,
     CHANNEL_MIN_US,
@@ -23,7 +23,7 @@ from toolchain.contract import (
     Msp,
     Refusal,
 )
-from toolchain.errors import LinkError
+from neuroflight.toolchain.errors import LinkError
 
 ALL_MOTORS = 0xFF  # as the motor of DSHOT_COMMAND
 SLOT_HEADER_BYTES = 4  # before the blob's bytes in POLICY_SLOT_WRITE

@@ -6,12 +6,12 @@ import contextlib
 import time
 from collections.abc import Callable
 
-from flash import records
-from flash.client import Client, NoAnswerError
-from flash.info import is_ours
-from flash.transport import Transport
-from toolchain.contract import Msp, Reboot
-from toolchain.errors import LinkError
+from neuroflight.flash import records
+from neuroflight.flash.client import Client, NoAnswerError
+from neuroflight.flash.info import is_ours
+from neuroflight.flash.transport import Transport
+from neuroflight.toolchain.contract import Msp, Reboot
+from neuroflight.toolchain.errors import LinkError
 
 WAIT_S = 15.0  # a board is back within a second, the emulated one within some
 GOING_S = 5.0  # in which a firmware without a count of its boots falls silent

@@ -9,8 +9,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 
-from flash.setting_text import STYLE, STYLE_BETAFLIGHT, Value, shortest
-from toolchain.contract import (
+from neuroflight.flash.setting_text import STYLE, STYLE_BETAFLIGHT, Value, shortest
+from neuroflight.toolchain.contract import (
     AXES,
     FILTER_STAGES,
     GYRO_RATES_HZ,

@@ -12,7 +12,7 @@ import struct
 from dataclasses import replace
 from decimal import Decimal
 
-from toolchain.contract import (
+from neuroflight.toolchain.contract import (
     AUX_COUNT,
     MODE_LOW_US,
     MODE_STEP_US,
@@ -24,7 +24,7 @@ from toolchain.contract import (
     ModeRange,
     Setting,
 )
-from toolchain.errors import LinkError
+from neuroflight.toolchain.errors import LinkError
 
 Value = float | str  # a text for a setting of kind text; a mode range packed
 

@@ -6,11 +6,11 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import TypeVar
 
-from flash import requests
-from flash.client import Client, NoAnswerError, RefusedError
-from flash.requests import SettingInfo
-from flash.setting_rules import broken_rules
-from flash.setting_text import (
+from neuroflight.flash import requests
+from neuroflight.flash.client import Client, NoAnswerError, RefusedError
+from neuroflight.flash.requests import SettingInfo
+from neuroflight.flash.setting_rules import broken_rules
+from neuroflight.flash.setting_text import (
     BY_NAME,
     RATES,
     STYLE,
@@ -26,8 +26,8 @@ from flash.setting_text import (
     shortest,
     value_text,
 )
-from toolchain.contract import SETTINGS, Msp, Setting
-from toolchain.errors import LinkError
+from neuroflight.toolchain.contract import SETTINGS, Msp, Setting
+from neuroflight.toolchain.errors import LinkError
 
 __all__ = ["Settings", "as_stored", "in_order", "parse_change"]
 

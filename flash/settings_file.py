@@ -10,10 +10,19 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from flash.setting_text import RATES, STYLE, Value, beside_style, default_of, known_setting, parse_value, same
-from flash.settings import Settings, Stored
-from toolchain.errors import LinkError
-from toolchain.files import file_size
+from neuroflight.flash.setting_text import (
+    RATES,
+    STYLE,
+    Value,
+    beside_style,
+    default_of,
+    known_setting,
+    parse_value,
+    same,
+)
+from neuroflight.flash.settings import Settings, Stored
+from neuroflight.toolchain.errors import LinkError
+from neuroflight.toolchain.files import file_size
 
 FILE_BYTES_MAX = 64 << 10
 SHOWN = 60  # characters of a line in an error

@@ -7,16 +7,16 @@ import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from flash.client import Client
-from flash.payload import Reader
-from toolchain.contract import (
+from neuroflight.flash.client import Client
+from neuroflight.flash.payload import Reader
+from neuroflight.toolchain.contract import (
     MSP_STREAM_ARMED,
     MSP_STREAM_PID,
     MSP_STREAM_RATE_MAX_HZ,
     FlightState,
     Msp,
 )
-from toolchain.errors import LinkError
+from neuroflight.toolchain.errors import LinkError
 
 SILENCE_S = 2.0  # without a sample: the stream has ended
 _SEQUENCES, _STEPS = 1 << 16, 1 << 32  # that there are before they begin anew

@@ -17,8 +17,8 @@ from typing import Protocol
 
 import serial
 
-from toolchain.contract import MSP_BAUD_DEFAULT
-from toolchain.errors import LinkError
+from neuroflight.toolchain.contract import MSP_BAUD_DEFAULT
+from neuroflight.toolchain.errors import LinkError
 
 CONNECT_TIMEOUT_S = 3.0
 WRITE_TIMEOUT_S = 2.0

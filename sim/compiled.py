@@ -17,8 +17,8 @@ from typing import Any
 
 from cffi import FFI
 
-from toolchain.errors import BuildError
-from toolchain.files import replacing
+from neuroflight.toolchain.errors import BuildError
+from neuroflight.toolchain.files import replacing
 
 CACHE = Path(__file__).resolve().parents[1] / "build" / "engine"
 # No product is fused with a sum but where the source says so: the same bits on every processor.

@@ -13,7 +13,7 @@ from matplotlib.legend import Legend
 from matplotlib.ticker import FuncFormatter, MaxNLocator
 from mpl_toolkits.mplot3d import Axes3D
 
-from toolchain.files import write_bytes
+from neuroflight.toolchain.files import write_bytes
 
 DPI = 130
 INK, GRID = "#22272e", "#d8dde3"

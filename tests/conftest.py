@@ -10,7 +10,7 @@ import threading
 from collections.abc import Callable, Generator
 from pathlib import Path
 
-from cli.main import THREADS
+from neuroflight.cli.main import THREADS
 
 # Before numpy and torch are imported: a command of ours in a test takes one thread, as it does for a user.
 os.environ.update({name: "1" for name in THREADS if name not in os.environ})
@@ -18,13 +18,13 @@ os.environ.update({name: "1" for name in THREADS if name not in os.environ})
 import numpy as np
 import pytest
 
-from sim.aircraft.model import load_aircraft
-from sim.control.pid_table import pid_table
-from toolchain.files import locked
-from toolchain.image.build import build
-from toolchain.policy.freeze import to_onnx
-from toolchain.rendering.pid_table import PidTable
-from training.config.training_config import OutputMap, TrainingConfig
+from neuroflight.sim.aircraft.model import load_aircraft
+from neuroflight.sim.control.pid_table import pid_table
+from neuroflight.toolchain.files import locked
+from neuroflight.toolchain.image.build import build
+from neuroflight.toolchain.policy.freeze import to_onnx
+from neuroflight.toolchain.rendering.pid_table import PidTable
+from neuroflight.training.config.training_config import OutputMap, TrainingConfig
 
 ROOT = Path(__file__).resolve().parents[1]
 ESTIMATED = (

@@ -16,13 +16,13 @@ from collections.abc import Callable
 from contextlib import redirect_stdout
 from pathlib import Path
 
-from cli.main import main as neuroflight
+from neuroflight.cli.main import main as neuroflight
+from neuroflight.toolchain.cortex_m7.arm_policy import compiler_version
+from neuroflight.toolchain.cortex_m7.cycles import CORE_HZ
+from neuroflight.toolchain.files import write_text_if_changed
+from neuroflight.toolchain.image.elf import read_image
 from tests.bench import compiler, emx
 from tests.conftest import BUILD, ROOT, SHIPPED, build_shipped
-from toolchain.cortex_m7.arm_policy import compiler_version
-from toolchain.cortex_m7.cycles import CORE_HZ
-from toolchain.files import write_text_if_changed
-from toolchain.image.elf import read_image
 
 PAGES = (ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md")), ROOT / "training/policies/README.md")
 DURATIONS = ROOT / "docs" / "durations.toml"

@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from training.tasks.task import Setpoints
+from neuroflight.training.tasks.task import Setpoints
 
 
 @dataclass(frozen=True, eq=False)

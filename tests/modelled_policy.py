@@ -11,11 +11,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.aircraft.model import Aircraft, load_aircraft
-from sim.control.estimator import model_constants
-from sim.control.pid_table import pid_table
-from toolchain.contract import Mix, observation_blocks, observation_count
-from toolchain.policy.freeze import to_onnx
+from neuroflight.sim.aircraft.model import Aircraft, load_aircraft
+from neuroflight.sim.control.estimator import model_constants
+from neuroflight.sim.control.pid_table import pid_table
+from neuroflight.toolchain.contract import Mix, observation_blocks, observation_count
+from neuroflight.toolchain.policy.freeze import to_onnx
 
 OBSERVATION = (
     "rate_error,rate,rate_error_integral,rate~15Hz,rate~60Hz,previous_motors,rotor_estimate,throttle,"

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from toolchain.ir.network import Network, Node
-from toolchain.ir.operations import Affine, Clip, Gru, LayerNorm, Linear, Lstm, Operation
+from neuroflight.toolchain.ir.network import Network, Node
+from neuroflight.toolchain.ir.operations import Affine, Clip, Gru, LayerNorm, Linear, Lstm, Operation
 
 if TYPE_CHECKING:
     from tests.toolchain.conftest import Float32

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from cli.main import parser
+from neuroflight.cli.main import parser
 from tests.conftest import ROOT
 
 PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")])

@@ -7,11 +7,11 @@ import re
 
 import pytest
 
+from neuroflight.toolchain.cortex_m7.arm_policy import compiler_version
+from neuroflight.toolchain.cortex_m7.llvm_mca import find_pricer
 from tests import figures
 from tests.bench import emx
 from tests.conftest import ROOT
-from toolchain.cortex_m7.arm_policy import compiler_version
-from toolchain.cortex_m7.llvm_mca import find_pricer
 
 QUOTED = [(page, name, text) for page in figures.PAGES for name, text in figures.figures(page)]
 STORED = {figures.trained, figures.reproduced}

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from cli.main import parser
+from neuroflight.cli.main import parser
 
 ROOT = Path(__file__).resolve().parents[1]
 NF1, HEXA = "training/policies/nf1/policy.onnx", "training/policies/hexa/policy.onnx"
@@ -22,7 +22,7 @@ def calls(*words: str) -> list[list[str]]:
     return [
         [word.strip('"') for word in line.split("cli.main ", 1)[1].split()]
         for line in told.splitlines()
-        if "-m cli.main " in line
+        if "-m neuroflight.cli.main " in line
     ]
 
 

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
 import re
+import shutil
 import subprocess
 import sys
 import tomllib
@@ -14,13 +16,15 @@ from pathlib import Path
 
 import pytest
 
-from cli.main import EXTRAS
+from neuroflight.cli.main import EXTRAS
 
 ROOT = Path(__file__).resolve().parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 SIZES = ("firmware", "gateway", "sim", "train", "sweep", "dev")  # of extras, from the smallest to the largest
 PYTHONS = ("3.11", "3.12", "3.13", "3.14")  # that an image is built with
 PROCESSORS = ("x86_64", "aarch64")
+ROOMS = ("cli/", "flash/", "sim/", "toolchain/", "training/")
+BUILT_FROM = (*ROOMS, "neuroflight.", "pyproject.toml", "README.md", "LICENSE", "setup.py")
 GLIBCS = ("2014", "_2_17", "_2_24", "_2_26", "_2_27", "_2_28")  # of manylinux, up to that of Debian 10
 
 # Runs the command line as if nothing but the named top-level packages were installed.
@@ -32,13 +36,12 @@ class Hiding:
     def find_spec(self, name, path=None, target=None):
         if path is None and name in hidden:
             raise ModuleNotFoundError(f"No module named {name!r}", name=name)
-ours = {"cli", "flash", "neuroflight", "sim", "toolchain", "training"}
-hidden = set(packages_distributions()) - kept - ours
+hidden = set(packages_distributions()) - kept - {"neuroflight"}
 sys.meta_path.insert(0, Hiding())
 import importlib.util
 found = importlib.util.find_spec
 importlib.util.find_spec = lambda name, package=None: None if name in hidden else found(name, package)
-from cli.main import main
+from neuroflight.cli.main import main
 sys.exit(main(words))
 """
 
@@ -117,11 +120,55 @@ def test_gymnasium_knows_the_environment_where_the_package_is_installed(before: 
         code = f"import sys; sys.path[:] = {[str(ROOT), *sys.path]}; {code}"
         started[-1] = code
     done = subprocess.run(started, cwd=tmp_path, capture_output=True, text=True)
-    assert done.stdout == "training.envs.gym_vector:AttitudeVectorEnv\n", done.stderr
+    assert done.stdout == "neuroflight.training.envs.gym_vector:AttitudeVectorEnv\n", done.stderr
+
+
+@pytest.fixture(scope="module")
+def installed_wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with what `pip install neuroflight` would place into site-packages, dependencies left out."""
+    source, folder = tmp_path_factory.mktemp("source"), tmp_path_factory.mktemp("site")
+    tracked = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, text=True, check=True)
+    for name in tracked.stdout.split("\0")[:-1]:
+        if name.startswith(BUILT_FROM) and (ROOT / name).is_file():
+            (source / name).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy(ROOT / name, source / name)
+    command = [sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--no-build-isolation"]
+    subprocess.run([*command, "--target", str(folder), str(source)], check=True)
+    return folder
+
+
+def test_one_name_is_installed(installed_wheel: Path) -> None:
+    found = {path.name for path in installed_wheel.iterdir() if not path.name.endswith(".dist-info")}
+    assert found - {"bin"} == {"neuroflight"}
+
+
+@pytest.mark.parametrize("installed", ["wheel", "checkout"])
+def test_a_strangers_modules_of_the_same_names_stand_beside_ours(
+    installed: str, tmp_path: Path, request: pytest.FixtureRequest
+) -> None:
+    for name in ("cli", "flash", "sim", "tests", "toolchain"):
+        (tmp_path / f"{name}.py").write_text("OWNER = 'stranger'\n")
+    (tmp_path / "training").mkdir()  # a package without __init__.py, which any other would hide
+    (tmp_path / "training" / "loop.py").write_text("OWNER = 'stranger'\n")
+    (tmp_path / "program.py").write_text(
+        "import cli, flash, sim, tests, toolchain, training.loop\n"
+        "assert all(m.OWNER == 'stranger' for m in (cli, flash, sim, tests, toolchain, training.loop))\n"
+        "import neuroflight.sim.aircraft.model, neuroflight.training.envs.gym_env, gymnasium\n"
+        "print(neuroflight.sim.__file__)\n"
+        "gymnasium.make('neuroflight/Attitude-v0', aircraft='nf1').reset(seed=1)\n"
+    )
+    folder = ROOT if installed == "checkout" else request.getfixturevalue("installed_wheel")
+    path = {} if installed == "checkout" else {"PYTHONPATH": str(folder)}
+    done = subprocess.run(
+        [sys.executable, "program.py"], cwd=tmp_path, env=os.environ | path, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+    assert Path(done.stdout.strip()).is_relative_to(folder)
 
 
 def test_python_starts_without_gymnasium(tmp_path: Path) -> None:
-    code = "import sys; print({'gymnasium', 'training', 'numpy', 'typing'}.intersection(sys.modules))"
+    waiting = {"gymnasium", "neuroflight.training", "numpy", "typing"}
+    code = f"import sys; print({waiting}.intersection(sys.modules))"
     done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True)
     assert done.stdout == "set()\n"
 

@@ -14,7 +14,7 @@ from pathlib import Path, PurePosixPath
 
 import pytest
 
-from cli.main import ROOMS as COMMANDS
+from neuroflight.cli.main import ROOMS as COMMANDS
 
 ROOT = Path(__file__).resolve().parents[1]
 PYTHON = ("toolchain", "flash", "sim", "training", "cli")  # top-level folders with Python code
@@ -124,7 +124,10 @@ Arrow = tuple[str, str]  # from one file to another, paths in the repository
 
 def module_file(name: str) -> Path | None:
     """The file of the module called `name`; None: not the project's."""
-    path = ROOT / name.replace(".", "/")
+    package, _, inside = name.partition(".")
+    if package != "neuroflight":
+        return None
+    path = ROOT / (inside.replace(".", "/") or "neuroflight")
     return next((p for p in (path.with_suffix(".py"), path / "__init__.py") if p.is_file()), None)
 
 
@@ -254,14 +257,14 @@ def test_ground_imports_nothing_of_the_rooms_when_read(name: str) -> None:
 @pytest.mark.parametrize(
     ("file", "line"),
     [
-        ("flash/client.py", "from toolchain.image.build import build"),
-        ("flash/client.py", "def f():\n    import sim.physics.twin"),
-        ("toolchain/image/build.py", "from sim.physics import twin"),
-        ("toolchain/ir/network.py", "import toolchain.codegen.plan"),
-        ("sim/physics/twin.py", "from training.tasks.task import Task"),
-        ("sim/board/core/engine.py", "from sim.board.board import Board"),
-        ("training/envs/sb3_vector.py", "import flash.msp"),
-        ("training/runs/train.py", "import cli.main"),
+        ("flash/client.py", "from neuroflight.toolchain.image.build import build"),
+        ("flash/client.py", "def f():\n    import neuroflight.sim.physics.twin"),
+        ("toolchain/image/build.py", "from neuroflight.sim.physics import twin"),
+        ("toolchain/ir/network.py", "import neuroflight.toolchain.codegen.plan"),
+        ("sim/physics/twin.py", "from neuroflight.training.tasks.task import Task"),
+        ("sim/board/core/engine.py", "from neuroflight.sim.board.board import Board"),
+        ("training/envs/sb3_vector.py", "import neuroflight.flash.msp"),
+        ("training/runs/train.py", "import neuroflight.cli.main"),
     ],
 )
 def test_arrow_is_named_by_its_two_files_when_it_points_up(file: str, line: str) -> None:

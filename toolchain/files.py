@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from toolchain.errors import InUseError
+from neuroflight.toolchain.errors import InUseError
 
 LOCK = ".lock"  # in a folder
 PROBE_BYTES = 64 << 10  # that a place must have room for

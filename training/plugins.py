@@ -22,11 +22,11 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from toolchain.errors import NeuroflightError, TrainingError
-from toolchain.files import file_size
-from training.tasks.registry import TASKS
-from training.tasks.reward import REWARDS, Reward, Rewards, Transition
-from training.tasks.task import FULL_STICK_DEG_S, LENGTH_MAX_S, Setpoints, Task
+from neuroflight.toolchain.errors import NeuroflightError, TrainingError
+from neuroflight.toolchain.files import file_size
+from neuroflight.training.tasks.registry import TASKS
+from neuroflight.training.tasks.reward import REWARDS, Reward, Rewards, Transition
+from neuroflight.training.tasks.task import FULL_STICK_DEG_S, LENGTH_MAX_S, Setpoints, Task
 
 FILE_BYTES_MAX = 1 << 20
 NAME = re.compile(r"[a-z0-9][a-z0-9-]{0,31}")

@@ -10,10 +10,10 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from toolchain.errors import BuildError, PolicyError
+from neuroflight.toolchain.errors import BuildError, PolicyError
 
 if TYPE_CHECKING:
-    from toolchain.policy.check_stamp import Stamp
+    from neuroflight.toolchain.policy.check_stamp import Stamp
 
 OPTION = "--unchecked"
 HELP = "write it though no `neuroflight policy check` found its policy fit to fly"
@@ -31,8 +31,8 @@ def checked_image(image: Path, policy_sha256: str | None, *, unchecked: bool) ->
     policy_sha256: of the policy that the file brings; None: it brings none. Raises PolicyError, one line with
     the command to run, where that is not known to be fit, unless `unchecked`.
     """
-    from toolchain.image.report import read_check
-    from toolchain.policy.check_stamp import fault
+    from neuroflight.toolchain.image.report import read_check
+    from neuroflight.toolchain.policy.check_stamp import fault
 
     stamp, why = None, None
     try:
@@ -58,7 +58,7 @@ def checked_policy(
 
     aircraft_sha256: None: whatever aircraft it was checked for. Raises PolicyError as `checked_image` does.
     """
-    from toolchain.policy.check_stamp import require_fit
+    from neuroflight.toolchain.policy.check_stamp import require_fit
 
     if unchecked:
         return TOLD

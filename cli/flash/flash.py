@@ -15,21 +15,21 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cli.flash import checked, policy_swap, rescue
-from cli.flash.image_aircraft import image_aircraft
-from cli.flash.progress import step_bars
-from cli.flash.tables import print_facts, print_json
-from toolchain.errors import NeuroflightError
+from neuroflight.cli.flash import checked, policy_swap, rescue
+from neuroflight.cli.flash.image_aircraft import image_aircraft
+from neuroflight.cli.flash.progress import step_bars
+from neuroflight.cli.flash.tables import print_facts, print_json
+from neuroflight.toolchain.errors import NeuroflightError
 
 if TYPE_CHECKING:
     from types import FrameType
 
-    from flash.image.board import Board
-    from flash.image.files import ImageFile, Policy
-    from flash.image.install import Installation, Installed
-    from flash.image.messages import Bank
-    from flash.image.plan import Plan
-    from flash.setting_text import Value
+    from neuroflight.flash.image.board import Board
+    from neuroflight.flash.image.files import ImageFile, Policy
+    from neuroflight.flash.image.install import Installation, Installed
+    from neuroflight.flash.image.messages import Bank
+    from neuroflight.flash.image.plan import Plan
+    from neuroflight.flash.setting_text import Value
 
 IMAGE = Path(__file__).resolve().parents[2] / "build" / "MATEKF722" / "neuroflight.nfi"
 WORDS = {
@@ -117,13 +117,13 @@ class _UnderWay:
 
 def _flash(args: argparse.Namespace, under_way: _UnderWay) -> int:
     with _nothing_written():
-        from flash.client import Client
-        from flash.image.board import check_ready, read_board
-        from flash.image.files import read_images
-        from flash.image.install import Installation
-        from flash.image.plan import make_plan
-        from flash.image.settings_kept import read_settings
-        from flash.transport import open_transport
+        from neuroflight.flash.client import Client
+        from neuroflight.flash.image.board import check_ready, read_board
+        from neuroflight.flash.image.files import read_images
+        from neuroflight.flash.image.install import Installation
+        from neuroflight.flash.image.plan import make_plan
+        from neuroflight.flash.image.settings_kept import read_settings
+        from neuroflight.flash.transport import open_transport
 
         file = read_images(args.image)
         client = Client(open_transport(args.port))
@@ -172,7 +172,7 @@ def _leave(args: argparse.Namespace, facts: dict[str, object], plan: Plan) -> in
 
 def _backup(args: argparse.Namespace, board: Board, settings: dict[str, Value]) -> str | None:
     """Write the settings into a file; its name."""
-    from flash.image.settings_kept import write_backup
+    from neuroflight.flash.image.settings_kept import write_backup
 
     if args.no_backup:
         return None
@@ -186,7 +186,7 @@ def _backup(args: argparse.Namespace, board: Board, settings: dict[str, Value]) 
 
 def _tell(args: argparse.Namespace, facts: dict[str, object], done: Installed | None) -> int:
     """Say how it ended. Raises NeuroflightError unless the new image runs well. done: None: no restart."""
-    from flash.image.trial import Ending
+    from neuroflight.flash.image.trial import Ending
 
     if done is None:
         if args.json:
@@ -220,7 +220,7 @@ def _tell(args: argparse.Namespace, facts: dict[str, object], done: Installed | 
 
 # --- What the plan is -------------------------------------------------------------------------------
 def _rows(args: argparse.Namespace, file: ImageFile, plan: Plan) -> list[tuple[str, str]]:
-    from flash.image.files import bank_name
+    from neuroflight.flash.image.files import bank_name
 
     board, header = plan.board, plan.image.header
     baud = _baud(args.port)
@@ -248,7 +248,7 @@ def _rows(args: argparse.Namespace, file: ImageFile, plan: Plan) -> list[tuple[s
 
 
 def _policy_text(plan: Plan) -> str:
-    from flash.policy.slots import NAMES, SHA_SHOWN
+    from neuroflight.flash.policy.slots import NAMES, SHA_SHOWN
 
     if (policy := plan.policy) is None:
         return f"{plan.board.policies.flown_text} stays and is flown: --keep-policy"
@@ -297,7 +297,7 @@ def _facts(args: argparse.Namespace, file: ImageFile, plan: Plan) -> dict[str, o
 
 
 def _policy_facts(plan: Plan, policy: Policy) -> dict[str, object]:
-    from flash.policy.slots import NAMES
+    from neuroflight.flash.policy.slots import NAMES
 
     return {
         "slot": NAMES[plan.slot],
@@ -308,7 +308,7 @@ def _policy_facts(plan: Plan, policy: Policy) -> dict[str, object]:
 
 
 def _baud(port: str) -> int | None:
-    from flash.transport import SerialPort, parse_port
+    from neuroflight.flash.transport import SerialPort, parse_port
 
     parsed = parse_port(port)
     return parsed.baud if isinstance(parsed, SerialPort) else None
@@ -318,7 +318,7 @@ def _baud(port: str) -> int | None:
 @contextmanager
 def _nothing_written() -> Iterator[None]:
     """Errors of the block end with that."""
-    from cli.main import os_error_line
+    from neuroflight.cli.main import os_error_line
 
     try:
         yield

@@ -6,13 +6,13 @@ import argparse
 from contextlib import ExitStack, closing, suppress
 from typing import TYPE_CHECKING
 
-from toolchain.errors import NeuroflightError
+from neuroflight.toolchain.errors import NeuroflightError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from flash.mavlink.endpoint import UdpPeer
-    from flash.mavlink.session import Session
+    from neuroflight.flash.mavlink.endpoint import UdpPeer
+    from neuroflight.flash.mavlink.session import Session
 
 PEERS_MAX = 8
 SYSTEM_MAX = 255
@@ -62,10 +62,10 @@ def run(args: argparse.Namespace) -> int:
     import time
     from functools import partial
 
-    from flash.client import Client
-    from flash.mavlink.endpoint import UdpPeer, parse_address
-    from flash.mavlink.session import Options, Session
-    from flash.transport import open_transport
+    from neuroflight.flash.client import Client
+    from neuroflight.flash.mavlink.endpoint import UdpPeer, parse_address
+    from neuroflight.flash.mavlink.session import Options, Session
+    from neuroflight.flash.transport import open_transport
 
     _check(args)
     addresses = [parse_address(text, remote=args.allow_remote) for text in args.mavlink]
@@ -92,7 +92,7 @@ def _serve(session: Session, peers: Sequence[UdpPeer]) -> None:
 
 
 def _check(args: argparse.Namespace) -> None:
-    from flash.mavlink.offboard import TIMEOUT_MAX_S, TIMEOUT_MIN_S
+    from neuroflight.flash.mavlink.offboard import TIMEOUT_MAX_S, TIMEOUT_MIN_S
 
     if len(args.mavlink) > PEERS_MAX:
         raise NeuroflightError(f"--mavlink got {len(args.mavlink)} peers, expected {PEERS_MAX} at most")

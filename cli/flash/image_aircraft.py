@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from toolchain.errors import BuildError, ImageError
+from neuroflight.toolchain.errors import BuildError, ImageError
 
 if TYPE_CHECKING:
-    from flash.image.plan import Plan
+    from neuroflight.flash.image.plan import Plan
 
 DIGITS = 12  # of a digest, for people
 NO_PID = "NONE: where the policy must not fly on, the motors stop"
@@ -70,7 +70,7 @@ class ImageAircraft:
 
 def image_aircraft(path: Path, plan: Plan) -> ImageAircraft:
     """What the image at `path` is for."""
-    from cli.flash.known_policies import known_policies, one_digest
+    from neuroflight.cli.flash.known_policies import known_policies, one_digest
 
     flown = plan.board.policies.flown
     known = None if flown is None else known_policies([flown.sha256], Path.cwd()).get(flown.sha256)
@@ -90,7 +90,7 @@ def image_aircraft(path: Path, plan: Plan) -> ImageAircraft:
 
 def _pid(path: Path) -> str | None:
     """The PID of the image, by the report of its build."""
-    from toolchain.image.report import built
+    from neuroflight.toolchain.image.report import built
 
     try:
         found = built(path)

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from toolchain.errors import PolicyError
+from neuroflight.toolchain.errors import PolicyError
 
 SHIPPED = Path(__file__).resolve().parents[2] / "training" / "policies"
 LOOKED_AT_MAX = 200  # files of a directory
@@ -26,7 +26,7 @@ def known_policies(wanted: Iterable[str], folder: Path) -> dict[str, Known]:
 
     folder: searched beside the shipped ones. A file that is no policy is passed over.
     """
-    from toolchain.policy.model import parse_policy, read_file
+    from neuroflight.toolchain.policy.model import parse_policy, read_file
 
     left, found = set(wanted), {}
     for path in _files(folder):
@@ -46,7 +46,7 @@ def known_policies(wanted: Iterable[str], folder: Path) -> dict[str, Known]:
 
 def one_digest(aircraft_sha256: str) -> str:
     """Return the digest of an aircraft as today's policies hold it, of one that a policy of before holds."""
-    from sim.aircraft.digest import EARLIER
+    from neuroflight.sim.aircraft.digest import EARLIER
 
     return EARLIER.get(aircraft_sha256, aircraft_sha256)
 

@@ -12,13 +12,13 @@ from contextlib import contextmanager
 from dataclasses import asdict
 from typing import TYPE_CHECKING
 
-from cli.flash.interrupts import one_interrupt
-from cli.flash.state import PORT_HELP
-from cli.flash.tables import console, print_json
-from toolchain.errors import LinkError, NeuroflightError
+from neuroflight.cli.flash.interrupts import one_interrupt
+from neuroflight.cli.flash.state import PORT_HELP
+from neuroflight.cli.flash.tables import console, print_json
+from neuroflight.toolchain.errors import LinkError, NeuroflightError
 
 if TYPE_CHECKING:
-    from flash.monitoring.watch import Sight, Watch
+    from neuroflight.flash.monitoring.watch import Sight, Watch
 
 RATE_DEFAULT, RATE_MAX = 5.0, 20.0  # Hz; a look is a dozen requests, 60 ms at 115200 baud
 ENDING_KEYS = b"qQ\x04"  # Ctrl-D as well
@@ -41,8 +41,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Show it until q or Ctrl-C. Returns 0; raises NeuroflightError where the first look finds nothing."""
-    from flash.monitoring.watch import Watch
-    from flash.transport import open_transport
+    from neuroflight.flash.monitoring.watch import Watch
+    from neuroflight.flash.transport import open_transport
 
     if not 0.1 <= args.rate <= RATE_MAX:
         raise NeuroflightError(f"--rate got {args.rate:g}, expected 0.1 to {RATE_MAX:g} Hz")
@@ -55,7 +55,7 @@ def run(args: argparse.Namespace) -> int:
         if args.json:
             print_json(document(first))
         elif args.once:
-            from cli.flash.monitor_view import lines
+            from neuroflight.cli.flash.monitor_view import lines
 
             console().print(lines(first, args.port))
         else:
@@ -65,7 +65,7 @@ def run(args: argparse.Namespace) -> int:
 
 def document(sight: Sight) -> dict[str, object]:
     """What a look found, as JSON has it."""
-    from cli.flash.state import task_rows
+    from neuroflight.cli.flash.state import task_rows
 
     assert sight.snapshot is not None and sight.info is not None
     snapshot = sight.snapshot
@@ -77,7 +77,7 @@ def document(sight: Sight) -> dict[str, object]:
 def _show(watch: Watch, first: Sight, port: str, rate_hz: float) -> None:
     from rich.live import Live
 
-    from cli.flash.monitor_view import view
+    from neuroflight.cli.flash.monitor_view import view
 
     screen, sight = console(), first
     with one_interrupt(), _keys() as pressed:

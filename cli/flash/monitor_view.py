@@ -14,17 +14,17 @@ from rich.style import Style
 from rich.table import Table
 from rich.text import Text
 
-from cli.flash.motor_places import motor_places
-from flash.hints import words
-from flash.messages import BatteryLevel
-from toolchain.contract import CHANNEL_MAX_US, CHANNEL_MIN_US
-from toolchain.errors import AircraftError
+from neuroflight.cli.flash.motor_places import motor_places
+from neuroflight.flash.hints import words
+from neuroflight.flash.messages import BatteryLevel
+from neuroflight.toolchain.contract import CHANNEL_MAX_US, CHANNEL_MIN_US
+from neuroflight.toolchain.errors import AircraftError
 
 if TYPE_CHECKING:
-    from flash.monitoring.snapshot import Snapshot
-    from flash.monitoring.watch import Sight
-    from flash.overview import Overview
-    from flash.records import Tasks
+    from neuroflight.flash.monitoring.snapshot import Snapshot
+    from neuroflight.flash.monitoring.watch import Sight
+    from neuroflight.flash.overview import Overview
+    from neuroflight.flash.records import Tasks
 
 UPPER, UPPER_MAX = 10, 12  # rows of the upper panels, with their frames
 LOWER = 18  # of the lower ones, where all channels are seen

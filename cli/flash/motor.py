@@ -9,18 +9,18 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from cli.flash.interrupts import one_interrupt
-from cli.flash.motor_places import motor_places
-from cli.flash.props_off import confirm_props_off
-from cli.flash.state import PORT_HELP, connect
-from toolchain.contract import MOTOR_COUNT_MAX, MOTOR_TEST_MAX, MOTOR_TEST_TIMEOUT_MS
-from toolchain.errors import LinkError
+from neuroflight.cli.flash.interrupts import one_interrupt
+from neuroflight.cli.flash.motor_places import motor_places
+from neuroflight.cli.flash.props_off import confirm_props_off
+from neuroflight.cli.flash.state import PORT_HELP, connect
+from neuroflight.toolchain.contract import MOTOR_COUNT_MAX, MOTOR_TEST_MAX, MOTOR_TEST_TIMEOUT_MS
+from neuroflight.toolchain.errors import LinkError
 
 if TYPE_CHECKING:
-    from cli.flash.motor_places import Place
-    from flash.client import Client
-    from flash.motors.readiness import Bench
-    from flash.motors.spin import Spin
+    from neuroflight.cli.flash.motor_places import Place
+    from neuroflight.flash.client import Client
+    from neuroflight.flash.motors.readiness import Bench
+    from neuroflight.flash.motors.spin import Spin
 
 COMMANDS = {
     "test": "turn the motors one after the other, and say which should turn where",
@@ -162,9 +162,9 @@ def spin(args: argparse.Namespace, desk: Desk) -> int:
 
 def stop(args: argparse.Namespace, desk: Desk) -> int:
     """Stop them all."""
-    from flash.client import Client
-    from flash.motors.stop import stop as stop_motors
-    from flash.transport import open_transport
+    from neuroflight.flash.client import Client
+    from neuroflight.flash.motors.stop import stop as stop_motors
+    from neuroflight.flash.transport import open_transport
 
     with Client(open_transport(args.port)) as client:  # nothing is asked before
         stop_motors(client, desk.clock, desk.sleep)
@@ -175,8 +175,8 @@ def stop(args: argparse.Namespace, desk: Desk) -> int:
 # --- direction -------------------------------------------------------------------------------------
 def direction(args: argparse.Namespace, desk: Desk) -> int:
     """Send it to one ESC, or all."""
-    from flash.motors.direction import DIRECTIONS, set_direction
-    from flash.motors.readiness import read_bench
+    from neuroflight.flash.motors.direction import DIRECTIONS, set_direction
+    from neuroflight.flash.motors.readiness import read_bench
 
     _motors(args.motor, MOTOR_COUNT_MAX)
     with connect(args) as client:
@@ -200,9 +200,9 @@ def direction(args: argparse.Namespace, desk: Desk) -> int:
 # --- order -----------------------------------------------------------------------------------------
 def order(args: argparse.Namespace, desk: Desk) -> int:
     """Ask which motor turned, for each output; show, set and store what follows."""
-    from flash.motors.order import order_changes, outputs_of
-    from flash.motors.readiness import await_standing
-    from flash.settings import Settings
+    from neuroflight.flash.motors.order import order_changes, outputs_of
+    from neuroflight.flash.motors.readiness import await_standing
+    from neuroflight.flash.settings import Settings
 
     with connect(args) as client:
         bench, places = _prepare(client, args, "order turns each motor")
@@ -246,7 +246,7 @@ def _prepare(
 
     motor: that is turned, as the user named it; one of several that are turned one after the other.
     """
-    from flash.motors.readiness import read_bench
+    from neuroflight.flash.motors.readiness import read_bench
 
     bench = read_bench(client)
     places = motor_places(
@@ -260,14 +260,14 @@ def _prepare(
 
 
 def _wanted(motors: Sequence[int], bench: Bench, args: argparse.Namespace) -> Spin:
-    from flash.motors.spin import Spin
+    from neuroflight.flash.motors.spin import Spin
 
     return Spin(motors, bench.motor_count, args.fraction, args.seconds, args.ramp, args.limit)
 
 
 def _spin(client: Client, motors: Sequence[int], bench: Bench, args: argparse.Namespace, desk: Desk) -> None:
-    from flash.motors.readiness import check_ready
-    from flash.motors.spin import spin as turn
+    from neuroflight.flash.motors.readiness import check_ready
+    from neuroflight.flash.motors.spin import spin as turn
 
     check_ready(client)  # minutes may have passed since the last look
     turn(client, _wanted(motors, bench, args), desk.clock, desk.sleep)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from toolchain.errors import AircraftError
+from neuroflight.toolchain.errors import AircraftError
 
 CORNERS = ("rear right", "front right", "rear left", "front left")  # motors 1 to 4 of every aircraft
 MIDDLE = 0.1  # of the largest distance: nearer to an axis than that is neither front nor rear, left nor right
@@ -28,8 +28,8 @@ def motor_places(aircraft: str | None, trained_for: str, count: int, reverse: bo
     reverse: all turn the other way than in the file. Raises AircraftError for a file that is none, or of an
     aircraft with another number of motors.
     """
-    from sim.aircraft.model import load_aircraft, shipped
-    from sim.aircraft.props_out import NAME_END, SUFFIX
+    from neuroflight.sim.aircraft.model import load_aircraft, shipped
+    from neuroflight.sim.aircraft.props_out import NAME_END, SUFFIX
 
     plain = trained_for.removesuffix(NAME_END)
     if aircraft is None and plain not in shipped():

@@ -9,7 +9,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from cli.flash.state import PORT_HELP
+from neuroflight.cli.flash.state import PORT_HELP
 
 COMMANDS = {  # in the order of --help: the summary
     "info": "who the firmware is, which policy it flies and what forbids arming",
@@ -78,7 +78,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Carry out the command. Returns 0; raises NeuroflightError for what cannot be done."""
-    from cli.flash import settings_commands, settings_import, state, streaming
+    from neuroflight.cli.flash import settings_commands, settings_import, state, streaming
 
     if args.port is None:
         args.usage_error("the following arguments are required: --port")

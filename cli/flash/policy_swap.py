@@ -10,16 +10,16 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cli.flash.state import connect
-from cli.flash.tables import print_facts, print_json, print_table
-from toolchain.errors import LinkError, PolicyError
+from neuroflight.cli.flash.state import connect
+from neuroflight.cli.flash.tables import print_facts, print_json, print_table
+from neuroflight.toolchain.errors import LinkError, PolicyError
 
 if TYPE_CHECKING:
-    from cli.flash.known_policies import Known
-    from flash.client import Client
-    from flash.policy.candidate import Candidate
-    from flash.policy.slots import Place, Policies
-    from flash.policy.swap import Board, Progress
+    from neuroflight.cli.flash.known_policies import Known
+    from neuroflight.flash.client import Client
+    from neuroflight.flash.policy.candidate import Candidate
+    from neuroflight.flash.policy.slots import Place, Policies
+    from neuroflight.flash.policy.swap import Board, Progress
 
 NOT_WRITTEN = "nothing was written"
 LOOK = "`neuroflight flash --list` tells"
@@ -75,8 +75,8 @@ def _connected(args: argparse.Namespace, unwritten: str) -> Iterator[Client]:
 
 
 def _board(args: argparse.Namespace) -> Board:
-    from flash.policy.swap import Board
-    from flash.transport import open_transport
+    from neuroflight.flash.policy.swap import Board
+    from neuroflight.flash.transport import open_transport
 
     return Board(lambda: open_transport(args.port))
 
@@ -84,8 +84,8 @@ def _board(args: argparse.Namespace) -> Board:
 # --- list --------------------------------------------------------------------------------------------
 def list_(args: argparse.Namespace) -> int:
     """Print what each place of a policy holds."""
-    from flash.info import check_ours
-    from flash.policy.slots import read_policies
+    from neuroflight.flash.info import check_ours
+    from neuroflight.flash.policy.slots import read_policies
 
     with _connected(args, "nothing is listed") as client:
         check_ours(client, "nothing is listed")
@@ -100,7 +100,7 @@ def list_(args: argparse.Namespace) -> int:
 
 
 def _known(policies: Policies) -> dict[str, Known]:
-    from cli.flash.known_policies import known_policies
+    from neuroflight.cli.flash.known_policies import known_policies
 
     return known_policies((place.sha256 for place in policies.places if place.good), Path.cwd())
 
@@ -110,7 +110,7 @@ def _networks(policies: Policies) -> dict[str, str]:
 
 
 def _row(place: Place, policies: Policies, networks: dict[str, str]) -> tuple[str, ...]:
-    from flash.policy.slots import EMPTY, SHA_SHOWN
+    from neuroflight.flash.policy.slots import EMPTY, SHA_SHOWN
 
     if place.found == EMPTY and not place.flown:
         return (place.name, "", "", "", "", "", "empty")
@@ -126,7 +126,7 @@ def _row(place: Place, policies: Policies, networks: dict[str, str]) -> tuple[st
 
 
 def _state(place: Place, policies: Policies) -> str:
-    from flash.policy_errors import policy_error
+    from neuroflight.flash.policy_errors import policy_error
 
     if place.flown and policies.given_up:
         return "given up; flown until the next start"
@@ -154,11 +154,11 @@ def _list_document(policies: Policies, networks: dict[str, str]) -> list[dict[st
 # --- policy ------------------------------------------------------------------------------------------
 def candidate_of(path: Path) -> Candidate:
     """The policy in an ONNX file, compiled. Raises PolicyError, one line."""
-    from cli.flash.known_policies import one_digest
-    from flash.policy.candidate import Candidate
-    from toolchain.codegen.compiler import compile_policy
-    from toolchain.policy.blob import pack
-    from toolchain.policy.model import read_policy
+    from neuroflight.cli.flash.known_policies import one_digest
+    from neuroflight.flash.policy.candidate import Candidate
+    from neuroflight.toolchain.codegen.compiler import compile_policy
+    from neuroflight.toolchain.policy.blob import pack
+    from neuroflight.toolchain.policy.model import read_policy
 
     try:
         policy = read_policy(path)
@@ -188,11 +188,11 @@ def candidate_of(path: Path) -> Candidate:
 
 def swap(args: argparse.Namespace) -> int:
     """Write a policy into the slot that is not flown, and start the board with it."""
-    from flash import messages
-    from flash.policy import candidate as candidates
-    from flash.policy.ready import check_ready, check_started
-    from flash.policy.slots import read_policies
-    from toolchain.contract import Msp
+    from neuroflight.flash import messages
+    from neuroflight.flash.policy import candidate as candidates
+    from neuroflight.flash.policy.ready import check_ready, check_started
+    from neuroflight.flash.policy.slots import read_policies
+    from neuroflight.toolchain.contract import Msp
 
     candidate = candidate_of(args.policy)
     try:
@@ -218,9 +218,9 @@ def swap(args: argparse.Namespace) -> int:
 
 def _checked(args: argparse.Namespace, candidate: Candidate) -> str:
     """What the check found of the policy."""
-    from cli.flash.checked import checked_policy
-    from sim.aircraft.digest import EARLIER
-    from toolchain.policy.model import read_policy
+    from neuroflight.cli.flash.checked import checked_policy
+    from neuroflight.sim.aircraft.digest import EARLIER
+    from neuroflight.toolchain.policy.model import read_policy
 
     trained = read_policy(args.policy).aircraft_sha256
     of = None if args.other_aircraft else EARLIER.get(trained, trained)
@@ -232,7 +232,7 @@ def _checked(args: argparse.Namespace, candidate: Candidate) -> str:
 def _carry_out(
     args: argparse.Namespace, client: Client, candidate: Candidate, policies: Policies, check: str
 ) -> int:
-    from flash.policy import swap as swaps
+    from neuroflight.flash.policy import swap as swaps
 
     flown, waiting = policies.flown, policies.after_start()
     held = waiting if waiting is not None and waiting.sha256 == candidate.sha256 and not args.force else None
@@ -265,9 +265,9 @@ def _plan(
     args: argparse.Namespace, candidate: Candidate, policies: Policies, held: Place | None
 ) -> dict[str, Any]:
     """As --json prints it; `flown` tells whether the board flies it now."""
-    from flash.policy import swap as swaps
-    from flash.policy.slots import NAMES
-    from flash.transport import SerialPort, parse_port
+    from neuroflight.flash.policy import swap as swaps
+    from neuroflight.flash.policy.slots import NAMES
+    from neuroflight.flash.transport import SerialPort, parse_port
 
     port, slot = parse_port(args.port), swaps.target(policies)
     baud = port.baud if isinstance(port, SerialPort) else None
@@ -290,7 +290,7 @@ def _plan(
 
 
 def _plan_rows(document: dict[str, Any], candidate: Candidate, policies: Policies) -> list[tuple[str, str]]:
-    from flash.policy.slots import SHA_SHOWN
+    from neuroflight.flash.policy.slots import SHA_SHOWN
 
     sha, idle = candidate.sha256[:SHA_SHOWN], policies.info.idle
     rows = [
@@ -348,9 +348,9 @@ def _told(args: argparse.Namespace, document: dict[str, Any], text: str) -> int:
 # --- revert ------------------------------------------------------------------------------------------
 def revert(args: argparse.Namespace) -> int:
     """Give the flown slot up, and start the board with the policy before."""
-    from flash.policy import revert as reverts
-    from flash.policy.ready import check_ready, check_started
-    from flash.policy.slots import read_policies
+    from neuroflight.flash.policy import revert as reverts
+    from neuroflight.flash.policy.ready import check_ready, check_started
+    from neuroflight.flash.policy.slots import read_policies
 
     with _connected(args, reverts.UNTOUCHED) as client:
         check_ready(client, reverts.UNTOUCHED)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 
-from toolchain.errors import LinkError
+from neuroflight.toolchain.errors import LinkError
 
 WORDS = "props off"
 

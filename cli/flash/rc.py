@@ -11,16 +11,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cli.flash.interrupts import one_interrupt
-from cli.flash.props_off import confirm_props_off
-from cli.flash.state import PORT_HELP, connect
-from toolchain.errors import NeuroflightError
+from neuroflight.cli.flash.interrupts import one_interrupt
+from neuroflight.cli.flash.props_off import confirm_props_off
+from neuroflight.cli.flash.state import PORT_HELP, connect
+from neuroflight.toolchain.errors import NeuroflightError
 
 if TYPE_CHECKING:
-    from flash.channels.layout import Layout
-    from flash.channels.sender import Sender
-    from flash.channels.source import Source
-    from flash.client import Client
+    from neuroflight.flash.channels.layout import Layout
+    from neuroflight.flash.channels.sender import Sender
+    from neuroflight.flash.channels.source import Source
+    from neuroflight.flash.client import Client
 
 RATE_DEFAULT, RATE_MIN, RATE_MAX = 50, 20, 150  # Hz; below, the failsafe would hold between two frames
 LEAD_S, ARMED_S = 0.5, 0.5  # of a scenario: at rest, then armed with the throttle low
@@ -81,7 +81,7 @@ def run(args: argparse.Namespace) -> int:
 
 def carry_out(args: argparse.Namespace, desk: Desk) -> int:
     """`run` with another desk."""
-    from flash.channels.sender import Sender
+    from neuroflight.flash.channels.sender import Sender
 
     if not RATE_MIN <= args.rate <= RATE_MAX:
         raise NeuroflightError(f"--rate got {args.rate}, expected {RATE_MIN} to {RATE_MAX} Hz")
@@ -116,10 +116,10 @@ def carry_out(args: argparse.Namespace, desk: Desk) -> int:
 
 
 def _fly(client: Client, sender: Sender, source: Source) -> None:
-    from flash.channels.receiver import not_listening
-    from flash.client import RefusedError
-    from flash.settings import Settings
-    from toolchain.contract import Refusal
+    from neuroflight.flash.channels.receiver import not_listening
+    from neuroflight.flash.client import RefusedError
+    from neuroflight.flash.settings import Settings
+    from neuroflight.toolchain.contract import Refusal
 
     try:
         sender.begin()
@@ -133,9 +133,9 @@ def _fly(client: Client, sender: Sender, source: Source) -> None:
 
 def _layout(client: Client) -> Layout:
     """How the board reads channels. Raises LinkError for a firmware of another make."""
-    from flash.channels.layout import read_layout
-    from flash.info import check_ours
-    from flash.settings import Settings
+    from neuroflight.flash.channels.layout import read_layout
+    from neuroflight.flash.info import check_ours
+    from neuroflight.flash.settings import Settings
 
     check_ours(client, "nothing that acts was sent")
     return read_layout(Settings(client).get)
@@ -152,7 +152,7 @@ def _source(args: argparse.Namespace, ends: ExitStack) -> Callable[[Layout], Sou
 
 
 def _script(args: argparse.Namespace) -> Callable[[Layout], Source]:
-    from flash.channels.script import check_script, read_script
+    from neuroflight.flash.channels.script import check_script, read_script
 
     script = read_script(args.script)
 
@@ -164,8 +164,8 @@ def _script(args: argparse.Namespace) -> Callable[[Layout], Source]:
 
 
 def _scenario(args: argparse.Namespace) -> Callable[[Layout], Source]:
-    from flash.channels.timeline import Timeline
-    from sim.flight.scenario import load_scenario
+    from neuroflight.flash.channels.timeline import Timeline
+    from neuroflight.sim.flight.scenario import load_scenario
 
     if not args.allow_arm:
         raise NeuroflightError(
@@ -198,7 +198,7 @@ def _scenario(args: argparse.Namespace) -> Callable[[Layout], Source]:
 
 
 def _gamepad(args: argparse.Namespace, ends: ExitStack) -> Callable[[Layout], Source]:
-    from flash.channels.gamepad import DEFAULT_AXES, DEFAULT_BUTTONS, Gamepad, parse_mapping
+    from neuroflight.flash.channels.gamepad import DEFAULT_AXES, DEFAULT_BUTTONS, Gamepad, parse_mapping
 
     mapping = parse_mapping(
         args.axis or DEFAULT_AXES,

@@ -9,9 +9,9 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cli.flash import checked
-from cli.flash.progress import step_bars
-from toolchain.contract import (
+from neuroflight.cli.flash import checked
+from neuroflight.cli.flash.progress import step_bars
+from neuroflight.toolchain.contract import (
     FLASH_BANK_A,
     FLASH_BANK_B,
     FLASH_BOOT,
@@ -20,11 +20,11 @@ from toolchain.contract import (
     FLASH_SECTORS,
     FLASH_SETTINGS,
 )
-from toolchain.errors import LinkError, PolicyError
+from neuroflight.toolchain.errors import LinkError, PolicyError
 
 if TYPE_CHECKING:
-    from flash.rom.client import RomClient
-    from flash.rom.rescue import Plan, Progress
+    from neuroflight.flash.rom.client import RomClient
+    from neuroflight.flash.rom.rescue import Plan, Progress
 
 IMAGE = Path(__file__).resolve().parents[2] / "build" / "MATEKF722" / "neuroflight.hex"
 BAUD_MIN, BAUD_MAX = 1200, 115_200  # AN3155: what the ROM measures
@@ -75,11 +75,11 @@ def run(args: argparse.Namespace) -> int:
 
 def run_rom(args: argparse.Namespace) -> int:
     """The same; `args` has image, port, dry_run, and what `add_options` declares. A dry run comes first."""
-    from flash.rom.client import RomClient
-    from flash.rom.image_check import check_image
-    from flash.rom.rescue import make_plan, start, verify
-    from flash.rom.segments import read_segments
-    from flash.transport import open_transport
+    from neuroflight.flash.rom.client import RomClient
+    from neuroflight.flash.rom.image_check import check_image
+    from neuroflight.flash.rom.rescue import make_plan, start, verify
+    from neuroflight.flash.rom.segments import read_segments
+    from neuroflight.flash.transport import open_transport
 
     baud = _baud(args.port)
     segments = read_segments(args.image)
@@ -118,7 +118,7 @@ def run_rom(args: argparse.Namespace) -> int:
 
 
 def _install(client: RomClient, plan: Plan, progress: Progress) -> None:
-    from flash.rom.rescue import install
+    from neuroflight.flash.rom.rescue import install
 
     try:
         install(client, plan, progress)
@@ -160,7 +160,7 @@ def _purpose(number: int) -> str:
 
 def _baud(port: str) -> int:
     """The speed that the user asks for. Raises LinkError for one that the ROM does not measure."""
-    from flash.transport import SerialPort, parse_port
+    from neuroflight.flash.transport import SerialPort, parse_port
 
     parsed = parse_port(port)
     baud = parsed.baud if isinstance(parsed, SerialPort) else BAUD_MAX

@@ -5,26 +5,26 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING
 
-from cli.flash.settings_commands import confirm, when_flown
-from cli.flash.state import connect
-from cli.flash.tables import print_table
+from neuroflight.cli.flash.settings_commands import confirm, when_flown
+from neuroflight.cli.flash.state import connect
+from neuroflight.cli.flash.tables import print_table
 
 if TYPE_CHECKING:
-    from flash.betaflight.diff_file import Diff
-    from flash.betaflight.plan import Plan
-    from flash.setting_text import Value
+    from neuroflight.flash.betaflight.diff_file import Diff
+    from neuroflight.flash.betaflight.plan import Plan
+    from neuroflight.flash.setting_text import Value
 
 
 def import_(args: argparse.Namespace) -> int:
     """Show which settings of a file have a counterpart, ask, then set and store all of them or none."""
-    from flash import messages
-    from flash.betaflight.diff_file import read_diff
-    from flash.betaflight.plan import fitted, needed
-    from flash.betaflight.planner import make_plan
-    from flash.image.settings_kept import write_backup
-    from flash.info import version_of
-    from flash.settings import Settings
-    from toolchain.contract import Msp
+    from neuroflight.flash import messages
+    from neuroflight.flash.betaflight.diff_file import read_diff
+    from neuroflight.flash.betaflight.plan import fitted, needed
+    from neuroflight.flash.betaflight.planner import make_plan
+    from neuroflight.flash.image.settings_kept import write_backup
+    from neuroflight.flash.info import version_of
+    from neuroflight.flash.settings import Settings
+    from neuroflight.toolchain.contract import Msp
 
     diff = read_diff(args.file, args.betaflight)
     with connect(args) as client:
@@ -50,7 +50,7 @@ def import_(args: argparse.Namespace) -> int:
 
 def _show(diff: Diff, plan: Plan, present: dict[str, Value], changes: dict[str, Value]) -> None:
     """Print what is left out and why, then what changes, and what the pilot has to check."""
-    from flash.setting_text import value_text
+    from neuroflight.flash.setting_text import value_text
 
     brought = sum(len(group.lines) for group in plan.groups)
     board = f" of {diff.board}" if diff.board else ""

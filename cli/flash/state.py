@@ -9,14 +9,14 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cli.flash.tables import print_facts, print_json, print_table
+from neuroflight.cli.flash.tables import print_facts, print_json, print_table
 
 if TYPE_CHECKING:
-    from flash.acknowledge import Acknowledged
-    from flash.client import Client
-    from flash.info import Info
-    from flash.overview import Overview
-    from flash.records import Fault, Tasks
+    from neuroflight.flash.acknowledge import Acknowledged
+    from neuroflight.flash.client import Client
+    from neuroflight.flash.info import Info
+    from neuroflight.flash.overview import Overview
+    from neuroflight.flash.records import Fault, Tasks
 
 
 PORT_HELP = "tcp:HOST:PORT, serial:DEVICE[:BAUD] or a device such as /dev/ttyUSB0"
@@ -24,9 +24,9 @@ PORT_HELP = "tcp:HOST:PORT, serial:DEVICE[:BAUD] or a device such as /dev/ttyUSB
 
 def connect(args: argparse.Namespace) -> Client:
     """A client on the port that the user named, whose other end speaks an MSP that this tool knows."""
-    from flash.client import Client
-    from flash.info import check_api
-    from flash.transport import open_transport
+    from neuroflight.flash.client import Client
+    from neuroflight.flash.info import check_api
+    from neuroflight.flash.transport import open_transport
 
     client = Client(open_transport(args.port))
     try:
@@ -40,7 +40,7 @@ def connect(args: argparse.Namespace) -> Client:
 # --- info ------------------------------------------------------------------------------------------
 def info(args: argparse.Namespace) -> int:
     """Print who the firmware is."""
-    from flash.info import read_info
+    from neuroflight.flash.info import read_info
 
     with connect(args) as client:
         told = read_info(client)
@@ -89,8 +89,8 @@ def _info_rows(info: Info) -> list[tuple[str, str]]:
 
 def _trained_on(name: str, sha256: str) -> str:
     """The aircraft of a policy by SHA-256: the board tells its name, the policy's file the digest."""
-    from cli.flash.image_aircraft import DIGITS
-    from cli.flash.known_policies import known_policies
+    from neuroflight.cli.flash.image_aircraft import DIGITS
+    from neuroflight.cli.flash.known_policies import known_policies
 
     known = known_policies([sha256], Path.cwd()).get(sha256)
     digest = "not known: the policy's file is not here" if known is None else known.aircraft_sha256[:DIGITS]
@@ -100,7 +100,7 @@ def _trained_on(name: str, sha256: str) -> str:
 # --- status ----------------------------------------------------------------------------------------
 def status(args: argparse.Namespace) -> int:
     """Print how the firmware does."""
-    from flash.overview import read_overview
+    from neuroflight.flash.overview import read_overview
 
     with connect(args) as client:
         told = read_overview(client)
@@ -112,8 +112,8 @@ def status(args: argparse.Namespace) -> int:
 
 
 def _status_rows(told: Overview) -> list[tuple[str, str]]:
-    from cli.flash.image_aircraft import NO_PID
-    from flash.hints import brown_out, words
+    from neuroflight.cli.flash.image_aircraft import NO_PID
+    from neuroflight.flash.hints import brown_out, words
 
     flight, battery, attitude = told.flight, told.battery, told.attitude
     rows = [("armed", "yes" if told.armed else "no")]
@@ -161,8 +161,8 @@ def _status_rows(told: Overview) -> list[tuple[str, str]]:
 # --- tasks -----------------------------------------------------------------------------------------
 def tasks(args: argparse.Namespace) -> int:
     """Print the processor's time, task by task."""
-    from flash import records
-    from toolchain.contract import Msp
+    from neuroflight.flash import records
+    from neuroflight.toolchain.contract import Msp
 
     with connect(args) as client:
         told = records.tasks(client.request(Msp.TASKS))
@@ -208,8 +208,8 @@ def task_rows(told: Tasks) -> list[dict[str, str | int | float]]:
 # --- faults, acknowledge ---------------------------------------------------------------------------
 def faults(args: argparse.Namespace) -> int:
     """Print the record of the newest fault; acknowledge it if asked to."""
-    from flash import records, requests
-    from toolchain.contract import Msp
+    from neuroflight.flash import records, requests
+    from neuroflight.toolchain.contract import Msp
 
     with connect(args) as client:
         told = records.faults(client.request(Msp.FAULTS))
@@ -232,8 +232,8 @@ def faults(args: argparse.Namespace) -> int:
 
 
 def _fault_rows(fault: Fault, boots: int) -> list[tuple[str, str]]:
-    from flash.hints import FAULTS
-    from flash.records import FaultKind
+    from neuroflight.flash.hints import FAULTS
+    from neuroflight.flash.records import FaultKind
 
     rows = [
         ("fault", f"{fault.kind.name}: {FAULTS[fault.kind.name]}"),
@@ -253,7 +253,7 @@ def _fault_rows(fault: Fault, boots: int) -> list[tuple[str, str]]:
 
 def acknowledge(args: argparse.Namespace) -> int:
     """Acknowledge what keeps the board from arming, and say what it was."""
-    from flash.acknowledge import acknowledge
+    from neuroflight.flash.acknowledge import acknowledge
 
     with connect(args) as client:
         print(_acknowledged(acknowledge(client)))
@@ -261,7 +261,7 @@ def acknowledge(args: argparse.Namespace) -> int:
 
 
 def _acknowledged(known: Acknowledged) -> str:
-    from toolchain.contract import FallbackCause
+    from neuroflight.toolchain.contract import FallbackCause
 
     told = []
     if known.fault is not None:
@@ -274,7 +274,7 @@ def _acknowledged(known: Acknowledged) -> str:
 # --- calibrate, reboot -----------------------------------------------------------------------------
 def calibrate(args: argparse.Namespace) -> int:
     """Have the gyro's bias measured anew and wait until it is known."""
-    from flash.calibration import calibrate
+    from neuroflight.flash.calibration import calibrate
 
     with connect(args) as client:
         calibrate(client)
@@ -284,8 +284,8 @@ def calibrate(args: argparse.Namespace) -> int:
 
 def reboot(args: argparse.Namespace) -> int:
     """Start the firmware anew and wait until it answers, or the chip's ROM."""
-    from flash.restart import enter_rom, restart
-    from flash.transport import open_transport
+    from neuroflight.flash.restart import enter_rom, restart
+    from neuroflight.flash.transport import open_transport
 
     if getattr(args, "rom", False):
         with connect(args) as client:

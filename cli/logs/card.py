@@ -6,14 +6,14 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cli.flash.interrupts import one_interrupt
-from cli.flash.progress import step_bars
-from cli.flash.tables import print_json, print_table
-from cli.logs.questions import confirm
-from toolchain.errors import CardError, NeuroflightError
+from neuroflight.cli.flash.interrupts import one_interrupt
+from neuroflight.cli.flash.progress import step_bars
+from neuroflight.cli.flash.tables import print_json, print_table
+from neuroflight.cli.logs.questions import confirm
+from neuroflight.toolchain.errors import CardError, NeuroflightError
 
 if TYPE_CHECKING:
-    from flash.card.files import Card, LogFile
+    from neuroflight.flash.card.files import Card, LogFile
 
 MEGABYTES = 64
 WORDS = {"write": "writing", "compare": "comparing", "clear": "emptying"}
@@ -55,8 +55,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Prepare the card. Returns 0; raises NeuroflightError for what cannot be done."""
-    from flash.card.files import FILE_BYTES_MAX, MEBIBYTE, NUMBER_MAX
-    from flash.card.place import open_card
+    from neuroflight.flash.card.files import FILE_BYTES_MAX, MEBIBYTE, NUMBER_MAX
+    from neuroflight.flash.card.place import open_card
 
     if not 1 <= args.size <= FILE_BYTES_MAX // MEBIBYTE:
         raise NeuroflightError(f"--size got {args.size}, expected 1 to {FILE_BYTES_MAX // MEBIBYTE} MB")
@@ -93,7 +93,7 @@ def _summary(files: list[LogFile]) -> str:
 
 
 def _prepare(args: argparse.Namespace, card: Card) -> int:
-    from flash.card.files import MEBIBYTE, carry_out, make_plan
+    from neuroflight.flash.card.files import MEBIBYTE, carry_out, make_plan
 
     there = card.files()
     plan = make_plan(there, card.free_bytes(), args.size * MEBIBYTE, args.files)
@@ -113,8 +113,8 @@ def _prepare(args: argparse.Namespace, card: Card) -> int:
 
 
 def _clear(args: argparse.Namespace, card: Card) -> int:
-    from flash.card.copies import copy_of
-    from flash.card.files import behind
+    from neuroflight.flash.card.copies import copy_of
+    from neuroflight.flash.card.files import behind
 
     logs = [file for file in card.files() if not file.blank]
     if not args.copies.is_dir():

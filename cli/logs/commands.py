@@ -8,19 +8,19 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cli.logs.reading import (
+from neuroflight.cli.logs.reading import (
     add_choice_arguments,
     add_part_arguments,
     open_log,
     part,
     tell_damage,
 )
-from cli.output import print_table
-from toolchain.contract import AXES
+from neuroflight.cli.output import print_table
+from neuroflight.toolchain.contract import AXES
 
 if TYPE_CHECKING:
-    from sim.blackbox.commands import Commands, Sticks
-    from sim.blackbox.flight import Part
+    from neuroflight.sim.blackbox.commands import Commands, Sticks
+    from neuroflight.sim.blackbox.flight import Part
 
 BAR = 12  # characters of the longest bar
 
@@ -37,16 +37,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Decode, count, draw, print."""
-    from cli.output import check_output, plain
-    from sim.blackbox.commands import EDGES_DEG_S, QUANTILES, commands
+    from neuroflight.cli.output import check_output, plain
+    from neuroflight.sim.blackbox.commands import EDGES_DEG_S, QUANTILES, commands
 
     check_output(args.plot, ".png")
     chosen = part(args)
     told = commands([_sticks(args, path, chosen) for path in args.file])
     names = " ".join(path.name for path in args.file)
     if args.plot:
-        from sim.blackbox.commands_plot import draw_commands
-        from sim.plotting import save_png
+        from neuroflight.sim.blackbox.commands_plot import draw_commands
+        from neuroflight.sim.plotting import save_png
 
         all_axes = f"mean {told.overall.mean:.1f}, sigma {told.overall.sigma:.1f} deg/s"
         save_png(args.plot, draw_commands(told, f"{names}: {told.samples:,} samples, {all_axes}"))
@@ -69,10 +69,10 @@ def run(args: argparse.Namespace) -> int:
 
 def _sticks(args: argparse.Namespace, path: Path, chosen: Part) -> Sticks:
     """What a file says, a trace by its suffix; a log's damage is told."""
-    from sim.blackbox.commands import log_sticks, trace_sticks
+    from neuroflight.sim.blackbox.commands import log_sticks, trace_sticks
 
     if path.suffix == ".npz":
-        from sim.flight.trace import load_trace
+        from neuroflight.sim.flight.trace import load_trace
 
         return trace_sticks(load_trace(path), chosen)
     log = open_log(args, path)
@@ -82,7 +82,7 @@ def _sticks(args: argparse.Namespace, path: Path, chosen: Part) -> Sticks:
 
 
 def _print(title: str, told: Commands) -> None:
-    from sim.blackbox.commands import ASKED_DEG_S, EDGES_DEG_S, QUANTILES
+    from neuroflight.sim.blackbox.commands import ASKED_DEG_S, EDGES_DEG_S, QUANTILES
 
     rows: list[tuple[str, ...]] = [("deg/s", *AXES)]
 

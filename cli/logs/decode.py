@@ -6,8 +6,8 @@ import argparse
 import json
 from pathlib import Path
 
-from cli.logs.reading import add_file_arguments, open_log, tell_damage
-from cli.output import print_table
+from neuroflight.cli.logs.reading import add_file_arguments, open_log, tell_damage
+from neuroflight.cli.output import print_table
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -27,8 +27,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Decode, write, tell what there is."""
-    from cli.output import check_output
-    from sim.blackbox.export import save_csv, save_gps_csv, save_headers, save_npz
+    from neuroflight.cli.output import check_output
+    from neuroflight.sim.blackbox.export import save_csv, save_gps_csv, save_headers, save_npz
 
     check_output(args.csv, ".csv")
     check_output(args.npz, ".npz")

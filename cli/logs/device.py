@@ -7,26 +7,26 @@ import time
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from cli.flash.tables import print_facts, print_table
+from neuroflight.cli.flash.tables import print_facts, print_table
 
 if TYPE_CHECKING:
-    from flash.client import Client
-    from flash.logs.catalogue import Wait
-    from flash.logs.messages import LogEntry, LogInfo
+    from neuroflight.flash.client import Client
+    from neuroflight.flash.logs.catalogue import Wait
+    from neuroflight.flash.logs.messages import LogEntry, LogInfo
 
 HEADS = ("log", "name", "KB")
 
 
 def add_port(parser: argparse.ArgumentParser, *, required: bool) -> None:
     """Declare the port."""
-    from cli.flash.state import PORT_HELP
+    from neuroflight.cli.flash.state import PORT_HELP
 
     parser.add_argument("--port", required=required, metavar="PORT", help=PORT_HELP)
 
 
 def look(client: Client) -> tuple[LogInfo, list[LogEntry]]:
     """The device and its logs. Raises LinkError."""
-    from flash.logs.catalogue import read_entries, settled_info
+    from neuroflight.flash.logs.catalogue import read_entries, settled_info
 
     info = settled_info(client, waiting())
     return info, read_entries(client, info, waiting())
@@ -34,7 +34,7 @@ def look(client: Client) -> tuple[LogInfo, list[LogEntry]]:
 
 def waiting() -> Wait:
     """This computer's time."""
-    from flash.logs.catalogue import Wait
+    from neuroflight.flash.logs.catalogue import Wait
 
     return Wait(time.monotonic, time.sleep)
 
@@ -47,8 +47,8 @@ def print_logs(logs: Sequence[LogEntry]) -> None:
 
 def print_device(info: LogInfo) -> None:
     """What the device does, and what became of the last log."""
-    from flash.logs.catalogue import state_words
-    from flash.logs.messages import DEVICES
+    from neuroflight.flash.logs.catalogue import state_words
+    from neuroflight.flash.logs.messages import DEVICES
 
     rows = [("device", DEVICES[info.device]), ("state", state_words(info))]
     if info.capacity_kib:

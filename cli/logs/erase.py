@@ -6,10 +6,10 @@ import argparse
 import time
 from pathlib import Path
 
-from cli.flash.interrupts import one_interrupt
-from cli.logs.device import add_port, look, waiting
-from cli.logs.questions import confirm
-from toolchain.errors import NeuroflightError
+from neuroflight.cli.flash.interrupts import one_interrupt
+from neuroflight.cli.logs.device import add_port, look, waiting
+from neuroflight.cli.logs.questions import confirm
+from neuroflight.toolchain.errors import NeuroflightError
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -28,9 +28,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Erase. Returns 0; raises NeuroflightError of one line where nothing was erased."""
-    from cli.flash.state import connect
-    from flash.logs.catalogue import erase
-    from flash.logs.copies import find_copy
+    from neuroflight.cli.flash.state import connect
+    from neuroflight.flash.logs.catalogue import erase
+    from neuroflight.flash.logs.copies import find_copy
 
     with one_interrupt(), connect(args) as client:
         _, logs = look(client)

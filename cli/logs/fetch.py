@@ -9,15 +9,15 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cli.flash.interrupts import one_interrupt
-from cli.logs.device import add_port, look
-from cli.output import check_folder
-from toolchain.errors import NeuroflightError
+from neuroflight.cli.flash.interrupts import one_interrupt
+from neuroflight.cli.logs.device import add_port, look
+from neuroflight.cli.output import check_folder
+from neuroflight.toolchain.errors import NeuroflightError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from flash.logs.messages import LogEntry
+    from neuroflight.flash.logs.messages import LogEntry
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -38,8 +38,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Fetch. Returns 0; raises NeuroflightError of one line for what cannot be done."""
-    from cli.flash.state import connect
-    from flash.logs.fetch import fetch
+    from neuroflight.cli.flash.state import connect
+    from neuroflight.flash.logs.fetch import fetch
 
     if args.all and args.numbers:
         raise NeuroflightError("fetch got --all and numbers, expected one of them")

@@ -8,8 +8,8 @@ from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from cli.output import print_table
-from toolchain.errors import NeuroflightError
+from neuroflight.cli.output import print_table
+from neuroflight.toolchain.errors import NeuroflightError
 
 SUFFIXES = (".bbl", ".bfl", ".txt")
 FILES_MAX = 2000  # of a folder
@@ -59,10 +59,10 @@ def _folder(folder: Path) -> Iterator[Row]:
 
 
 def _file(path: Path) -> Iterator[Row]:
-    from sim.blackbox.firmware import Maker
-    from sim.blackbox.headers import read_bytes
-    from sim.blackbox.log import glance, is_blank, list_logs
-    from toolchain.files import file_size
+    from neuroflight.sim.blackbox.firmware import Maker
+    from neuroflight.sim.blackbox.headers import read_bytes
+    from neuroflight.sim.blackbox.log import glance, is_blank, list_logs
+    from neuroflight.toolchain.files import file_size
 
     size = file_size(path)
     if is_blank(path):

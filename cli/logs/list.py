@@ -7,13 +7,13 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cli.flash.tables import print_json
-from cli.logs import files
-from cli.logs.device import add_port, print_device, print_logs, waiting
-from toolchain.errors import LinkError, NeuroflightError
+from neuroflight.cli.flash.tables import print_json
+from neuroflight.cli.logs import files
+from neuroflight.cli.logs.device import add_port, print_device, print_logs, waiting
+from neuroflight.toolchain.errors import LinkError, NeuroflightError
 
 if TYPE_CHECKING:
-    from flash.logs.messages import LogEntry
+    from neuroflight.flash.logs.messages import LogEntry
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -32,8 +32,8 @@ def run(args: argparse.Namespace) -> int:
 
 def _list_device(args: argparse.Namespace) -> int:
     """Print device and logs. Returns 0; raises LinkError for a firmware that tells of none."""
-    from cli.flash.state import connect
-    from flash.logs.catalogue import read_entries, settled_info
+    from neuroflight.cli.flash.state import connect
+    from neuroflight.flash.logs.catalogue import read_entries, settled_info
 
     with connect(args) as client:
         info = settled_info(client, waiting())

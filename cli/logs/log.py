@@ -27,7 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     commands = parser.add_subparsers(dest="action", required=True, metavar="COMMAND")
     for name, summary in COMMANDS.items():
         sub = commands.add_parser(name, help=summary, description=summary)
-        module = importlib.import_module(f"cli.logs.{name}")
+        module = importlib.import_module(f"neuroflight.cli.logs.{name}")
         module.add_arguments(sub)
         sub.set_defaults(subcommand=module.run)
 

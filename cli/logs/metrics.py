@@ -7,13 +7,13 @@ import json
 from dataclasses import asdict
 from typing import TYPE_CHECKING
 
-from cli.logs.reading import add_file_arguments, add_part_arguments, open_log, part, tell_damage
-from cli.output import print_table
-from toolchain.contract import Mix
-from toolchain.errors import NeuroflightError
+from neuroflight.cli.logs.reading import add_file_arguments, add_part_arguments, open_log, part, tell_damage
+from neuroflight.cli.output import print_table
+from neuroflight.toolchain.contract import Mix
+from neuroflight.toolchain.errors import NeuroflightError
 
 if TYPE_CHECKING:
-    from sim.analysis.flight_report import Flight
+    from neuroflight.sim.analysis.flight_report import Flight
 
 NOTE = "errors are setpoint minus gyro: no log has the true rate"
 
@@ -35,7 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Decode, compute, print. FILE may be a trace of `fly --trace`, which is then seen as a log sees it."""
-    from cli.output import plain
+    from neuroflight.cli.output import plain
 
     if args.idle is not None and not 0.0 <= args.idle < 1.0:
         raise NeuroflightError(f"--idle: got {args.idle:g}, expected a part of full power, 0 to below 1")
@@ -52,7 +52,7 @@ def run(args: argparse.Namespace) -> int:
         }
         print(json.dumps(plain(told), indent=2, default=plain))
         return 0
-    from sim.analysis.flight_report import table
+    from neuroflight.sim.analysis.flight_report import table
 
     length = f"{len(flight.trace.t)} rows at {flight.trace.control_rate_hz} Hz"
     print_table(f"{args.file.name}: {flight.name}, {length}", table([flight]), NOTE)
@@ -60,7 +60,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _log(args: argparse.Namespace) -> Flight:
-    from sim.blackbox.flight import log_flight
+    from neuroflight.sim.blackbox.flight import log_flight
 
     chosen = part(args)
     log = open_log(args)
@@ -70,8 +70,8 @@ def _log(args: argparse.Namespace) -> Flight:
 
 
 def _trace(args: argparse.Namespace) -> Flight:
-    from sim.blackbox.flight import cut, trace_flight
-    from sim.flight.trace import load_trace
+    from neuroflight.sim.blackbox.flight import cut, trace_flight
+    from neuroflight.sim.flight.trace import load_trace
 
     chosen = part(args)
     return trace_flight(

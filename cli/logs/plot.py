@@ -6,7 +6,13 @@ import argparse
 import json
 from pathlib import Path
 
-from cli.logs.reading import add_file_arguments, add_part_arguments, check_part, open_log, tell_damage
+from neuroflight.cli.logs.reading import (
+    add_file_arguments,
+    add_part_arguments,
+    check_part,
+    open_log,
+    tell_damage,
+)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -18,9 +24,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Decode and draw."""
-    from cli.output import check_output
-    from sim.blackbox.plot import draw_log
-    from sim.plotting import save_png
+    from neuroflight.cli.output import check_output
+    from neuroflight.sim.blackbox.plot import draw_log
+    from neuroflight.sim.plotting import save_png
 
     check_output(args.out, ".png")
     check_part(args)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import argparse
 import json
 
-from cli.logs.reading import add_file_arguments, open_log, tell_damage
-from cli.output import print_table
+from neuroflight.cli.logs.reading import add_file_arguments, open_log, tell_damage
+from neuroflight.cli.output import print_table
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -16,7 +16,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Decode, look, print."""
-    from sim.blackbox.quality import quality
+    from neuroflight.sim.blackbox.quality import quality
 
     log = open_log(args)
     told = quality(log)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 
-from toolchain.errors import NeuroflightError
+from neuroflight.toolchain.errors import NeuroflightError
 
 
 def confirm(given: bool, what: str, undone: str) -> None:

@@ -7,11 +7,11 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from toolchain.errors import NeuroflightError
+from neuroflight.toolchain.errors import NeuroflightError
 
 if TYPE_CHECKING:
-    from sim.blackbox.flight import Part
-    from sim.blackbox.log import Log
+    from neuroflight.sim.blackbox.flight import Part
+    from neuroflight.sim.blackbox.log import Log
 
 
 def add_file_arguments(parser: argparse.ArgumentParser) -> None:
@@ -87,7 +87,7 @@ def add_part_arguments(parser: argparse.ArgumentParser, since: str) -> None:
 
 def part(args: argparse.Namespace) -> Part:
     """What --from and --to choose. Raises NeuroflightError where that is nothing."""
-    from sim.blackbox.flight import Part
+    from neuroflight.sim.blackbox.flight import Part
 
     check_part(args)
     return Part(args.start, args.stop)
@@ -106,7 +106,7 @@ def open_log(args: argparse.Namespace, path: Path | None = None) -> Log:
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-    from sim.blackbox.log import read_log
+    from neuroflight.sim.blackbox.log import read_log
 
     path, told = args.file if path is None else path, header_lines(args)
     columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())

@@ -11,14 +11,14 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cli.logs.reading import add_file_arguments, open_log, tell_damage
-from cli.output import print_table
-from toolchain.errors import NeuroflightError
+from neuroflight.cli.logs.reading import add_file_arguments, open_log, tell_damage
+from neuroflight.cli.output import print_table
+from neuroflight.toolchain.errors import NeuroflightError
 
 if TYPE_CHECKING:
-    from sim.blackbox.log import Log
-    from sim.replay.inputs import Answers, Flight
-    from sim.replay.other_policy import Opinion
+    from neuroflight.sim.blackbox.log import Log
+    from neuroflight.sim.replay.inputs import Answers, Flight
+    from neuroflight.sim.replay.other_policy import Opinion
 
 ROOT = Path(__file__).resolve().parents[2]
 MACHINES = ("library", "host", "emulator")
@@ -55,8 +55,8 @@ def run(args: argparse.Namespace) -> int:
 
     Also 1 where the file has a bit that the firmware did not write.
     """
-    from cli.output import check_output
-    from sim.replay.flight import replayable
+    from neuroflight.cli.output import check_output
+    from neuroflight.sim.replay.flight import replayable
 
     if args.policy is None and args.out is not None:
         raise NeuroflightError("--out draws what another policy answers; name it with --policy")
@@ -73,9 +73,9 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _compare(args: argparse.Namespace, log: Log, flight: Flight) -> int:
-    from sim.replay.comparison import compare
-    from sim.replay.cost import log_cost
-    from sim.replay.program import image_note
+    from neuroflight.sim.replay.comparison import compare
+    from neuroflight.sim.replay.cost import log_cost
+    from neuroflight.sim.replay.program import image_note
 
     with _bar(args, f"replaying on {args.on}") as show:
         answers = _replay(args, flight, show)
@@ -97,28 +97,28 @@ def _compare(args: argparse.Namespace, log: Log, flight: Flight) -> int:
 
 def _replay(args: argparse.Namespace, flight: Flight, show: Show) -> Answers:
     """What comes of the log's inputs on the machine that is asked for."""
-    from sim.replay.program import check_policy
+    from neuroflight.sim.replay.program import check_policy
 
     folder = args.build or ROOT / "build" / ("MATEKF722" if args.on == "emulator" else "HOST")
     if args.on == "emulator":
-        from sim.replay.emulator import replay_on_board
+        from neuroflight.sim.replay.emulator import replay_on_board
 
         check_policy(flight, folder / "neuroflight.elf")
         return replay_on_board(folder / "neuroflight.bin", flight, show)
     check_policy(flight, folder / "neuroflight")
     if args.on == "host":
-        from sim.replay.host import replay_on_host
+        from neuroflight.sim.replay.host import replay_on_host
 
         return replay_on_host(folder / "neuroflight", flight, show)
-    from sim.replay.library import replay_on_library
+    from neuroflight.sim.replay.library import replay_on_library
 
     return replay_on_library(folder / "libneuroflight.so", flight, show)
 
 
 def _ask(args: argparse.Namespace, flight: Flight) -> int:
     """What the other policy would have answered."""
-    from sim.replay.other_library import answers_of, build_around
-    from sim.replay.other_policy import opinion
+    from neuroflight.sim.replay.other_library import answers_of, build_around
+    from neuroflight.sim.replay.other_policy import opinion
 
     folder = args.build or ROOT / "build" / "HOST"
     with _bar(args, f"building {args.policy.name}"):
@@ -127,8 +127,8 @@ def _ask(args: argparse.Namespace, flight: Flight) -> int:
         answers = answers_of(folder, other, flight, show)
     told = opinion(flight, answers)
     if args.out is not None:
-        from sim.plotting import save_png
-        from sim.replay.other_policy_plot import draw
+        from neuroflight.sim.plotting import save_png
+        from neuroflight.sim.replay.other_policy_plot import draw
 
         title = f"{args.file.name}: what {args.policy.parent.name}/{args.policy.name} would have answered"
         save_png(args.out, draw(flight, answers, told, title))

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from sim.aircraft.model import Aircraft
-    from sim.design.airworthiness import Verdict
-    from sim.design.figures import Figures
+    from neuroflight.sim.aircraft.model import Aircraft
+    from neuroflight.sim.design.airworthiness import Verdict
+    from neuroflight.sim.design.figures import Figures
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -47,10 +47,10 @@ def run(args: argparse.Namespace) -> int:
 
 def _import(args: argparse.Namespace) -> int:
     """Write the aircraft of a model, and print what it is and what is assumed."""
-    from cli.output import check_output
-    from sim.aircraft.robot_aircraft import import_aircraft
-    from toolchain.errors import AircraftError
-    from toolchain.files import write_text
+    from neuroflight.cli.output import check_output
+    from neuroflight.sim.aircraft.robot_aircraft import import_aircraft
+    from neuroflight.toolchain.errors import AircraftError
+    from neuroflight.toolchain.files import write_text
 
     check_output(args.out, ".toml")
     if args.out.exists():
@@ -86,10 +86,10 @@ def _import(args: argparse.Namespace) -> int:
 
 def _check(args: argparse.Namespace) -> int:
     """Examine, draw and print. Returns 0, or 1 if one of the verdicts is an error."""
-    from sim.aircraft.model import load_aircraft
-    from sim.design.airworthiness import Level, examine
-    from sim.design.drawing import save_drawing
-    from toolchain.errors import AircraftError
+    from neuroflight.sim.aircraft.model import load_aircraft
+    from neuroflight.sim.design.airworthiness import Level, examine
+    from neuroflight.sim.design.drawing import save_drawing
+    from neuroflight.toolchain.errors import AircraftError
 
     if args.draw is not None and args.draw.suffix.lower() != ".png":
         raise AircraftError(f"--draw {args.draw}: expected a name that ends in .png")
@@ -150,7 +150,7 @@ def _print(aircraft: Aircraft, figures: Figures, verdicts: list[Verdict], drawn:
     from rich.table import Table
     from rich.text import Text
 
-    from sim.design.airworthiness import Level
+    from neuroflight.sim.design.airworthiness import Level
 
     console = Console(highlight=False)
     console.print(Text(f"{aircraft.name}: {aircraft.description or 'no description'}", style="bold"))
@@ -173,7 +173,7 @@ def _rows(aircraft: Aircraft, figures: Figures) -> list[tuple[str, str]]:
     """Label and text of each figure."""
     import numpy as np
 
-    from sim.aircraft.model import RPM
+    from neuroflight.sim.aircraft.model import RPM
 
     def three(values: Any, form: str = ".3g") -> str:  # noqa: ANN401 - an array or a list
         return " / ".join(format(value + 0.0, form) for value in values)

@@ -10,7 +10,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cli.sim.board_serial import (
+from neuroflight.cli.sim.board_serial import (
     UARTS,
     Interrupt,
     add_card_argument,
@@ -19,7 +19,7 @@ from cli.sim.board_serial import (
     open_end,
     parse_serials,
 )
-from toolchain.contract import (
+from neuroflight.toolchain.contract import (
     FLASH_BASE,
     FLASH_BYTES,
     FLASH_SECTORS,
@@ -27,13 +27,13 @@ from toolchain.contract import (
     MSP_BAUDS,
     SIM_BATTERY_MV,
 )
-from toolchain.errors import NeuroflightError
-from toolchain.files import claimed_file, file_size
+from neuroflight.toolchain.errors import NeuroflightError
+from neuroflight.toolchain.files import claimed_file, file_size
 
 if TYPE_CHECKING:
-    from sim.board.debug.gdb import GdbServer
-    from sim.board.serial.bridge import Bridge
-    from sim.board.serial.idle_board import IdleBoard
+    from neuroflight.sim.board.debug.gdb import GdbServer
+    from neuroflight.sim.board.serial.bridge import Bridge
+    from neuroflight.sim.board.serial.idle_board import IdleBoard
 
 BUILD = Path(__file__).resolve().parents[2] / "build" / "MATEKF722"
 BAUD_MAX = 10_000_000
@@ -102,13 +102,13 @@ def run(args: argparse.Namespace) -> int:
     _check(args)
     image = args.chip or args.image or (args.build or BUILD) / "neuroflight.bin"
 
-    from sim.board.debug.gdb import GdbServer
-    from sim.board.devices.sd_card import SdCard
-    from sim.board.matekf722 import GYROS
-    from sim.board.peripherals.usart import Format
-    from sim.board.serial.bridge import Bridge, UartLine
-    from sim.board.serial.idle_board import IdleBoard, Keeper, serve, with_image
-    from toolchain.image.elf import read_flashable
+    from neuroflight.sim.board.debug.gdb import GdbServer
+    from neuroflight.sim.board.devices.sd_card import SdCard
+    from neuroflight.sim.board.matekf722 import GYROS
+    from neuroflight.sim.board.peripherals.usart import Format
+    from neuroflight.sim.board.serial.bridge import Bridge, UartLine
+    from neuroflight.sim.board.serial.idle_board import IdleBoard, Keeper, serve, with_image
+    from neuroflight.toolchain.image.elf import read_flashable
 
     flashed = b"" if args.chip else read_flashable(image)
     elf = image.with_suffix(".elf")
@@ -250,7 +250,7 @@ def _kept(option: str, path: Path | None) -> bytes | None:
 
 
 def _keep(option: str, path: Path | None, content: bytes) -> None:
-    from toolchain.files import write_bytes
+    from neuroflight.toolchain.files import write_bytes
 
     if path is None:
         return
@@ -264,7 +264,7 @@ def _keep(option: str, path: Path | None, content: bytes) -> None:
 
 def _baud(idle: IdleBoard) -> float:
     """The speed of UART3. Raises NeuroflightError where the image has not started it."""
-    from sim.board.serial.idle_board import STEP
+    from neuroflight.sim.board.serial.idle_board import STEP
 
     idle.run_to(idle.board.cycle + STEP)  # it begins right behind UART1, which has begun
     uart = idle.board.hardware.usarts[UARTS["uart3"]]
@@ -291,7 +291,7 @@ def _tell(image: Path, bridges: Sequence[Bridge], debugger: GdbServer | None, *,
 
 
 def _summary(idle: IdleBoard) -> str:
-    from sim.board.core.context import TIME_HZ
+    from neuroflight.sim.board.core.context import TIME_HZ
 
     report = idle.board.report()
     resets = ", ".join(report.resets[1:]) or "none"

@@ -9,11 +9,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from toolchain.errors import NeuroflightError
+from neuroflight.toolchain.errors import NeuroflightError
 
 if TYPE_CHECKING:
-    from sim.board.debug.gdb import GdbServer
-    from sim.board.serial.bridge import End
+    from neuroflight.sim.board.debug.gdb import GdbServer
+    from neuroflight.sim.board.serial.bridge import End
 
 PORT_MAX = 65535
 GYROS = ("icm20602", "mpu6500", "icm20689", "icm20601", "icm20608g", "mpu9250")  # of sim.board.matekf722
@@ -59,7 +59,7 @@ def parse_serials(texts: Sequence[str]) -> dict[str, tuple[str, int]]:
 
 def open_end(serial: tuple[str, int]) -> End:
     """The end of a serial line that was asked for."""
-    from sim.board.serial.bridge import PtyEnd, TcpEnd
+    from neuroflight.sim.board.serial.bridge import PtyEnd, TcpEnd
 
     kind, port = serial
     return PtyEnd() if kind == "pty" else TcpEnd(port)

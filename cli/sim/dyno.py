@@ -12,15 +12,15 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cli.sim import dyno_bench, dyno_calibrate, dyno_run
-from cli.sim.dyno_repeats import heading_table, print_repeats, repeats_document
-from cli.sim.dyno_run import COLUMNS, check_range
-from toolchain.errors import NeuroflightError
+from neuroflight.cli.sim import dyno_bench, dyno_calibrate, dyno_run
+from neuroflight.cli.sim.dyno_repeats import heading_table, print_repeats, repeats_document
+from neuroflight.cli.sim.dyno_run import COLUMNS, check_range
+from neuroflight.toolchain.errors import NeuroflightError
 
 if TYPE_CHECKING:
-    from sim.identification.dyno.fit import Fit
-    from sim.identification.dyno.response import ResponseFit
-    from sim.identification.dyno.robust_fit import Estimate
+    from neuroflight.sim.identification.dyno.fit import Fit
+    from neuroflight.sim.identification.dyno.response import ResponseFit
+    from neuroflight.sim.identification.dyno.robust_fit import Estimate
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -101,13 +101,13 @@ def _fit(args: argparse.Namespace) -> int:
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-    from cli.output import check_output
-    from sim.aircraft.model import aircraft_file, load_aircraft
-    from sim.identification.dyno.fit import fit
-    from sim.identification.dyno.points import PointsFit, fit_points
-    from sim.identification.dyno.response import DELAY_MAX
-    from sim.identification.dyno.stand import choices, read_logs
-    from toolchain.errors import DynoError
+    from neuroflight.cli.output import check_output
+    from neuroflight.sim.aircraft.model import aircraft_file, load_aircraft
+    from neuroflight.sim.identification.dyno.fit import fit
+    from neuroflight.sim.identification.dyno.points import PointsFit, fit_points
+    from neuroflight.sim.identification.dyno.response import DELAY_MAX
+    from neuroflight.sim.identification.dyno.stand import choices, read_logs
+    from neuroflight.toolchain.errors import DynoError
 
     check_output(args.plot, ".png")
     check_output(args.write, ".toml")
@@ -146,18 +146,18 @@ def _fit(args: argparse.Namespace) -> int:
             found = fit_points(stands, reason, speed_dependent=args.speed_dependent)
     title = ", ".join(path.name for path in args.data)
     if args.write:
-        from sim.identification.dyno.write import write_fit
+        from neuroflight.sim.identification.dyno.write import write_fit
 
         write_fit(aircraft_file(name), args.write, found, title, args.inertia)
     if args.plot:
-        from sim.identification.dyno.plot import save_fit_plot
+        from neuroflight.sim.identification.dyno.plot import save_fit_plot
 
         save_fit_plot(args.plot, found, f"{title}: dynamometer fit")
     inertia = args.inertia
     if inertia is None and aircraft is not None:
         inertia = aircraft.propulsion.rotor_inertia
     if isinstance(found, PointsFit):
-        from cli.sim.dyno_points import points_document, print_points
+        from neuroflight.cli.sim.dyno_points import points_document, print_points
 
         if args.json:
             print(json.dumps(points_document(args.data, found, args.write), indent=2))
@@ -171,8 +171,8 @@ def _fit(args: argparse.Namespace) -> int:
 
 
 def _document(args: argparse.Namespace, fit: Fit, inertia: float | None) -> dict[str, Any]:
-    from cli.sim.dyno_points import estimate
-    from sim.aircraft.model import RPM
+    from neuroflight.cli.sim.dyno_points import estimate
+    from neuroflight.sim.aircraft.model import RPM
 
     def response(item: ResponseFit | None) -> dict[str, Any] | None:
         if item is None:
@@ -194,7 +194,7 @@ def _document(args: argparse.Namespace, fit: Fit, inertia: float | None) -> dict
         document["speed_rms_percent"] = 100 * item.rms / fit.speed_max
         return document
 
-    from sim.identification.bench.summary import repeats
+    from neuroflight.sim.identification.bench.summary import repeats
 
     return {
         "data": [str(path) for path in args.data],
@@ -234,7 +234,7 @@ def _print_fit(title: str, fit: Fit, inertia: float | None, written: Path | None
     from rich.console import Console
     from rich.text import Text
 
-    from sim.identification.bench.summary import repeats
+    from neuroflight.sim.identification.bench.summary import repeats
 
     console = Console()
     rows, outliers = len(fit.recording.time), [int(off.sum()) for off in fit.outliers]
@@ -277,7 +277,7 @@ def _print_fit(title: str, fit: Fit, inertia: float | None, written: Path | None
 
 def _parameters(fit: Fit, inertia: float | None) -> list[tuple[str, Estimate, float, str]]:
     """Label, estimate, scale and unit of everything fitted."""
-    from cli.sim.dyno_points import static_parameters
+    from neuroflight.cli.sim.dyno_points import static_parameters
 
     rows = static_parameters(fit)
     response = fit.response

@@ -11,16 +11,16 @@ from pathlib import Path
 from time import monotonic
 from typing import TYPE_CHECKING, Any
 
-from cli.output import check_output
-from cli.sim.dyno_repeats import print_repeats
-from toolchain.errors import NeuroflightError
+from neuroflight.cli.output import check_output
+from neuroflight.cli.sim.dyno_repeats import print_repeats
+from neuroflight.toolchain.errors import NeuroflightError
 
 if TYPE_CHECKING:
-    from sim.identification.bench.drive import Sensor
-    from sim.identification.bench.guard import Limits
-    from sim.identification.bench.plan import Plan, Run
-    from sim.identification.bench.quantities import Rig
-    from sim.identification.bench.session import Told
+    from neuroflight.sim.identification.bench.drive import Sensor
+    from neuroflight.sim.identification.bench.guard import Limits
+    from neuroflight.sim.identification.bench.plan import Plan, Run
+    from neuroflight.sim.identification.bench.quantities import Rig
+    from neuroflight.sim.identification.bench.session import Told
 
 SUMMARY = "drive a rotor on a dynamometer through a flight controller and record it, for `dyno fit`"
 CLEAR = "bench clear"
@@ -96,9 +96,9 @@ def add_sensor(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Make the runs, join them, print their figures. Returns 0."""
-    from sim.identification.bench.plan import check_folder, joined, missing_runs, read_runs
-    from sim.identification.dyno.recording import write_recording
-    from toolchain.files import claimed_file
+    from neuroflight.sim.identification.bench.plan import check_folder, joined, missing_runs, read_runs
+    from neuroflight.sim.identification.dyno.recording import write_recording
+    from neuroflight.toolchain.files import claimed_file
 
     check_output(args.out, ".csv")
     check_output(args.plot, ".png")
@@ -121,7 +121,7 @@ def run(args: argparse.Namespace) -> int:
         write_recording(args.out, whole)
         bad = sensor.reader.bad
     if args.plot:
-        from sim.identification.bench.plot import save_bench_plot
+        from neuroflight.sim.identification.bench.plot import save_bench_plot
 
         save_bench_plot(args.plot, recordings, f"{args.out.name}: {plan.repeats} repeats on the bench")
     _print(args, plan, recordings, len(whole.time), bad, folder)
@@ -131,9 +131,9 @@ def run(args: argparse.Namespace) -> int:
 @contextmanager
 def open_sensor(args: argparse.Namespace) -> Iterator[Sensor]:
     """The sensor, once it sends readings."""
-    from flash.transport import open_transport
-    from sim.identification.bench.drive import Sensor
-    from sim.identification.bench.sensor import LineReader, parse_layout
+    from neuroflight.flash.transport import open_transport
+    from neuroflight.sim.identification.bench.drive import Sensor
+    from neuroflight.sim.identification.bench.sensor import LineReader, parse_layout
 
     layout = parse_layout(args.columns.split(",")) if args.columns is not None else None
     line = open_transport(args.sensor)
@@ -162,10 +162,10 @@ def _limit(args: argparse.Namespace) -> float:
 
 
 def _rig(args: argparse.Namespace, sensor: Sensor) -> Rig:
-    from sim.identification.bench.load_cell import read_load_cells
-    from sim.identification.bench.pulses import BLADES_MAX, BLADES_MIN
-    from sim.identification.bench.quantities import Rig, check_rig, usual_window
-    from sim.identification.bench.sensor import CELLS
+    from neuroflight.sim.identification.bench.load_cell import read_load_cells
+    from neuroflight.sim.identification.bench.pulses import BLADES_MAX, BLADES_MIN
+    from neuroflight.sim.identification.bench.quantities import Rig, check_rig, usual_window
+    from neuroflight.sim.identification.bench.sensor import CELLS
 
     layout = sensor.reader.layout
     assert layout is not None  # it sends rows
@@ -187,7 +187,7 @@ def _rig(args: argparse.Namespace, sensor: Sensor) -> Rig:
 
 
 def _limits(args: argparse.Namespace, rig: Rig) -> Limits:
-    from sim.identification.bench.guard import Limits
+    from neuroflight.sim.identification.bench.guard import Limits
 
     given = {}
     for option, (field, column, _, _) in LIMITS.items():
@@ -208,8 +208,8 @@ def _limits(args: argparse.Namespace, rig: Rig) -> Limits:
 def _plan(args: argparse.Namespace, limit: float, rig: Rig) -> Plan:
     from dataclasses import asdict
 
-    from sim.identification.bench.plan import HOLD_S, RAMP_S, REPEATS, Plan
-    from sim.identification.dyno.bench import KINDS
+    from neuroflight.sim.identification.bench.plan import HOLD_S, RAMP_S, REPEATS, Plan
+    from neuroflight.sim.identification.dyno.bench import KINDS
 
     repeats = REPEATS if args.repeats is None else args.repeats
     hold = HOLD_S if args.hold is None else args.hold
@@ -276,11 +276,11 @@ def _turn(
     limits: Limits,
     sensor: Sensor,
 ) -> None:
-    from flash.client import Client
-    from flash.info import check_api
-    from flash.motors.bench import MotorBench
-    from flash.transport import open_transport
-    from sim.identification.bench.session import run_session
+    from neuroflight.flash.client import Client
+    from neuroflight.flash.info import check_api
+    from neuroflight.flash.motors.bench import MotorBench
+    from neuroflight.flash.transport import open_transport
+    from neuroflight.sim.identification.bench.session import run_session
 
     with Client(open_transport(args.port), monotonic) as client, _progress(args, plan, missing) as told:
         check_api(client)
@@ -325,7 +325,7 @@ def _print(
 ) -> None:
     from dataclasses import asdict
 
-    from sim.identification.bench.summary import peak, step_figures
+    from neuroflight.sim.identification.bench.summary import peak, step_figures
 
     steps = step_figures(recordings.get("steps", []))
     top = peak(recordings["ramp"]) if "ramp" in recordings else None

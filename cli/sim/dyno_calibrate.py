@@ -10,12 +10,12 @@ from pathlib import Path
 from time import monotonic
 from typing import TYPE_CHECKING
 
-from cli.output import check_output
-from cli.sim.dyno_bench import add_sensor, open_sensor
-from toolchain.errors import NeuroflightError
+from neuroflight.cli.output import check_output
+from neuroflight.cli.sim.dyno_bench import add_sensor, open_sensor
+from neuroflight.toolchain.errors import NeuroflightError
 
 if TYPE_CHECKING:
-    from sim.identification.bench.load_cell import LoadCell
+    from neuroflight.sim.identification.bench.load_cell import LoadCell
 
 SUMMARY = "calibrate a load cell with known masses: asks for one after the other, writes its figures"
 MASSES_MAX = 40
@@ -44,9 +44,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Ask for each mass, fit the line, write it. Returns 0."""
-    from sim.identification.bench.calibration import READ_S, calibrate, read_still
-    from sim.identification.bench.load_cell import read_load_cells, write_load_cells
-    from sim.identification.bench.sensor import CELLS
+    from neuroflight.sim.identification.bench.calibration import READ_S, calibrate, read_still
+    from neuroflight.sim.identification.bench.load_cell import read_load_cells, write_load_cells
+    from neuroflight.sim.identification.bench.sensor import CELLS
 
     check_output(args.out, ".toml")
     if args.cell not in CELLS:

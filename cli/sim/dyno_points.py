@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from sim.identification.dyno.fit import Fit
-    from sim.identification.dyno.points import PointsFit
-    from sim.identification.dyno.robust_fit import Estimate
+    from neuroflight.sim.identification.dyno.fit import Fit
+    from neuroflight.sim.identification.dyno.points import PointsFit
+    from neuroflight.sim.identification.dyno.robust_fit import Estimate
 
 
 def estimate(item: Estimate | None, scale: float = 1.0) -> dict[str, float | None] | None:
@@ -23,7 +23,7 @@ def estimate(item: Estimate | None, scale: float = 1.0) -> dict[str, float | Non
 
 def static_parameters(fit: Fit | PointsFit) -> list[tuple[str, Estimate, float, str]]:
     """Return label, estimate, scale and unit of each fitted term of the speed curve and the coefficients."""
-    from sim.aircraft.model import RPM
+    from neuroflight.sim.aircraft.model import RPM
 
     rows = [
         (f"H(u) {power}", term, 1 / RPM, "rpm")
@@ -41,7 +41,7 @@ def static_parameters(fit: Fit | PointsFit) -> list[tuple[str, Estimate, float, 
 
 def points_document(data: Sequence[Path], fit: PointsFit, written: Path | None) -> dict[str, Any]:
     """Return the fit under the names that `dyno fit` gives it for a recording; null: not shown by points."""
-    from sim.aircraft.model import RPM
+    from neuroflight.sim.aircraft.model import RPM
 
     return {
         "data": [str(path) for path in data],
@@ -68,8 +68,8 @@ def print_points(title: str, fit: PointsFit, written: Path | None) -> None:
     from rich.console import Console
     from rich.text import Text
 
-    from cli.sim.dyno_repeats import heading_table
-    from sim.aircraft.model import RPM
+    from neuroflight.cli.sim.dyno_repeats import heading_table
+    from neuroflight.sim.aircraft.model import RPM
 
     console = Console()
     table = heading_table(f"{title}: {len(fit.speed)} points", "", "fitted", "± standard error", "")

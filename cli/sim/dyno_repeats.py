@@ -10,7 +10,7 @@ if TYPE_CHECKING:
 
     from rich.table import Table
 
-    from sim.identification.bench.summary import Figure, Peak, Repeats, StepFigures
+    from neuroflight.sim.identification.bench.summary import Figure, Peak, Repeats, StepFigures
 
 HEADINGS = ("throttle", "0 to 90 %, ms", "rpm", "thrust, N", "torque, N m")
 

@@ -9,18 +9,18 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cli.output import check_output
-from cli.sim.dyno_repeats import print_repeats, repeats_document
-from toolchain.errors import NeuroflightError
+from neuroflight.cli.output import check_output
+from neuroflight.cli.sim.dyno_repeats import print_repeats, repeats_document
+from neuroflight.toolchain.errors import NeuroflightError
 
 if TYPE_CHECKING:
     import numpy as np
 
-    from sim.aircraft.model import Aircraft
-    from sim.identification.bench.quantities import Rig
-    from sim.identification.bench.simulated import Measured
-    from sim.identification.dyno.bench import Phase, Step
-    from sim.identification.dyno.recording import Recording
+    from neuroflight.sim.aircraft.model import Aircraft
+    from neuroflight.sim.identification.bench.quantities import Rig
+    from neuroflight.sim.identification.bench.simulated import Measured
+    from neuroflight.sim.identification.dyno.bench import Phase, Step
+    from neuroflight.sim.identification.dyno.recording import Recording
 
 SUMMARY = "simulate step (25, 50, 75, 100 %%) and ramp (0-100-0 %% in 40 s) experiments of one rotor"
 COLUMNS = "columns time_s, throttle (0..1), rpm, thrust_n, torque_n_m"
@@ -71,11 +71,11 @@ def run(args: argparse.Namespace) -> int:
     """Simulate, write the outputs, print the figures. Returns 0."""
     import numpy as np
 
-    from sim.aircraft.model import load_aircraft
-    from sim.identification.bench.plan import joined
-    from sim.identification.bench.simulated import Noise, calibrated
-    from sim.identification.dyno.bench import KINDS
-    from sim.identification.dyno.recording import write_recording
+    from neuroflight.sim.aircraft.model import load_aircraft
+    from neuroflight.sim.identification.bench.plan import joined
+    from neuroflight.sim.identification.bench.simulated import Noise, calibrated
+    from neuroflight.sim.identification.dyno.bench import KINDS
+    from neuroflight.sim.identification.dyno.recording import write_recording
 
     _check(args)
     aircraft = load_aircraft(args.aircraft)
@@ -101,8 +101,8 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _check(args: argparse.Namespace) -> None:
-    from sim.identification.dyno.bench import RATE_HZ_MAX, RATE_HZ_MIN, duration
-    from sim.identification.dyno.recording import ROWS_MAX
+    from neuroflight.sim.identification.dyno.bench import RATE_HZ_MAX, RATE_HZ_MIN, duration
+    from neuroflight.sim.identification.dyno.recording import ROWS_MAX
 
     check_output(args.out, ".csv")
     check_output(args.plot, ".png")
@@ -127,7 +127,7 @@ def check_range(name: str, value: float, low: float, high: float) -> None:
 
 
 def _experiment(args: argparse.Namespace, kind: str) -> tuple[Phase, ...]:
-    from sim.identification.dyno.bench import EXPERIMENTS, RAMP, steps_held
+    from neuroflight.sim.identification.dyno.bench import EXPERIMENTS, RAMP, steps_held
 
     if args.hold is None or kind == "ramp":
         return EXPERIMENTS[kind]
@@ -144,8 +144,8 @@ def _measured(
     rng: np.random.Generator,
 ) -> Measured:
     """One run."""
-    from sim.identification.bench.simulated import Measured, measured
-    from sim.identification.dyno import bench as dyno
+    from neuroflight.sim.identification.bench.simulated import Measured, measured
+    from neuroflight.sim.identification.dyno import bench as dyno
 
     experiment = _experiment(args, kind)
     time = dyno.sample_times(dyno.duration(experiment), args.rate_hz, rng if args.uneven else None)
@@ -160,19 +160,19 @@ def _measured(
 
 def _draw(args: argparse.Namespace, aircraft: Aircraft, groups: dict[str, list[Recording]]) -> None:
     if args.repeats == 1:
-        from sim.identification.dyno.plot import save_recording_plot
+        from neuroflight.sim.identification.dyno.plot import save_recording_plot
 
         ((recording,),) = groups.values()
         save_recording_plot(args.plot, recording, f"{aircraft.name}: dynamometer, {args.experiment}")
         return
-    from sim.identification.bench.plot import save_bench_plot
+    from neuroflight.sim.identification.bench.plot import save_bench_plot
 
     save_bench_plot(args.plot, groups, f"{aircraft.name}: simulated dynamometer, {args.repeats} repeats")
 
 
 def _found(rig: Rig, runs: Sequence[Measured]) -> dict[str, Any]:
     """What the sensors found, beside the truth."""
-    from sim.identification.bench.simulated import CELLS, scale_errors, speed_found
+    from neuroflight.sim.identification.bench.simulated import CELLS, scale_errors, speed_found
 
     errors, speed = scale_errors(rig.cells), speed_found(runs)
     return {
@@ -212,8 +212,8 @@ def _step(step: Step) -> dict[str, float]:
 def _print(
     args: argparse.Namespace, aircraft: Aircraft, recording: Recording, found: dict[str, Any] | None
 ) -> None:
-    from sim.identification.bench.summary import repeats
-    from sim.identification.dyno.bench import HOLD_S, steps
+    from neuroflight.sim.identification.bench.summary import repeats
+    from neuroflight.sim.identification.dyno.bench import HOLD_S, steps
 
     repeated = repeats(recording)
     if args.json:
@@ -246,7 +246,7 @@ def _print_steps(title: str, steps: tuple[Step, ...]) -> None:
     from rich.console import Console
     from rich.text import Text
 
-    from cli.sim.dyno_repeats import HEADINGS, heading_table
+    from neuroflight.cli.sim.dyno_repeats import HEADINGS, heading_table
 
     if not steps:
         Console().print(Text(title))

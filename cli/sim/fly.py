@@ -9,9 +9,9 @@ from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cli.logs.reading import add_recording_arguments, header_lines, part
-from cli.sim.fly_blackbox import add_blackbox_argument, check_blackbox
-from cli.sim.fly_emulator import (
+from neuroflight.cli.logs.reading import add_recording_arguments, header_lines, part
+from neuroflight.cli.sim.fly_blackbox import add_blackbox_argument, check_blackbox
+from neuroflight.cli.sim.fly_emulator import (
     add_emulator_arguments,
     check_emulator,
     emulator_words,
@@ -19,8 +19,8 @@ from cli.sim.fly_emulator import (
     keep,
     say,
 )
-from cli.sim.fly_jobs import Crew, Show, usable_cores
-from cli.sim.fly_output import (
+from neuroflight.cli.sim.fly_jobs import Crew, Show, usable_cores
+from neuroflight.cli.sim.fly_output import (
     Flown,
     conditions,
     document,
@@ -28,7 +28,7 @@ from cli.sim.fly_output import (
     print_several,
     sentence,
 )
-from cli.sim.fly_ports import (
+from neuroflight.cli.sim.fly_ports import (
     RECEIVERS,
     Entry,
     built_firmware,
@@ -38,17 +38,22 @@ from cli.sim.fly_ports import (
     prepare,
     quiet,
 )
-from cli.sim.fly_telemetry import add_telemetry_arguments, asks_telemetry, check_telemetry, save_telemetry
-from cli.sim.fly_thrust import Thrust, add_throttle_argument, chosen_thrust
-from toolchain.contract import GYRO_RATE_DEFAULT_HZ, GYRO_RATES_HZ
-from toolchain.errors import NeuroflightError
+from neuroflight.cli.sim.fly_telemetry import (
+    add_telemetry_arguments,
+    asks_telemetry,
+    check_telemetry,
+    save_telemetry,
+)
+from neuroflight.cli.sim.fly_thrust import Thrust, add_throttle_argument, chosen_thrust
+from neuroflight.toolchain.contract import GYRO_RATE_DEFAULT_HZ, GYRO_RATES_HZ
+from neuroflight.toolchain.errors import NeuroflightError
 
 if TYPE_CHECKING:
     from rich.progress import TaskID
 
-    from sim.aircraft.model import Aircraft
-    from sim.flight.scenario import Scenario
-    from sim.flight.trace import Trace
+    from neuroflight.sim.aircraft.model import Aircraft
+    from neuroflight.sim.flight.scenario import Scenario
+    from neuroflight.sim.flight.trace import Trace
 
 MOUNTS = ("centre", "rig", "free")
 FIRMWARES = ("reference", "host", "emulator", "betaflight")
@@ -162,9 +167,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Fly, write the outputs, print the figures. Returns 0, or STOPPED."""
-    from sim.aircraft.model import load_aircraft
-    from sim.analysis.flight_report import save_plot, save_report
-    from sim.flight.trace import save_trace
+    from neuroflight.sim.aircraft.model import load_aircraft
+    from neuroflight.sim.analysis.flight_report import save_plot, save_report
+    from neuroflight.sim.flight.trace import save_trace
 
     _check(args)
     firmware = built_firmware(args)
@@ -202,7 +207,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _check(args: argparse.Namespace) -> None:
     """Check scenarios and output files before anything is loaded."""
-    from cli.output import check_output
+    from neuroflight.cli.output import check_output
 
     for path, suffix in ((args.trace, ".npz"), (args.plot, ".png"), (args.report, ".html")):
         check_output(path, suffix)
@@ -225,8 +230,8 @@ def _check(args: argparse.Namespace) -> None:
 
 def _scenarios(args: argparse.Namespace, thrust: Thrust) -> list[Scenario]:
     """The scenarios, in the order of flight."""
-    from sim.physics.world import Mount
-    from sim.recorded.files import load_flight
+    from neuroflight.sim.physics.world import Mount
+    from neuroflight.sim.recorded.files import load_flight
 
     mount = None if args.mount is None else Mount(args.mount)
     throttle = thrust.value or 0.0
@@ -266,7 +271,7 @@ def _run_several(
             with _bar(args) as show:
                 flown.append(task(show(name)))
     else:
-        import sim.physics.twin  # noqa: F401 - once, before the processes are forked
+        import neuroflight.sim.physics.twin  # noqa: F401 - once, before the processes are forked
 
         with Crew(tasks, jobs) as crew, _bar(args) as show:
             flown = crew.results([show(name) for name in names])
@@ -311,7 +316,7 @@ def _bar(args: argparse.Namespace) -> Iterator[Callable[[str], Show]]:
 
 def _fly_all(args: argparse.Namespace, aircraft: Aircraft, scenario: Scenario) -> list[Flown]:
     """The firmware's flight, and beside it the PID's if the aircraft has gains for one."""
-    import sim.physics.twin  # noqa: F401 - once, before a process is forked
+    import neuroflight.sim.physics.twin  # noqa: F401 - once, before a process is forked
 
     firmware = open_firmware(args, aircraft)
     with closing(firmware):
@@ -345,15 +350,15 @@ def _fly(
     """One flight in a fresh twin of the seed; closes the port."""
     import numpy as np
 
-    from sim.analysis.flight_report import Flight
-    from sim.analysis.holding import holding
-    from sim.analysis.metrics import figures
-    from sim.analysis.stick_flight import stick_figures
-    from sim.flight.esc_record import EscRecord
-    from sim.flight.loop import fly
-    from sim.flight.motion import Motion
-    from sim.flight.trace import save_trace
-    from sim.physics.twin import Twin
+    from neuroflight.sim.analysis.flight_report import Flight
+    from neuroflight.sim.analysis.holding import holding
+    from neuroflight.sim.analysis.metrics import figures
+    from neuroflight.sim.analysis.stick_flight import stick_figures
+    from neuroflight.sim.flight.esc_record import EscRecord
+    from neuroflight.sim.flight.loop import fly
+    from neuroflight.sim.flight.motion import Motion
+    from neuroflight.sim.flight.trace import save_trace
+    from neuroflight.sim.physics.twin import Twin
 
     rng = np.random.default_rng((args.seed, 1))  # another stream than the scenario's commands
 

@@ -11,12 +11,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from toolchain.contract import SETTINGS
-from toolchain.errors import NeuroflightError
-from toolchain.files import replacing
+from neuroflight.toolchain.contract import SETTINGS
+from neuroflight.toolchain.errors import NeuroflightError
+from neuroflight.toolchain.files import replacing
 
 if TYPE_CHECKING:
-    from sim.ports.port import Logged
+    from neuroflight.sim.ports.port import Logged
 
 END = b"End of log\0"  # of Betaflight's last event
 UART = "USART3"  # as the chip calls UART3
@@ -110,7 +110,7 @@ def add_blackbox_argument(parser: argparse.ArgumentParser) -> None:
 
 def check_blackbox(args: argparse.Namespace) -> None:
     """Refuse what cannot be, before anything is opened."""
-    from cli.output import check_output
+    from neuroflight.cli.output import check_output
 
     if args.blackbox is None:
         return
@@ -145,7 +145,7 @@ def blackbox_baud(args: argparse.Namespace) -> int:
 
 
 def _changes(args: argparse.Namespace) -> dict[str, float]:
-    from flash.settings import parse_change
+    from neuroflight.flash.settings import parse_change
 
     return dict(parse_change(text) for text in args.set)
 

@@ -10,8 +10,8 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cli.sim.board_serial import GYROS as CHIPS
-from cli.sim.board_serial import (
+from neuroflight.cli.sim.board_serial import GYROS as CHIPS
+from neuroflight.cli.sim.board_serial import (
     UARTS,
     Interrupt,
     add_card_argument,
@@ -20,13 +20,13 @@ from cli.sim.board_serial import (
     open_end,
     parse_serials,
 )
-from cli.sim.fly_blackbox import FlightLog, blackbox_baud
-from toolchain.errors import NeuroflightError
+from neuroflight.cli.sim.fly_blackbox import FlightLog, blackbox_baud
+from neuroflight.toolchain.errors import NeuroflightError
 
 if TYPE_CHECKING:
-    from sim.board.board import Board
-    from sim.ports.emulator import EmulatedPort
-    from sim.ports.emulator_report import EmulatedReport
+    from neuroflight.sim.board.board import Board
+    from neuroflight.sim.ports.emulator import EmulatedPort
+    from neuroflight.sim.ports.emulator_report import EmulatedReport
 
 STOPPED = 3  # exit code of a flight with faults in which the firmware stopped the motors before the end
 ESCS = {"dshot300": 300, "dshot600": 600}
@@ -101,10 +101,10 @@ def open_image(
     log: FlightLog | None,
 ) -> EmulatedPort:
     """The image on a board of its own; what was attached to it ends with `ends`. log: of UART3, if any."""
-    from sim.board.debug.fault_injection import parse_fault
-    from sim.board.devices.sd_card import SdCard
-    from sim.board.matekf722 import GYROS
-    from sim.ports.emulator import EmulatedPort
+    from neuroflight.sim.board.debug.fault_injection import parse_fault
+    from neuroflight.sim.board.devices.sd_card import SdCard
+    from neuroflight.sim.board.matekf722 import GYROS
+    from neuroflight.sim.ports.emulator import EmulatedPort
 
     faults = [parse_fault(text) for text in args.fault]
     card = None if args.card is None else SdCard(args.card)
@@ -128,11 +128,11 @@ def attached(
     args: argparse.Namespace, board: Board, image: Path, ends: ExitStack, log: FlightLog | None = None
 ) -> Callable[[int], None]:
     """What runs `board` with the debugger and the serial lines that were asked for; waits for gdb."""
-    from flash.settings import parse_change
-    from sim.board.debug.gdb import GdbServer
-    from sim.board.peripherals.usart import Format
-    from sim.board.serial.bridge import Bridge, UartLine
-    from toolchain.contract import MSP_BAUD_DEFAULT
+    from neuroflight.flash.settings import parse_change
+    from neuroflight.sim.board.debug.gdb import GdbServer
+    from neuroflight.sim.board.peripherals.usart import Format
+    from neuroflight.sim.board.serial.bridge import Bridge, UartLine
+    from neuroflight.toolchain.contract import MSP_BAUD_DEFAULT
 
     bauds = {"uart1": "msp_baud", "uart3": "uart3_baud"}  # the settings
     if log is not None and log.path is not None:
@@ -226,7 +226,7 @@ def emulator_cells(report: EmulatedReport) -> tuple[str, ...]:
 
 def save_profile(directory: Path, board: Board) -> None:
     """Write the profile and say where."""
-    from sim.board.debug.profile_write import write_profile
+    from neuroflight.sim.board.debug.profile_write import write_profile
 
     names = write_profile(directory, board)
     print(f"{directory}: {', '.join(names)}", file=sys.stderr)

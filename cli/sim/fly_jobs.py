@@ -15,7 +15,7 @@ from contextlib import suppress
 from multiprocessing.connection import Connection, wait
 from typing import Generic, NoReturn, TypeVar
 
-from toolchain.errors import LinkError, NeuroflightError
+from neuroflight.toolchain.errors import LinkError, NeuroflightError
 
 T = TypeVar("T")
 Show = Callable[[float], None]  # gets the flown part of a flight, 0..1

@@ -6,19 +6,24 @@ import argparse
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
-from cli.output import print_table
-from cli.sim.fly_blackbox import LogReport, log_rows
-from cli.sim.fly_emulator import EMULATOR_HEADINGS, emulator_cells, emulator_document, emulator_rows
-from cli.sim.fly_telemetry import telemetry_document
+from neuroflight.cli.output import print_table
+from neuroflight.cli.sim.fly_blackbox import LogReport, log_rows
+from neuroflight.cli.sim.fly_emulator import (
+    EMULATOR_HEADINGS,
+    emulator_cells,
+    emulator_document,
+    emulator_rows,
+)
+from neuroflight.cli.sim.fly_telemetry import telemetry_document
 
 if TYPE_CHECKING:
-    from cli.sim.fly_telemetry import Topics
-    from cli.sim.fly_thrust import Thrust
-    from sim.aircraft.model import Aircraft
-    from sim.analysis.flight_report import Flight
-    from sim.analysis.stick_flight import StickFigures
-    from sim.flight.scenario import Scenario
-    from sim.ports.emulator_report import EmulatedReport
+    from neuroflight.cli.sim.fly_telemetry import Topics
+    from neuroflight.cli.sim.fly_thrust import Thrust
+    from neuroflight.sim.aircraft.model import Aircraft
+    from neuroflight.sim.analysis.flight_report import Flight
+    from neuroflight.sim.analysis.stick_flight import StickFigures
+    from neuroflight.sim.flight.scenario import Scenario
+    from neuroflight.sim.ports.emulator_report import EmulatedReport
 
 STICK_ROWS = (  # of a flight by eye: heading, figure, digits
     ("height error, m", "height_error_m", 2),
@@ -79,8 +84,8 @@ def document(
     args: argparse.Namespace, aircraft: Aircraft, scenario: Scenario, thrust: Thrust, flown: list[Flown]
 ) -> dict[str, Any]:
     """The JSON document of one scenario."""
-    from cli.output import plain
-    from sim.flight.scenario import AT_THROTTLE
+    from neuroflight.cli.output import plain
+    from neuroflight.sim.flight.scenario import AT_THROTTLE
 
     report, log = flown[0].report, flown[0].log
     return {
@@ -126,7 +131,7 @@ def _flight_document(one: Flown) -> dict[str, Any]:
 
 def sentence(scenario: Scenario, thrust: Thrust, flown: list[Flown]) -> str:
     """Return the verdict on the firmware's flight, beside the PID's if there is one."""
-    from sim.analysis.flight_verdict import verdict
+    from neuroflight.sim.analysis.flight_verdict import verdict
 
     first, *others = flown
     beside = others[0].flight if others else None
@@ -135,7 +140,7 @@ def sentence(scenario: Scenario, thrust: Thrust, flown: list[Flown]) -> str:
 
 def _commanded(scenario: Scenario, thrust: Thrust) -> str:
     """Return what was flown, in words."""
-    from sim.flight.scenario import AT_THROTTLE
+    from neuroflight.sim.flight.scenario import AT_THROTTLE
 
     where = thrust.where if scenario.name in AT_THROTTLE else ""
     if scenario.episode_s is None:
@@ -168,7 +173,7 @@ def _stick_rows(flown: list[Flown]) -> list[tuple[str, ...]]:
 
 def print_flight(title: str, note: str, flown: list[Flown], verdict: str) -> None:
     """A column a flight, the emulated board's report of the first, and the verdict on it."""
-    from sim.analysis.flight_report import table
+    from neuroflight.sim.analysis.flight_report import table
 
     report = flown[0].report
     print_table(title, table([one.flight for one in flown]), note)
@@ -183,7 +188,7 @@ def print_several(
     title: str, args: argparse.Namespace, scenarios: list[Scenario], thrust: Thrust, flown: list[Flown]
 ) -> None:
     """A row a flight, the part of the emulated board's report that all share, and the verdict."""
-    from sim.analysis.flight_verdict import verdict_of_several
+    from neuroflight.sim.analysis.flight_verdict import verdict_of_several
 
     report = flown[0].report
     headings = EMULATOR_HEADINGS if report else ("armed",)

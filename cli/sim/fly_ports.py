@@ -12,18 +12,18 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cli.sim.fly_blackbox import FlightLog, emulated_settings
-from cli.sim.fly_emulator import keep_profile, open_image, save_profile
-from toolchain.errors import NeuroflightError
+from neuroflight.cli.sim.fly_blackbox import FlightLog, emulated_settings
+from neuroflight.cli.sim.fly_emulator import keep_profile, open_image, save_profile
+from neuroflight.toolchain.errors import NeuroflightError
 
 if TYPE_CHECKING:
-    from sim.aircraft.model import Aircraft
-    from sim.flight.scenario import Scenario
-    from sim.ports.betaflight.build import Betaflight
-    from sim.ports.emulator_report import EmulatedReport
-    from sim.ports.port import FirmwarePort
-    from toolchain.contract import FallbackCause, Mix
-    from toolchain.image.report import Built
+    from neuroflight.sim.aircraft.model import Aircraft
+    from neuroflight.sim.flight.scenario import Scenario
+    from neuroflight.sim.ports.betaflight.build import Betaflight
+    from neuroflight.sim.ports.emulator_report import EmulatedReport
+    from neuroflight.sim.ports.port import FirmwarePort
+    from neuroflight.toolchain.contract import FallbackCause, Mix
+    from neuroflight.toolchain.image.report import Built
 
 BUILD = Path(__file__).resolve().parents[2] / "build" / "HOST"
 RECEIVERS = ("sbus", "crsf")  # in the order of the setting's choices
@@ -71,8 +71,8 @@ def _product(args: argparse.Namespace) -> Path:
 
 def built_firmware(args: argparse.Namespace) -> Built | None:
     """What the firmware that is to fly was built of; None: not known, or Betaflight."""
-    from toolchain.errors import BuildError
-    from toolchain.image.report import built
+    from neuroflight.toolchain.errors import BuildError
+    from neuroflight.toolchain.image.report import built
 
     if args.on == "betaflight":
         return None
@@ -84,7 +84,7 @@ def built_firmware(args: argparse.Namespace) -> Built | None:
 
 def foreign_note(args: argparse.Namespace, firmware: Built | None, aircraft: Aircraft) -> str | None:
     """One line where the firmware's controller is another aircraft's than the one that is flown."""
-    from sim.aircraft.identity import other_aircraft_note
+    from neuroflight.sim.aircraft.identity import other_aircraft_note
 
     if firmware is None:
         return None
@@ -109,11 +109,11 @@ def open_firmware(args: argparse.Namespace, aircraft: Aircraft) -> Entry:
 
 
 def _open_firmware(args: argparse.Namespace, aircraft: Aircraft, log: FlightLog | None) -> Entry:
-    from flash.settings import check_known, parse_change
-    from sim.ports.host import HostPort
-    from sim.ports.library import ReferencePort
-    from sim.ports.port import flight_settings, twin_settings
-    from toolchain.image.report import built_motors
+    from neuroflight.flash.settings import check_known, parse_change
+    from neuroflight.sim.ports.host import HostPort
+    from neuroflight.sim.ports.library import ReferencePort
+    from neuroflight.sim.ports.port import flight_settings, twin_settings
+    from neuroflight.toolchain.image.report import built_motors
 
     if args.on == "betaflight":
         return _open_betaflight(args, aircraft)
@@ -149,8 +149,8 @@ def _open_firmware(args: argparse.Namespace, aircraft: Aircraft, log: FlightLog 
 
 def _names(product: Path) -> tuple[str, str]:
     """Return the names of the policy and of the PID in `product`, a file of a build."""
-    from toolchain.image.report import built
-    from toolchain.policy.label import policy_label
+    from neuroflight.toolchain.image.report import built
+    from neuroflight.toolchain.policy.label import policy_label
 
     found = built(product)
     return policy_label(found.policy_file), f"firmware's PID {found.pid}"
@@ -158,9 +158,9 @@ def _names(product: Path) -> tuple[str, str]:
 
 def open_pid(args: argparse.Namespace, aircraft: Aircraft, control_rate_hz: int) -> Entry:
     """The aircraft's PID in the firmware's control path."""
-    from sim.control.pid import aircraft_pid
-    from sim.control.pid_table import pid_settings
-    from sim.ports.python_controller import ControllerPort
+    from neuroflight.sim.control.pid import aircraft_pid
+    from neuroflight.sim.control.pid_table import pid_settings
+    from neuroflight.sim.ports.python_controller import ControllerPort
 
     settings = pid_settings(aircraft)
     port = ControllerPort(
@@ -183,8 +183,8 @@ def quiet(args: argparse.Namespace) -> bool:
 
 def _open_emulator(args: argparse.Namespace, settings: dict[str, float], log: FlightLog | None) -> Entry:
     """The image on a board of its own."""
-    from sim.ports.emulator_report import emulated_report
-    from toolchain.image.report import built_motors
+    from neuroflight.sim.ports.emulator_report import emulated_report
+    from neuroflight.toolchain.image.report import built_motors
 
     image = _product(args)
     with ExitStack() as undo:
@@ -232,8 +232,8 @@ def built_betaflight(args: argparse.Namespace, aircraft: Aircraft) -> Betaflight
     """
     from rich.console import Console
 
-    from sim.ports.betaflight.build import build_betaflight
-    from sim.ports.betaflight.port import aircraft_settings
+    from neuroflight.sim.ports.betaflight.build import build_betaflight
+    from neuroflight.sim.ports.betaflight.port import aircraft_settings
 
     aircraft_settings(aircraft)
     console = Console(stderr=True)
@@ -249,8 +249,8 @@ def built_betaflight(args: argparse.Namespace, aircraft: Aircraft) -> Betaflight
 
 def _open_betaflight(args: argparse.Namespace, aircraft: Aircraft) -> Entry:
     """Betaflight, which `prepare` has built."""
-    from sim.ports.betaflight.build import build_betaflight
-    from sim.ports.betaflight.port import IDLE, BetaflightPort, aircraft_settings
+    from neuroflight.sim.ports.betaflight.build import build_betaflight
+    from neuroflight.sim.ports.betaflight.port import IDLE, BetaflightPort, aircraft_settings
 
     settings = aircraft_settings(aircraft)
     betaflight = build_betaflight(args.build or BETAFLIGHT, lambda _: None)

@@ -27,7 +27,7 @@ def add_telemetry_arguments(parser: argparse.ArgumentParser) -> None:
 
 def check_telemetry(args: argparse.Namespace) -> None:
     """Check the output files."""
-    from cli.output import check_output
+    from neuroflight.cli.output import check_output
 
     check_output(args.telemetry, ".csv")
     check_output(args.telemetry_plot, ".png")
@@ -42,9 +42,9 @@ def save_telemetry(args: argparse.Namespace, topics: Topics | None, control_rate
     """Write what was asked for."""
     if topics is None:
         return
-    from sim.analysis.esc_plot import draw_topics
-    from sim.flight.esc_record import save_topics
-    from sim.plotting import save_png
+    from neuroflight.sim.analysis.esc_plot import draw_topics
+    from neuroflight.sim.flight.esc_record import save_topics
+    from neuroflight.sim.plotting import save_png
 
     rate_hz = control_rate_hz or 1  # of a single row
     if args.telemetry:
@@ -57,7 +57,7 @@ def telemetry_document(topics: Topics | None) -> dict[str, Any]:
     """The range of each topic over the flight and all motors; null: the aircraft file does not give it."""
     if topics is None:
         return {}
-    from sim.flight.esc_record import topic_ranges
+    from neuroflight.sim.flight.esc_record import topic_ranges
 
     ranges = topic_ranges(topics)
     return {"esc": {name: None if each is None else asdict(each) for name, each in ranges.items()}}

@@ -6,12 +6,12 @@ import argparse
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from toolchain.contract import IDLE_DEFAULT
-from toolchain.errors import NeuroflightError
+from neuroflight.toolchain.contract import IDLE_DEFAULT
+from neuroflight.toolchain.errors import NeuroflightError
 
 if TYPE_CHECKING:
-    from sim.aircraft.model import Aircraft
-    from toolchain.image.report import Built
+    from neuroflight.sim.aircraft.model import Aircraft
+    from neuroflight.toolchain.image.report import Built
 
 
 @dataclass(frozen=True)
@@ -45,8 +45,8 @@ def chosen_thrust(args: argparse.Namespace, aircraft: Aircraft, firmware: Built 
 
     firmware: what was built, if that is known. Raises NeuroflightError where neither can be.
     """
-    from sim.design.figures import hover_throttle
-    from sim.flight.scenario import AT_THROTTLE
+    from neuroflight.sim.design.figures import hover_throttle
+    from neuroflight.sim.flight.scenario import AT_THROTTLE
 
     if args.throttle is not None:
         if own := next((name for name in args.scenario if name not in AT_THROTTLE), None):
@@ -67,7 +67,7 @@ def chosen_thrust(args: argparse.Namespace, aircraft: Aircraft, firmware: Built 
 
 def _idle(args: argparse.Namespace, firmware: Built | None) -> float:
     """Return the motor fraction of armed motors at no thrust; the usual where the build does not tell."""
-    from sim.ports.betaflight.port import IDLE
+    from neuroflight.sim.ports.betaflight.port import IDLE
 
     if args.on == "betaflight":
         return IDLE

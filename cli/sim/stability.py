@@ -9,11 +9,11 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from toolchain.errors import NeuroflightError
+from neuroflight.toolchain.errors import NeuroflightError
 
 if TYPE_CHECKING:
-    from sim.aircraft.model import Aircraft
-    from sim.identification.link_drift import Drift, Onset
+    from neuroflight.sim.aircraft.model import Aircraft
+    from neuroflight.sim.identification.link_drift import Drift, Onset
 
 STEP_MS_MIN, STEP_MS_MAX = 0.05, 20.0
 THRESHOLD_MM_MAX = 1000.0
@@ -44,11 +44,11 @@ def run(args: argparse.Namespace) -> int:
     from rich.console import Console
     from rich.progress import Progress
 
-    from cli.output import check_output
-    from sim.aircraft.model import load_aircraft
-    from sim.identification.link_drift import FORMULATIONS, drift
-    from sim.identification.link_drift_plot import draw, draw_map
-    from sim.plotting import save_png
+    from neuroflight.cli.output import check_output
+    from neuroflight.sim.aircraft.model import load_aircraft
+    from neuroflight.sim.identification.link_drift import FORMULATIONS, drift
+    from neuroflight.sim.identification.link_drift_plot import draw, draw_map
+    from neuroflight.sim.plotting import save_png
 
     check_output(args.plot, ".png")
     check_output(args.map, ".png")
@@ -84,8 +84,8 @@ def run(args: argparse.Namespace) -> int:
 def _document(args: argparse.Namespace, aircraft: Aircraft, runs: list[Drift]) -> dict[str, Any]:
     import numpy as np
 
-    from cli.output import command_line
-    from sim.identification.link_drift import DURATION_S, ONSET_M, RATE_MAX, onset
+    from neuroflight.cli.output import command_line
+    from neuroflight.sim.identification.link_drift import DURATION_S, ONSET_M, RATE_MAX, onset
 
     threshold = None if args.threshold_mm == 1e3 * ONSET_M else args.threshold_mm
     return {
@@ -129,7 +129,7 @@ def _print(aircraft: Aircraft, runs: list[Drift], threshold: float) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    from sim.identification.link_drift import onset
+    from neuroflight.sim.identification.link_drift import onset
 
     table = Table(title=f"{aircraft.name}: do its links stay together?", title_justify="left", box=None)
     headings = (

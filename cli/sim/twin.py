@@ -9,13 +9,13 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cli.sim.twin_inertia import add_inertia
-from cli.sim.twin_log import FORMS, add_choice, choice
-from cli.sim.twin_propeller import add_propeller
-from toolchain.errors import NeuroflightError
+from neuroflight.cli.sim.twin_inertia import add_inertia
+from neuroflight.cli.sim.twin_log import FORMS, add_choice, choice
+from neuroflight.cli.sim.twin_propeller import add_propeller
+from neuroflight.toolchain.errors import NeuroflightError
 
 if TYPE_CHECKING:
-    from sim.identification.gyro_noise import Noise, SensorNoise
+    from neuroflight.sim.identification.gyro_noise import Noise, SensorNoise
 
 BIAS_NOTE = (
     "bias_deg_s is the spread of a bias that is drawn anew for each episode, not the mean of this log: that "
@@ -53,19 +53,19 @@ def run(args: argparse.Namespace) -> int:
 
 def run_noise(args: argparse.Namespace) -> int:
     """Measure, write the outputs, print the figures. Returns 0."""
-    from cli.output import check_output
+    from neuroflight.cli.output import check_output
 
     check_output(args.plot, ".png")
     chosen = choice(args)
 
     from rich.console import Console
 
-    from sim.aircraft.edit import edit_aircraft
-    from sim.identification.gyro_noise import aircraft_keys, doubts, measure_noise, resting_part
-    from sim.identification.gyro_noise_plot import draw
-    from sim.identification.recording import read_recording
-    from sim.plotting import png
-    from toolchain.files import write_bytes
+    from neuroflight.sim.aircraft.edit import edit_aircraft
+    from neuroflight.sim.identification.gyro_noise import aircraft_keys, doubts, measure_noise, resting_part
+    from neuroflight.sim.identification.gyro_noise_plot import draw
+    from neuroflight.sim.identification.recording import read_recording
+    from neuroflight.sim.plotting import png
+    from neuroflight.toolchain.files import write_bytes
 
     console = Console(stderr=True, quiet=args.json or not sys.stderr.isatty())
     with console.status("reading the log") as status:
@@ -103,7 +103,7 @@ def _part_at_rest(rest: tuple[float, float] | None, args: argparse.Namespace) ->
 
 
 def _document(args: argparse.Namespace, noise: Noise, warnings: list[str]) -> dict[str, Any]:
-    from sim.identification.gyro_noise import aircraft_keys
+    from neuroflight.sim.identification.gyro_noise import aircraft_keys
 
     return {
         "log": str(args.log),
@@ -140,8 +140,8 @@ def _print(args: argparse.Namespace, noise: Noise, warnings: list[str]) -> None:
     from rich.table import Table
     from rich.text import Text
 
-    from sim.identification.gyro_noise import aircraft_keys
-    from toolchain.contract import AXES
+    from neuroflight.sim.identification.gyro_noise import aircraft_keys
+    from neuroflight.toolchain.contract import AXES
 
     title = (
         f"{args.log.name}: {noise.samples:,} samples, {noise.duration:.1f} s at {noise.rate_hz:,.1f} a second"

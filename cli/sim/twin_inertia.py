@@ -9,13 +9,13 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cli.sim.twin_log import FORMS, add_choice, choice
-from toolchain.contract import AXES
-from toolchain.errors import NeuroflightError
+from neuroflight.cli.sim.twin_log import FORMS, add_choice, choice
+from neuroflight.toolchain.contract import AXES
+from neuroflight.toolchain.errors import NeuroflightError
 
 if TYPE_CHECKING:
-    from sim.aircraft.model import Aircraft
-    from sim.identification.swing import Moment, Swing
+    from neuroflight.sim.aircraft.model import Aircraft
+    from neuroflight.sim.identification.swing import Moment, Swing
 
 
 def add_inertia(actions: Any) -> None:  # noqa: ANN401 - argparse's own type has no public name
@@ -53,12 +53,12 @@ def add_inertia(actions: Any) -> None:  # noqa: ANN401 - argparse's own type has
 
 def run_inertia(args: argparse.Namespace) -> int:
     """Fit the logs, print the moments. Returns 0."""
-    from cli.output import check_output
-    from sim.aircraft.model import load_aircraft
-    from sim.identification.recording import read_recording
-    from sim.identification.swing import find_swing
-    from sim.identification.swing_plot import draw
-    from sim.plotting import save_png
+    from neuroflight.cli.output import check_output
+    from neuroflight.sim.aircraft.model import load_aircraft
+    from neuroflight.sim.identification.recording import read_recording
+    from neuroflight.sim.identification.swing import find_swing
+    from neuroflight.sim.identification.swing_plot import draw
+    from neuroflight.sim.plotting import save_png
 
     _check(args)
     check_output(args.plot, ".png")
@@ -97,8 +97,8 @@ def _check(args: argparse.Namespace) -> None:
 
 
 def _moments(args: argparse.Namespace, swings: list[Swing]) -> list[Moment]:
-    from sim.identification.recording import read_recording
-    from sim.identification.swing import (
+    from neuroflight.sim.identification.recording import read_recording
+    from neuroflight.sim.identification.swing import (
         Moment,
         bifilar_stiffness,
         find_swing,

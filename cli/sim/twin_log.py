@@ -6,11 +6,11 @@ import argparse
 import math
 from typing import TYPE_CHECKING
 
-from cli.logs.reading import add_part_arguments, part
-from toolchain.errors import NeuroflightError
+from neuroflight.cli.logs.reading import add_part_arguments, part
+from neuroflight.toolchain.errors import NeuroflightError
 
 if TYPE_CHECKING:
-    from sim.identification.recording import Choice
+    from neuroflight.sim.identification.recording import Choice
 
 FORMS = (
     "a blackbox log (.BBL, .BFL, .TXT; FILE:N is log N of it), what `log decode` or blackbox_decode make of "
@@ -40,7 +40,7 @@ def add_choice(parser: argparse.ArgumentParser) -> None:
 
 def choice(args: argparse.Namespace) -> Choice:
     """Return the choice that the options make. Raises NeuroflightError for a unit that is not above 0."""
-    from sim.identification.recording import Choice
+    from neuroflight.sim.identification.recording import Choice
 
     unit = args.gyro_unit
     if unit is not None and not (math.isfinite(unit) and unit > 0.0):

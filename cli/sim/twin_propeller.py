@@ -8,12 +8,12 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from toolchain.errors import NeuroflightError
+from neuroflight.toolchain.errors import NeuroflightError
 
 if TYPE_CHECKING:
-    from sim.aircraft.model import Aircraft
-    from sim.identification.propeller import Curve, PropellerFit
-    from sim.identification.propeller_tables import Tables
+    from neuroflight.sim.aircraft.model import Aircraft
+    from neuroflight.sim.identification.propeller import Curve, PropellerFit
+    from neuroflight.sim.identification.propeller_tables import Tables
 
 CLIMB_MAX = 200.0  # [m/s]
 
@@ -62,14 +62,14 @@ def add_propeller(actions: Any) -> None:  # noqa: ANN401 - argparse's own type h
 
 def run_propeller(args: argparse.Namespace) -> int:
     """Fit the tables, write the outputs, print the coefficients. Returns 0."""
-    from cli.output import check_output
-    from sim.aircraft.edit import edit_aircraft
-    from sim.aircraft.model import load_aircraft
-    from sim.identification.propeller import fit_propeller
-    from sim.identification.propeller_plot import draw
-    from sim.identification.propeller_tables import read_tables
-    from sim.plotting import png
-    from toolchain.files import write_bytes
+    from neuroflight.cli.output import check_output
+    from neuroflight.sim.aircraft.edit import edit_aircraft
+    from neuroflight.sim.aircraft.model import load_aircraft
+    from neuroflight.sim.identification.propeller import fit_propeller
+    from neuroflight.sim.identification.propeller_plot import draw
+    from neuroflight.sim.identification.propeller_tables import read_tables
+    from neuroflight.sim.plotting import png
+    from neuroflight.toolchain.files import write_bytes
 
     if not (math.isfinite(args.climb) and 0.0 <= args.climb <= CLIMB_MAX):
         raise NeuroflightError(f"--climb {args.climb}, expected 0 to {CLIMB_MAX:g} m/s")
@@ -78,7 +78,7 @@ def run_propeller(args: argparse.Namespace) -> int:
     check_output(args.plot, ".png")
     tables = read_tables(args.tables, args.rpm)
     if not len(tables.wind.ratio):
-        from cli.sim.twin_propeller_rest import run_rest
+        from neuroflight.cli.sim.twin_propeller_rest import run_rest
 
         return run_rest(args, tables)
     aircraft = load_aircraft(args.aircraft) if args.aircraft else None
@@ -103,8 +103,8 @@ def _climb(fit: PropellerFit, aircraft: Aircraft, speed: float) -> dict[str, flo
 
     import numpy as np
 
-    from sim.design.figures import aircraft_figures
-    from sim.physics.rotor import advance_factors, rotor_geometry
+    from neuroflight.sim.design.figures import aircraft_figures
+    from neuroflight.sim.physics.rotor import advance_factors, rotor_geometry
 
     hover = aircraft_figures(aircraft).hover
     if hover is None or aircraft.propulsion.propeller_diameter is None:
@@ -128,7 +128,7 @@ def _climb(fit: PropellerFit, aircraft: Aircraft, speed: float) -> dict[str, flo
 def _document(
     args: argparse.Namespace, tables: Tables, fit: PropellerFit, climb: dict[str, float] | None
 ) -> dict[str, Any]:
-    from sim.identification.propeller import doubts
+    from neuroflight.sim.identification.propeller import doubts
 
     return {
         "tables": [str(path) for path in args.tables],
@@ -158,7 +158,7 @@ def _curve(curve: Curve) -> dict[str, Any]:
 def _print(
     args: argparse.Namespace, tables: Tables, fit: PropellerFit, climb: dict[str, float] | None
 ) -> None:
-    from sim.identification.propeller import doubts
+    from neuroflight.sim.identification.propeller import doubts
 
     last, end = float(fit.used.ratio.max()), fit.advance.ratio_max
     for note in tables.notes:

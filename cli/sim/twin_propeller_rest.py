@@ -8,10 +8,10 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from toolchain.errors import NeuroflightError
+from neuroflight.toolchain.errors import NeuroflightError
 
 if TYPE_CHECKING:
-    from sim.identification.propeller_tables import Tables
+    from neuroflight.sim.identification.propeller_tables import Tables
 
 DIAMETER_MIN_M, DIAMETER_MAX_M = 0.01, 5.0
 
@@ -29,8 +29,8 @@ class Coefficients:
 
 def run_rest(args: argparse.Namespace, tables: Tables) -> int:
     """Average the table, write and print the coefficients. Returns 0."""
-    from sim.identification.propeller import at_rest, rotor_coefficients
-    from sim.physics.air import AIR_DENSITY
+    from neuroflight.sim.identification.propeller import at_rest, rotor_coefficients
+    from neuroflight.sim.physics.air import AIR_DENSITY
 
     if args.plot:
         raise NeuroflightError("--plot: a table of measurements at rest has no curve over J; leave it out")
@@ -65,7 +65,7 @@ def run_rest(args: argparse.Namespace, tables: Tables) -> int:
 
 def _diameter(args: argparse.Namespace) -> float | None:
     """Return the propeller's diameter [m]: of --diameter, else of the aircraft named or written to."""
-    from sim.aircraft.model import load_aircraft
+    from neuroflight.sim.aircraft.model import load_aircraft
 
     if args.diameter is not None:
         if not DIAMETER_MIN_M <= args.diameter <= DIAMETER_MAX_M:
@@ -81,7 +81,7 @@ def _write(args: argparse.Namespace, found: Coefficients) -> None:
     """Write the coefficients into the aircraft file, in the form that it already uses."""
     import tomllib
 
-    from sim.aircraft.edit import edit_aircraft
+    from neuroflight.sim.aircraft.edit import edit_aircraft
 
     kept = tomllib.loads(args.write.read_text(encoding="utf-8")).get("propulsion", {})
     if "c_t" in kept:
@@ -96,7 +96,7 @@ def _write(args: argparse.Namespace, found: Coefficients) -> None:
 
 
 def _print(args: argparse.Namespace, tables: Tables, found: Coefficients) -> None:
-    from sim.physics.air import AIR_DENSITY
+    from neuroflight.sim.physics.air import AIR_DENSITY
 
     rest = tables.rest
     for note in tables.notes:

@@ -7,12 +7,12 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from toolchain.errors import NeuroflightError
+from neuroflight.toolchain.errors import NeuroflightError
 
 if TYPE_CHECKING:
-    from sim.aircraft.model import Aircraft
-    from sim.blackbox.log import Log
-    from sim.viewing.scene import Scene
+    from neuroflight.sim.aircraft.model import Aircraft
+    from neuroflight.sim.blackbox.log import Log
+    from neuroflight.sim.viewing.scene import Scene
 
 FORMS = (".html", ".gif", ".png")
 FPS, STRIP = 20, 6  # FPS: 1 / FRAME_S of the pictures
@@ -24,7 +24,7 @@ SHORTER = "choose a part of it by --from and --to"
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare flight and picture."""
-    from cli.logs.reading import add_part_arguments
+    from neuroflight.cli.logs.reading import add_part_arguments
 
     parser.add_argument(
         "flight",
@@ -53,8 +53,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Read or fly, find the attitude, draw or play. Returns 0."""
-    from cli.logs.reading import tell_damage
-    from sim.aircraft.model import load_aircraft
+    from neuroflight.cli.logs.reading import tell_damage
+    from neuroflight.sim.aircraft.model import load_aircraft
 
     _check(args)
     scene, log = _scene(args, load_aircraft(args.aircraft))
@@ -76,8 +76,8 @@ def run(args: argparse.Namespace) -> int:
 def _check(args: argparse.Namespace) -> None:
     import os
 
-    from cli.logs.reading import check_part
-    from cli.output import check_output
+    from neuroflight.cli.logs.reading import check_part
+    from neuroflight.cli.output import check_output
 
     suffix = None if args.out is None else args.out.suffix
     if suffix is None:
@@ -102,21 +102,21 @@ def _check(args: argparse.Namespace) -> None:
 
 def _scene(args: argparse.Namespace, aircraft: Aircraft) -> tuple[Scene, Log | None]:
     """The flight, and the log that it was read from."""
-    from cli.logs.reading import part
-    from sim.recorded.log import SUFFIXES, split_number
-    from sim.viewing.scene import recorded
+    from neuroflight.cli.logs.reading import part
+    from neuroflight.sim.recorded.log import SUFFIXES, split_number
+    from neuroflight.sim.viewing.scene import recorded
 
     path, number = split_number(Path(args.flight))
     suffix = path.suffix.lower()
     if suffix == ".npz":
-        from sim.blackbox.flight import cut
-        from sim.flight.trace import load_trace
+        from neuroflight.sim.blackbox.flight import cut
+        from neuroflight.sim.flight.trace import load_trace
 
         trace = cut(load_trace(path), part(args))
         return recorded(path.name, aircraft, trace, args.start), None
     if suffix in SUFFIXES:
-        from sim.blackbox.flight import log_trace
-        from sim.blackbox.log import read_log
+        from neuroflight.sim.blackbox.flight import log_trace
+        from neuroflight.sim.blackbox.log import read_log
 
         log = read_log(path, number)
         name = f"{path.name}, log {log.number}"
@@ -133,13 +133,13 @@ def _fly(args: argparse.Namespace, aircraft: Aircraft) -> Scene:
 
     import numpy as np
 
-    from cli.training.evaluation.foreign import say_foreign
-    from sim.flight.loop import fly
-    from sim.flight.scenario import load_scenario
-    from sim.physics.twin import Twin
-    from sim.physics.world import Mount
-    from sim.viewing.scene import Watch
-    from training.evaluation.manoeuvres import load_contender
+    from neuroflight.cli.training.evaluation.foreign import say_foreign
+    from neuroflight.sim.flight.loop import fly
+    from neuroflight.sim.flight.scenario import load_scenario
+    from neuroflight.sim.physics.twin import Twin
+    from neuroflight.sim.physics.world import Mount
+    from neuroflight.sim.viewing.scene import Watch
+    from neuroflight.training.evaluation.manoeuvres import load_contender
 
     if args.seed < 0:
         raise NeuroflightError(f"--seed: got {args.seed}, expected 0 or more")
@@ -163,12 +163,12 @@ def _out(args: argparse.Namespace, scene: Scene) -> str:
     if args.out is None:
         from time import monotonic, sleep
 
-        from sim.viewing.window import play
+        from neuroflight.sim.viewing.window import play
 
         play(scene, args.speed, monotonic, sleep)
         return f"{scene.title}: {end - begin:.2f} s"
     if args.out.suffix == ".html":
-        from sim.viewing import page
+        from neuroflight.sim.viewing import page
 
         times, limit = page.page_times(scene), page.FRAMES_MAX
     elif args.out.suffix == ".gif":
@@ -196,7 +196,7 @@ def _draw(out: Path, scene: Scene, rows: list[int]) -> None:
     from rich.console import Console
     from rich.progress import Progress
 
-    from sim.viewing.pictures import FRAME_S, save_gif, save_strip
+    from neuroflight.sim.viewing.pictures import FRAME_S, save_gif, save_strip
 
     if out.suffix == ".png":
         save_strip(out, scene, rows)

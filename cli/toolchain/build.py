@@ -8,11 +8,11 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cli.toolchain.checked import add_argument, checked
+from neuroflight.cli.toolchain.checked import add_argument, checked
 
 if TYPE_CHECKING:
-    from sim.control.pid_table import Beside
-    from toolchain.image.report import AircraftFacts, Built
+    from neuroflight.sim.control.pid_table import Beside
+    from neuroflight.toolchain.image.report import AircraftFacts, Built
 
 ROOT = Path(__file__).resolve().parents[2]
 POLICIES = ROOT / "training" / "policies"
@@ -56,12 +56,12 @@ def run(args: argparse.Namespace) -> int:
     """Build and print the report; what the compiler said is shown only when it failed."""
     from rich.console import Console
 
-    from cli.output import check_folder
-    from sim.control.pid_table import beside
-    from toolchain.errors import PolicyError
-    from toolchain.image.build import MakeError, build, find_target
-    from toolchain.image.report import print_report
-    from toolchain.policy.model import read_policy
+    from neuroflight.cli.output import check_folder
+    from neuroflight.sim.control.pid_table import beside
+    from neuroflight.toolchain.errors import PolicyError
+    from neuroflight.toolchain.image.build import MakeError, build, find_target
+    from neuroflight.toolchain.image.report import print_report
+    from neuroflight.toolchain.policy.model import read_policy
 
     target = find_target(args.target)
     check_folder(args.out or ROOT / "build", "--out")
@@ -94,8 +94,8 @@ def run(args: argparse.Namespace) -> int:
 
 def _last(product: Path) -> Built | None:
     """What the target was built of before; None: it was not, or its report does not tell."""
-    from toolchain.errors import BuildError
-    from toolchain.image.report import built
+    from neuroflight.toolchain.errors import BuildError
+    from neuroflight.toolchain.image.report import built
 
     try:
         return built(product)
@@ -105,7 +105,7 @@ def _last(product: Path) -> Built | None:
 
 def _take_up(args: argparse.Namespace, last: Built | None) -> None:
     """Give `args` the policy and the aircraft of the last build, and say which."""
-    from toolchain.errors import BuildError
+    from neuroflight.toolchain.errors import BuildError
 
     if args.policy is not None or args.aircraft is not None or args.other_aircraft or args.no_pid:
         raise BuildError("--again: got a policy or an aircraft beside it; give them, or --again alone")
@@ -124,7 +124,7 @@ def _take_up(args: argparse.Namespace, last: Built | None) -> None:
 
 def _policy(args: argparse.Namespace, last: Built | None) -> Path:
     """The policy to build in; says so where it is the default and was another until now."""
-    from toolchain.errors import PolicyError
+    from neuroflight.toolchain.errors import PolicyError
 
     if args.policy is not None:
         return Path(args.policy)
@@ -151,9 +151,9 @@ def default_policy(aircraft: str) -> Path:
 
 def _facts(stands: Beside) -> AircraftFacts | None:
     """What the report says of the aircraft."""
-    from sim.aircraft.model import aircraft_file, shipped
-    from sim.aircraft.props_out import SUFFIX
-    from toolchain.image.report import AircraftFacts
+    from neuroflight.sim.aircraft.model import aircraft_file, shipped
+    from neuroflight.sim.aircraft.props_out import SUFFIX
+    from neuroflight.toolchain.image.report import AircraftFacts
 
     if (aircraft := stands.aircraft) is None:
         return None

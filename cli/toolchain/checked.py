@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from sim.control.pid_table import Beside
-    from toolchain.image.build import Target
-    from toolchain.policy.check_stamp import Stamp
-    from toolchain.policy.model import PolicyModel
+    from neuroflight.sim.control.pid_table import Beside
+    from neuroflight.toolchain.image.build import Target
+    from neuroflight.toolchain.policy.check_stamp import Stamp
+    from neuroflight.toolchain.policy.model import PolicyModel
 
 
 def add_argument(parser: argparse.ArgumentParser) -> None:
@@ -30,8 +30,8 @@ def checked(
     stands: the aircraft that the image is for. The host program turns no motor and asks for none. Raises
     PolicyError, one line with the command to run.
     """
-    from toolchain.errors import PolicyError
-    from toolchain.policy.check_stamp import require_fit
+    from neuroflight.toolchain.errors import PolicyError
+    from neuroflight.toolchain.policy.check_stamp import require_fit
 
     aircraft = stands.aircraft
     sha256 = policy.aircraft_sha256 if aircraft is None else aircraft.sha256

@@ -10,17 +10,17 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from toolchain.errors import NeuroflightError
+from neuroflight.toolchain.errors import NeuroflightError
 
 if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
-    from toolchain.codegen.compiler import CompiledPolicy
-    from toolchain.codegen.explain import Explanation, NodeFacts
-    from toolchain.passes import Saving
-    from toolchain.passes.equivalence import Equivalence
-    from toolchain.policy.model import PolicyModel
+    from neuroflight.toolchain.codegen.compiler import CompiledPolicy
+    from neuroflight.toolchain.codegen.explain import Explanation, NodeFacts
+    from neuroflight.toolchain.passes import Saving
+    from neuroflight.toolchain.passes.equivalence import Equivalence
+    from neuroflight.toolchain.policy.model import PolicyModel
 
 FINDS = "what it finds"  # the one column that may wrap
 
@@ -39,10 +39,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Write DIR/policy.c, DIR/policy.h and DIR/policy.blob and say what they hold."""
-    from cli.output import check_output
-    from toolchain.codegen.compiler import compile_policy
-    from toolchain.files import write_bytes, write_text
-    from toolchain.policy.model import read_policy
+    from neuroflight.cli.output import check_output
+    from neuroflight.toolchain.codegen.compiler import compile_policy
+    from neuroflight.toolchain.files import write_bytes, write_text
+    from neuroflight.toolchain.policy.model import read_policy
 
     if args.out is None and not args.explain:
         raise NeuroflightError(
@@ -76,7 +76,7 @@ def run(args: argparse.Namespace) -> int:
 def _explain(args: argparse.Namespace, policy: PolicyModel) -> Explanation:
     from rich.console import Console
 
-    from toolchain.codegen.explain import explain_policy
+    from neuroflight.toolchain.codegen.explain import explain_policy
 
     console = Console(stderr=True, quiet=args.json or not sys.stderr.isatty())
     with console.status("checking every pass in onnxruntime"):
@@ -129,7 +129,7 @@ def _print(file: Path, explanation: Explanation) -> None:
 
 
 def _print_passes(console: Console, explanation: Explanation) -> None:
-    from toolchain.passes import PASSES
+    from neuroflight.toolchain.passes import PASSES
 
     savings, proof = explanation.compiled.savings, explanation.proof
     if proof is None:

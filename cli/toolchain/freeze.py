@@ -11,12 +11,12 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from toolchain.contract import Mix
+from neuroflight.toolchain.contract import Mix
 
 if TYPE_CHECKING:
-    from sim.aircraft.model import Aircraft
-    from toolchain.policy.model import PolicyModel
-    from toolchain.policy.model_constants import ModelConstants
+    from neuroflight.sim.aircraft.model import Aircraft
+    from neuroflight.toolchain.policy.model import PolicyModel
+    from neuroflight.toolchain.policy.model_constants import ModelConstants
 
 EPILOG = (
     "A checkpoint of `neuroflight train` knows its observation, rate and aircraft. A model of another "
@@ -86,12 +86,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Write POLICY.onnx and say what it holds."""
-    from cli.output import check_output
-    from toolchain.errors import PolicyError
-    from toolchain.passes import size
-    from toolchain.policy.freeze import freeze
-    from toolchain.policy.import_onnx import is_checkpoint
-    from toolchain.policy.model import read_policy
+    from neuroflight.cli.output import check_output
+    from neuroflight.toolchain.errors import PolicyError
+    from neuroflight.toolchain.passes import size
+    from neuroflight.toolchain.policy.freeze import freeze
+    from neuroflight.toolchain.policy.import_onnx import is_checkpoint
+    from neuroflight.toolchain.policy.model import read_policy
 
     check_output(args.out, ".onnx")
     changes: Sequence[str] = ()
@@ -139,7 +139,7 @@ def _at_rest(policy: PolicyModel) -> list[float]:
     """Return the policy's outputs for an observation of zeros, from its initial state."""
     import numpy as np
 
-    from toolchain.ir.interpreter import evaluate
+    from neuroflight.toolchain.ir.interpreter import evaluate
 
     observation = np.zeros((1, policy.observation_count), np.float32)
     return [float(value) for value in evaluate(policy.network, observation)[0]]
@@ -175,8 +175,8 @@ def _claims(args: argparse.Namespace) -> dict[str, object]:
 
 
 def _reject_claims(args: argparse.Namespace) -> None:
-    from toolchain.errors import PolicyError
-    from toolchain.policy.freeze import load_checkpoint
+    from neuroflight.toolchain.errors import PolicyError
+    from neuroflight.toolchain.policy.freeze import load_checkpoint
 
     if given := [name for name, value in _claims(args).items() if value is not None]:
         load_checkpoint(args.source)  # which says so if it is another trainer's
@@ -187,12 +187,12 @@ def _reject_claims(args: argparse.Namespace) -> None:
 
 
 def _import(args: argparse.Namespace) -> tuple[PolicyModel, Sequence[str]]:
-    from sim.aircraft.model import load_aircraft
-    from toolchain.contract import IDLE_DEFAULT, IDLE_MAX
-    from toolchain.errors import PolicyError
-    from toolchain.policy.import_onnx import PolicyClaims, import_onnx
-    from toolchain.policy.output_map import OutputRange
-    from toolchain.verification.original import compare
+    from neuroflight.sim.aircraft.model import load_aircraft
+    from neuroflight.toolchain.contract import IDLE_DEFAULT, IDLE_MAX
+    from neuroflight.toolchain.errors import PolicyError
+    from neuroflight.toolchain.policy.import_onnx import PolicyClaims, import_onnx
+    from neuroflight.toolchain.policy.output_map import OutputRange
+    from neuroflight.toolchain.verification.original import compare
 
     needed = ("--observation", "--rate", "--aircraft")
     if missing := [name for name in needed if _claims(args)[name] is None]:
@@ -231,7 +231,7 @@ def _import(args: argparse.Namespace) -> tuple[PolicyModel, Sequence[str]]:
 
 def _constant(text: str) -> tuple[str, float]:
     """Name and value of a --constant."""
-    from toolchain.errors import PolicyError
+    from neuroflight.toolchain.errors import PolicyError
 
     name, _, value = text.rpartition("=")
     try:
@@ -248,8 +248,8 @@ def _model(args: argparse.Namespace, aircraft: Aircraft) -> ModelConstants | Non
 
     What is no observation and no rate is refused by `import_onnx`, in its words.
     """
-    from sim.control.estimator import model_constants
-    from toolchain.contract import needs_model, observation_blocks
+    from neuroflight.sim.control.estimator import model_constants
+    from neuroflight.toolchain.contract import needs_model, observation_blocks
 
     try:
         needed = args.rate > 0 and needs_model(observation_blocks(args.observation))

@@ -16,9 +16,9 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from toolchain.codegen.compiler import CompiledPolicy
-    from toolchain.cortex_m7.cycles import BlockCost
-    from toolchain.cortex_m7.timing import Timing
+    from neuroflight.toolchain.codegen.compiler import CompiledPolicy
+    from neuroflight.toolchain.cortex_m7.cycles import BlockCost
+    from neuroflight.toolchain.cortex_m7.timing import Timing
 
 INPUTS_MAX = 1_000_000
 DEFAULTS = {"inputs": 300, "aircraft": "nf1", "count": 3, "seed": 1, "disarmed": 0, "serial": 0}
@@ -69,7 +69,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Print what a policy or an image takes on the board."""
-    from cli.toolchain import timing_image
+    from neuroflight.cli.toolchain import timing_image
 
     of_image = args.policy.suffix == ".bin"
     _reject(
@@ -87,7 +87,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _reject(args: argparse.Namespace, names: Sequence[str], of_image: bool) -> None:
     """Say which option has no meaning for what was given."""
-    from toolchain.errors import NeuroflightError
+    from neuroflight.toolchain.errors import NeuroflightError
 
     for name in names:
         if getattr(args, name) not in (None, False):
@@ -100,10 +100,10 @@ def _time_policy(args: argparse.Namespace) -> int:
     from rich.console import Console
     from rich.progress import Progress
 
-    from toolchain.codegen.compiler import compile_network, compile_policy
-    from toolchain.cortex_m7.timing import mixed_observations, time_policy
-    from toolchain.errors import NeuroflightError
-    from toolchain.policy.model import read_policy
+    from neuroflight.toolchain.codegen.compiler import compile_network, compile_policy
+    from neuroflight.toolchain.cortex_m7.timing import mixed_observations, time_policy
+    from neuroflight.toolchain.errors import NeuroflightError
+    from neuroflight.toolchain.policy.model import read_policy
 
     if not 1 <= args.inputs <= INPUTS_MAX:
         raise NeuroflightError(f"--inputs {args.inputs}, expected 1 to {INPUTS_MAX}")
@@ -143,7 +143,7 @@ def _effect(compiled: Sequence[CompiledPolicy], timings: Sequence[Timing]) -> di
 
 
 def _figures(compiled: CompiledPolicy, timing: Timing) -> dict[str, Any]:
-    from toolchain.passes import size
+    from neuroflight.toolchain.passes import size
 
     cycles = None if timing.cost.cycles is None else timing.cost.cycles[1]
     return {
@@ -174,7 +174,7 @@ def _print_effect(effect: dict[str, Any]) -> None:
 
 
 def _document(args: argparse.Namespace, timing: Timing) -> dict[str, Any]:
-    from toolchain.cortex_m7.cycles import CORE_HZ
+    from neuroflight.toolchain.cortex_m7.cycles import CORE_HZ
 
     fewest, most = timing.cost.instructions
     worst = timing.cost.worst
@@ -261,7 +261,7 @@ def _provenance(timing: Timing) -> str:
 
 def _rows(timing: Timing) -> Sequence[tuple[str, tuple[str, ...]]]:
     """Names with the worst and the best value."""
-    from toolchain.cortex_m7.cycles import CORE_HZ
+    from neuroflight.toolchain.cortex_m7.cycles import CORE_HZ
 
     fewest, most = timing.cost.instructions
     rows: list[tuple[str, tuple[str, ...]]] = [("instructions", (f"{most:,}", f"{fewest:,}"))]

@@ -14,13 +14,13 @@ if TYPE_CHECKING:
 
     from rich.progress import TaskID
 
-    from sim.aircraft.model import Aircraft
-    from sim.board.board import Board
-    from sim.board.debug.control_timing import Kind, Metered, Run, TaskCost
-    from sim.flight.scenario import Scenario
-    from toolchain.cortex_m7.cycles import Priced
-    from toolchain.cortex_m7.disassembly import Instruction
-    from toolchain.image.report import Built
+    from neuroflight.sim.aircraft.model import Aircraft
+    from neuroflight.sim.board.board import Board
+    from neuroflight.sim.board.debug.control_timing import Kind, Metered, Run, TaskCost
+    from neuroflight.sim.flight.scenario import Scenario
+    from neuroflight.toolchain.cortex_m7.cycles import Priced
+    from neuroflight.toolchain.cortex_m7.disassembly import Instruction
+    from neuroflight.toolchain.image.report import Built
 
 SCENARIO, COUNT_MAX = "pulses", 100
 DISARMED_MAX = 1_000_000  # control steps
@@ -35,14 +35,14 @@ NOTES = (
 
 def run(args: argparse.Namespace) -> int:
     """Fly the image under its policy and under its PID, count every control task, print what they took."""
-    from cli.output import check_output
-    from cli.toolchain.timing_serial import NOTE, SERIAL_MAX, print_told, told_row, told_times
-    from sim.aircraft.model import load_aircraft
-    from sim.board.debug.control_timing import task_costs
-    from sim.flight.scenario import load_scenario
-    from toolchain.cortex_m7.disassembly import disassemble
-    from toolchain.errors import NeuroflightError
-    from toolchain.image.report import built
+    from neuroflight.cli.output import check_output
+    from neuroflight.cli.toolchain.timing_serial import NOTE, SERIAL_MAX, print_told, told_row, told_times
+    from neuroflight.sim.aircraft.model import load_aircraft
+    from neuroflight.sim.board.debug.control_timing import task_costs
+    from neuroflight.sim.flight.scenario import load_scenario
+    from neuroflight.toolchain.cortex_m7.disassembly import disassemble
+    from neuroflight.toolchain.errors import NeuroflightError
+    from neuroflight.toolchain.image.report import built
 
     image: Path = args.policy
     if not 1 <= args.count <= COUNT_MAX:
@@ -72,8 +72,8 @@ def run(args: argparse.Namespace) -> int:
         document["firmware_timing"] = [told_row(one) for one in told]
         document["notes"].append(NOTE)
     if args.plot:
-        from sim.board.debug.control_timing_plot import draw
-        from sim.plotting import save_png
+        from neuroflight.sim.board.debug.control_timing_plot import draw
+        from neuroflight.sim.plotting import save_png
 
         save_png(args.plot, draw(costs, f"{image.name}, {inside.policy}: runs on the emulated board"))
     if args.json:
@@ -118,12 +118,12 @@ def _fly(
     """One flight on a board of its own."""
     import numpy as np
 
-    from sim.board.debug.control_timing import ControlMeter
-    from sim.flight.loop import fly, stand
-    from sim.physics.twin import Twin
-    from sim.physics.world import Mount
-    from sim.ports.emulator import EmulatedPort
-    from sim.ports.port import twin_settings
+    from neuroflight.sim.board.debug.control_timing import ControlMeter
+    from neuroflight.sim.flight.loop import fly, stand
+    from neuroflight.sim.physics.twin import Twin
+    from neuroflight.sim.physics.world import Mount
+    from neuroflight.sim.ports.emulator import EmulatedPort
+    from neuroflight.sim.ports.port import twin_settings
 
     rng = np.random.default_rng((args.seed, 1))
     meters: list[ControlMeter] = []
@@ -158,8 +158,8 @@ def _document(
     costs: tuple[TaskCost, ...],
     priced: Priced,
 ) -> dict[str, Any]:
-    from cli.output import command_line
-    from toolchain.cortex_m7.cycles import CORE_HZ, DEVICE_CYCLES
+    from neuroflight.cli.output import command_line
+    from neuroflight.toolchain.cortex_m7.cycles import CORE_HZ, DEVICE_CYCLES
 
     given = {name: getattr(args, name) for name in ("aircraft", "count", "seed")}
     given |= {"disarmed": args.disarmed or None, "serial": args.serial or None}
@@ -214,8 +214,8 @@ def _row(cost: TaskCost) -> dict[str, Any]:
 
 def _highest_rates(costs: tuple[TaskCost, ...]) -> dict[str, float] | None:
     """By controller, the rate at which its worst armed control task would fill the time; None: no cycles."""
-    from sim.board.debug.control_timing import Work
-    from toolchain.cortex_m7.cycles import CORE_HZ
+    from neuroflight.sim.board.debug.control_timing import Work
+    from neuroflight.toolchain.cortex_m7.cycles import CORE_HZ
 
     worst: dict[str, float] = {}
     for cost in costs:
@@ -230,7 +230,7 @@ def _print(document: dict[str, Any], costs: tuple[TaskCost, ...], priced: Priced
     from rich.console import Console
     from rich.table import Table
 
-    from toolchain.cortex_m7.cycles import CORE_HZ, DEVICE_CYCLES
+    from neuroflight.toolchain.cortex_m7.cycles import CORE_HZ, DEVICE_CYCLES
 
     console = Console(highlight=False)
     console.print(
@@ -281,6 +281,6 @@ def _name(kind: Kind) -> str:
 
 
 def _us(cycles: float) -> float:
-    from toolchain.cortex_m7.cycles import CORE_HZ
+    from neuroflight.toolchain.cortex_m7.cycles import CORE_HZ
 
     return 1e6 * cycles / CORE_HZ

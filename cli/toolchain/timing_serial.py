@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from sim.aircraft.model import Aircraft
-    from sim.board.board import Board
-    from sim.board.serial.told_times import ToldTimes
-    from sim.flight.scenario import Scenario
+    from neuroflight.sim.aircraft.model import Aircraft
+    from neuroflight.sim.board.board import Board
+    from neuroflight.sim.board.serial.told_times import ToldTimes
+    from neuroflight.sim.flight.scenario import Scenario
 
 BAUD = 921_600  # of the line while a flight is streamed: it carries 500 control steps a second
 SERIAL_MAX = 1_000_000  # control tasks
@@ -26,8 +26,8 @@ NOTE = (
 
 def told_times(args: argparse.Namespace, aircraft: Aircraft, flights: Sequence[Scenario]) -> list[ToldTimes]:
     """Of an idle board, and of each flight on a board that streams its control steps."""
-    from sim.board.serial.told_times import told_of_samples, told_while_idle
-    from toolchain.image.elf import read_flashable
+    from neuroflight.sim.board.serial.told_times import told_of_samples, told_while_idle
+    from neuroflight.toolchain.image.elf import read_flashable
 
     told = [told_while_idle(read_flashable(args.policy), args.serial)]
     for scenario in flights:
@@ -39,11 +39,11 @@ def _stream(args: argparse.Namespace, aircraft: Aircraft, scenario: Scenario) ->
     """Samples of one flight."""
     import numpy as np
 
-    from sim.board.serial.told_times import StreamListener
-    from sim.flight.loop import fly
-    from sim.physics.twin import Twin
-    from sim.ports.emulator import EmulatedPort
-    from sim.ports.port import twin_settings
+    from neuroflight.sim.board.serial.told_times import StreamListener
+    from neuroflight.sim.flight.loop import fly
+    from neuroflight.sim.physics.twin import Twin
+    from neuroflight.sim.ports.emulator import EmulatedPort
+    from neuroflight.sim.ports.port import twin_settings
 
     listeners: list[StreamListener] = []
 
@@ -63,7 +63,7 @@ def _stream(args: argparse.Namespace, aircraft: Aircraft, scenario: Scenario) ->
 
 def told_row(told: ToldTimes) -> dict[str, Any]:
     """What stands in the JSON document."""
-    from toolchain.cortex_m7.cycles import CORE_HZ
+    from neuroflight.toolchain.cortex_m7.cycles import CORE_HZ
 
     cycles = {
         "worst": told.worst,

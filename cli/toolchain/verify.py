@@ -11,14 +11,14 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from toolchain.errors import NeuroflightError
+from neuroflight.toolchain.errors import NeuroflightError
 
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from toolchain.codegen.compiler import CompiledPolicy
-    from toolchain.verification.tolerance import Figures
-    from toolchain.verification.verify import Verification
+    from neuroflight.toolchain.codegen.compiler import CompiledPolicy
+    from neuroflight.toolchain.verification.tolerance import Figures
+    from neuroflight.toolchain.verification.verify import Verification
 
 NOTHING = "-"
 ULP_SHOWN, SHARE_SHOWN = 1e6, 10.0  # beyond, digits say no more
@@ -52,10 +52,10 @@ def run(args: argparse.Namespace) -> int:
     from rich.console import Console
     from rich.progress import Progress, TaskID
 
-    from toolchain.codegen.compiler import compile_policy
-    from toolchain.policy.model import read_policy
-    from toolchain.verification.inputs import make_inputs
-    from toolchain.verification.verify import all_candidates, verify
+    from neuroflight.toolchain.codegen.compiler import compile_policy
+    from neuroflight.toolchain.policy.model import read_policy
+    from neuroflight.toolchain.verification.inputs import make_inputs
+    from neuroflight.toolchain.verification.verify import all_candidates, verify
 
     if not 1 <= args.count <= COUNT_MAX:
         raise NeuroflightError(f"--count {args.count}, expected 1 to {COUNT_MAX}")
@@ -97,8 +97,8 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _document(args: argparse.Namespace, compiled: CompiledPolicy, seen: Verification) -> dict[str, Any]:
-    from cli.output import command_line
-    from toolchain.verification.tolerance import ROUNDING, TOLERANCE
+    from neuroflight.cli.output import command_line
+    from neuroflight.toolchain.verification.tolerance import ROUNDING, TOLERANCE
 
     options = {
         "count": args.count,

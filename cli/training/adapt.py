@@ -8,13 +8,13 @@ import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cli.training.evaluation.ranges import check_ranges
-from cli.training.plugins import add_plugin_argument, load_named, words
+from neuroflight.cli.training.evaluation.ranges import check_ranges
+from neuroflight.cli.training.plugins import add_plugin_argument, load_named, words
 
 if TYPE_CHECKING:
-    from sim.aircraft.model import Aircraft
-    from sim.identification.moments import Factors
-    from training.adaptation.adapt import Bench, Proof
+    from neuroflight.sim.aircraft.model import Aircraft
+    from neuroflight.sim.identification.moments import Factors
+    from neuroflight.training.adaptation.adapt import Bench, Proof
 
 STEPS, STEPS_MAX, EPISODES = 20_000_000, 1_000_000_000, 200
 VERIFIED = 200  # observations of each kind
@@ -55,11 +55,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Identify, refine, prove; the folder appears only if the proof holds. Returns 0."""
-    from sim.aircraft.model import load_aircraft, parse_aircraft
-    from sim.identification.moments import adapted_text, read_turning, turning_factors
-    from toolchain.errors import NeuroflightError, TrainingError
-    from toolchain.files import write_bytes, write_text
-    from training.adaptation.adapt import prove, refine, warm_config
+    from neuroflight.sim.aircraft.model import load_aircraft, parse_aircraft
+    from neuroflight.sim.identification.moments import adapted_text, read_turning, turning_factors
+    from neuroflight.toolchain.errors import NeuroflightError, TrainingError
+    from neuroflight.toolchain.files import write_bytes, write_text
+    from neuroflight.training.adaptation.adapt import prove, refine, warm_config
 
     check_ranges(("--steps", args.steps, 1, STEPS_MAX), ("--episodes", args.episodes, 6, 4096))
     if args.seed < 0:
@@ -106,11 +106,11 @@ def run(args: argparse.Namespace) -> int:
 
 def _verified(policy: Path) -> str:
     """The verdict of `neuroflight verify` on the machines that are installed. Raises NeuroflightError."""
-    from toolchain.codegen.compiler import compile_policy
-    from toolchain.errors import NeuroflightError
-    from toolchain.policy.model import read_policy
-    from toolchain.verification.inputs import make_inputs
-    from toolchain.verification.verify import all_candidates, verify
+    from neuroflight.toolchain.codegen.compiler import compile_policy
+    from neuroflight.toolchain.errors import NeuroflightError
+    from neuroflight.toolchain.policy.model import read_policy
+    from neuroflight.toolchain.verification.inputs import make_inputs
+    from neuroflight.toolchain.verification.verify import all_candidates, verify
 
     compiled = compile_policy(read_policy(policy))
     with tempfile.TemporaryDirectory(prefix="neuroflight-") as folder:
@@ -125,7 +125,7 @@ def _verified(policy: Path) -> str:
 
 
 def _command(args: argparse.Namespace) -> str:
-    from cli.output import command_line
+    from neuroflight.cli.output import command_line
 
     return command_line(
         "adapt",
@@ -140,7 +140,7 @@ def _command(args: argparse.Namespace) -> str:
 
 
 def _factors(factors: Factors) -> dict[str, Any]:
-    from toolchain.contract import AXES
+    from neuroflight.toolchain.contract import AXES
 
     rows = zip(AXES, factors.value, factors.margin, factors.steady, factors.explained, strict=True)
     return {
@@ -156,7 +156,7 @@ def _factors(factors: Factors) -> dict[str, Any]:
 
 
 def _proof(proof: Proof, aircraft: Aircraft) -> dict[str, Any]:
-    from training.evaluation.evaluation import interval
+    from neuroflight.training.evaluation.evaluation import interval
 
     def figures(one: Bench) -> dict[str, Any]:
         return {"mae": interval(one.mae), "motor_change": one.change}
@@ -180,7 +180,7 @@ def _proof(proof: Proof, aircraft: Aircraft) -> dict[str, Any]:
 def _report(
     args: argparse.Namespace, document: dict[str, Any], factors: Factors, proof: Proof | None
 ) -> None:
-    from toolchain.contract import AXES
+    from neuroflight.toolchain.contract import AXES
 
     if args.json:
         print(json.dumps(document, indent=2))

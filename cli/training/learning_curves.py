@@ -8,11 +8,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cli.training.plugins import add_plugin_argument, load_named
+from neuroflight.cli.training.plugins import add_plugin_argument, load_named
 
 if TYPE_CHECKING:
-    from sim.analysis.confidence import Mean
-    from training.runs.learning_curves import Curve
+    from neuroflight.sim.analysis.confidence import Mean
+    from neuroflight.training.runs.learning_curves import Curve
 
 RUNS_MAX = 100
 NOTE = (
@@ -53,11 +53,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Read the runs, print their figures, draw."""
-    from cli.output import check_output
-    from sim.plotting import save_png
-    from toolchain.errors import TrainingError
-    from training.runs.learning_curves import curves
-    from training.runs.learning_curves_plot import draw
+    from neuroflight.cli.output import check_output
+    from neuroflight.sim.plotting import save_png
+    from neuroflight.toolchain.errors import TrainingError
+    from neuroflight.training.runs.learning_curves import curves
+    from neuroflight.training.runs.learning_curves_plot import draw
 
     load_named(args)
     labels = _labels(args)
@@ -78,7 +78,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _labels(args: argparse.Namespace) -> list[str]:
-    from toolchain.errors import TrainingError
+    from neuroflight.toolchain.errors import TrainingError
 
     if args.label is None:
         return [run.resolve().name for run in args.runs]
@@ -90,13 +90,13 @@ def _labels(args: argparse.Namespace) -> list[str]:
 
 
 def _command(args: argparse.Namespace) -> str:
-    from cli.output import command_line
+    from neuroflight.cli.output import command_line
 
     return command_line("learning-curves", *map(str, args.runs), label=args.label)
 
 
 def _document(curve: Curve) -> dict[str, object]:
-    from training.evaluation.evaluation import interval
+    from neuroflight.training.evaluation.evaluation import interval
 
     episode = curve.episode_steps
     final = interval(curve.final)
@@ -126,7 +126,7 @@ def _document(curve: Curve) -> dict[str, object]:
 
 
 def _print(found: Sequence[Curve], *, episodes: bool) -> None:
-    from cli.output import print_table
+    from neuroflight.cli.output import print_table
 
     heading = "reward of an episode" if episodes else "reward"
     rows: list[tuple[str, ...]] = [("", "seeds", "steps", heading, "95 % after", "best seed")]

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from training.plugins import Plugin
+    from neuroflight.training.plugins import Plugin
 
 
 def add_plugin_argument(parser: argparse.ArgumentParser) -> None:
@@ -27,7 +27,7 @@ def load_named(args: argparse.Namespace) -> tuple[Plugin, ...]:
     """Run the files of the option. Raises TrainingError on one that cannot be run or registers nothing."""
     if not args.plugin:
         return ()
-    from training.plugins import load_plugins
+    from neuroflight.training.plugins import load_plugins
 
     return load_plugins(args.plugin)
 

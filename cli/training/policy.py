@@ -15,7 +15,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     commands = parser.add_subparsers(dest="action", required=True, metavar="COMMAND")
     for name, summary in COMMANDS.items():
         sub = commands.add_parser(name, help=summary, description=summary)
-        module = importlib.import_module(f"cli.training.policy_{name}")
+        module = importlib.import_module(f"neuroflight.cli.training.policy_{name}")
         module.add_arguments(sub)
         sub.set_defaults(subcommand=module.run)
 

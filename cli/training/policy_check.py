@@ -14,9 +14,9 @@ if TYPE_CHECKING:
 
     from rich.console import Console
 
-    from sim.aircraft.model import Aircraft
-    from sim.ports.betaflight.build import Betaflight
-    from training.fitness.check import Verdict
+    from neuroflight.sim.aircraft.model import Aircraft
+    from neuroflight.sim.ports.betaflight.build import Betaflight
+    from neuroflight.training.fitness.check import Verdict
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -39,13 +39,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Check, write the stamp, print. Returns 0 if the policy is fit, else 1."""
-    from cli.output import check_output
-    from cli.training.evaluation.foreign import say_foreign
-    from sim.aircraft.model import load_aircraft
-    from toolchain.policy.check_stamp import stamp_path, write_stamp
-    from training.evaluation.controllers import load_controller
-    from training.fitness.check import check
-    from training.fitness.references import References
+    from neuroflight.cli.output import check_output
+    from neuroflight.cli.training.evaluation.foreign import say_foreign
+    from neuroflight.sim.aircraft.model import load_aircraft
+    from neuroflight.toolchain.policy.check_stamp import stamp_path, write_stamp
+    from neuroflight.training.evaluation.controllers import load_controller
+    from neuroflight.training.fitness.check import check
+    from neuroflight.training.fitness.references import References
 
     aircraft = load_aircraft(args.aircraft)
     say_foreign([load_controller(str(args.policy), aircraft)])
@@ -67,10 +67,10 @@ def run(args: argparse.Namespace) -> int:
 
 def find_betaflight(aircraft: Aircraft, folder: Path | None, *, build: bool) -> tuple[Betaflight | None, str]:
     """Betaflight, if it can fly the aircraft; else None and why not. build: unless it is built already."""
-    from cli.sim.fly_ports import BETAFLIGHT
-    from sim.ports.betaflight.build import build_betaflight, is_built
-    from sim.ports.betaflight.port import aircraft_settings
-    from toolchain.errors import NeuroflightError
+    from neuroflight.cli.sim.fly_ports import BETAFLIGHT
+    from neuroflight.sim.ports.betaflight.build import build_betaflight, is_built
+    from neuroflight.sim.ports.betaflight.port import aircraft_settings
+    from neuroflight.toolchain.errors import NeuroflightError
 
     place = folder or BETAFLIGHT
     try:

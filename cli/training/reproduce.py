@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from training.reproduction.experiments import Experiments, Row, Step
-    from training.reproduction.steps import Done, Watcher
-    from training.reproduction.stored import Kept, RowResult
+    from neuroflight.training.reproduction.experiments import Experiments, Row, Step
+    from neuroflight.training.reproduction.steps import Done, Watcher
+    from neuroflight.training.reproduction.stored import Kept, RowResult
 
 ROOT = Path(__file__).resolve().parents[2]
 STORED = ROOT / "docs" / "results" / "dissertation"
@@ -76,9 +76,9 @@ def run(args: argparse.Namespace) -> int:
     """Run what the rows need, then print them; or list them, or check the page."""
     from rich.console import Console
 
-    from toolchain.errors import NeuroflightError
-    from training.reproduction.experiments import experiments
-    from training.reproduction.stored import read_stored, row_result
+    from neuroflight.toolchain.errors import NeuroflightError
+    from neuroflight.training.reproduction.experiments import experiments
+    from neuroflight.training.reproduction.stored import read_stored, row_result
 
     if not 1 <= args.jobs <= JOBS_MAX:
         raise NeuroflightError(f"--jobs {args.jobs}, expected 1 to {JOBS_MAX}")
@@ -104,9 +104,9 @@ def _run(
     """Run the steps of rows; what is kept of them, and why others failed."""
     from rich.console import Console
 
-    from training.reproduction.ray_steps import on_ray
-    from training.reproduction.steps import Place, run_steps
-    from training.reproduction.stored import keep
+    from neuroflight.training.reproduction.ray_steps import on_ray
+    from neuroflight.training.reproduction.steps import Place, run_steps
+    from neuroflight.training.reproduction.stored import keep
 
     place = Place(ROOT, args.out.resolve(), args.budget)
     reasons: dict[str, str] = {}
@@ -129,9 +129,9 @@ def _run(
 
 
 def _store(known: Experiments, kept: Mapping[str, Kept], done: Mapping[str, Done]) -> None:
-    from toolchain.files import write_text_if_changed
-    from training.reproduction.page import render
-    from training.reproduction.stored import read_stored, store
+    from neuroflight.toolchain.files import write_text_if_changed
+    from neuroflight.training.reproduction.page import render
+    from neuroflight.training.reproduction.stored import read_stored, store
 
     before = read_stored(STORED)
     for name, each in kept.items():
@@ -141,9 +141,9 @@ def _store(known: Experiments, kept: Mapping[str, Kept], done: Mapping[str, Done
 
 
 def _check(known: Experiments) -> int:
-    from toolchain.errors import NeuroflightError
-    from training.reproduction.page import render
-    from training.reproduction.stored import read_stored
+    from neuroflight.toolchain.errors import NeuroflightError
+    from neuroflight.training.reproduction.page import render
+    from neuroflight.training.reproduction.stored import read_stored
 
     page = render(known, read_stored(STORED), PICTURES.name)
     if not PAGE.is_file() or PAGE.read_bytes() != page.encode():
@@ -156,7 +156,7 @@ def _check(known: Experiments) -> int:
 
 def _watcher(console: Console, count: int, reasons: dict[str, str]) -> Watcher:
     """Tells what steps do; why some failed goes into `reasons`."""
-    from training.reproduction.steps import Watcher
+    from neuroflight.training.reproduction.steps import Watcher
 
     class Lines(Watcher):
         """Tells each step on a line of stderr."""
@@ -188,7 +188,7 @@ def _list(args: argparse.Namespace, known: Experiments, results: Sequence[RowRes
     """Each row with what is stored of it and its command; what that runs only of rows that were named."""
     from rich.console import Console
 
-    from training.reproduction.page import differing, judged, measured, quoted
+    from neuroflight.training.reproduction.page import differing, judged, measured, quoted
 
     if args.json:
         print(json.dumps([_document(each, known) for each in results], indent=2))
@@ -223,7 +223,7 @@ def _print(console: Console, results: Sequence[RowResult]) -> None:
     from rich.markup import escape
     from rich.table import Table
 
-    from training.reproduction.page import barred, judged, measured, quoted
+    from neuroflight.training.reproduction.page import barred, judged, measured, quoted
 
     for each in results:
         row = each.row
@@ -245,7 +245,7 @@ def _print(console: Console, results: Sequence[RowResult]) -> None:
 
 
 def _document(each: RowResult, known: Experiments) -> dict[str, Any]:
-    from training.reproduction.page import barred, differing, judged
+    from neuroflight.training.reproduction.page import barred, differing, judged
 
     row = each.row
     return {

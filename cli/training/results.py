@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from training.results_page.stored_results import Stored
+    from neuroflight.training.results_page.stored_results import Stored
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
@@ -42,11 +42,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Write the page, or check that it is up to date."""
-    from cli.output import check_output
-    from toolchain.errors import NeuroflightError
-    from toolchain.files import write_text_if_changed
-    from training.results_page.page import render
-    from training.results_page.stored_results import read_results
+    from neuroflight.cli.output import check_output
+    from neuroflight.toolchain.errors import NeuroflightError
+    from neuroflight.toolchain.files import write_text_if_changed
+    from neuroflight.training.results_page.page import render
+    from neuroflight.training.results_page.stored_results import read_results
 
     check_output(args.out, ".md")
     if args.again is not None:
@@ -68,9 +68,9 @@ def run(args: argparse.Namespace) -> int:
 
 def _draw(folder: Path, results: Sequence[Stored]) -> None:
     """Draw the study of sizes, if there is one, into the folder."""
-    from sim.plotting import save_png
-    from training.results_page.studies import PLOT, SIZES
-    from training.results_page.studies_plot import draw_sizes, points
+    from neuroflight.sim.plotting import save_png
+    from neuroflight.training.results_page.studies import PLOT, SIZES
+    from neuroflight.training.results_page.studies_plot import draw_sizes, points
 
     for stored in results:
         if stored.has("sweep") and stored.text("sweep") == SIZES and (drawn := points(stored)):
@@ -82,9 +82,9 @@ def _make_again(folder: Path, names: Sequence[str]) -> None:
     """Repeat commands in the project's folder; a file is replaced when its command has succeeded."""
     from rich.console import Console
 
-    from toolchain.errors import NeuroflightError
-    from toolchain.files import write_text
-    from training.results_page.stored_results import COMMANDS, read_commands
+    from neuroflight.toolchain.errors import NeuroflightError
+    from neuroflight.toolchain.files import write_text
+    from neuroflight.training.results_page.stored_results import COMMANDS, read_commands
 
     commands = read_commands(folder)
     for name in names:
@@ -98,7 +98,7 @@ def _make_again(folder: Path, names: Sequence[str]) -> None:
         told = f"{name}: `neuroflight {' '.join(words)}`"
         with console.status(told):
             done = subprocess.run(
-                [sys.executable, "-m", "cli.main", *words, "--json"],
+                [sys.executable, "-m", "neuroflight.cli.main", *words, "--json"],
                 cwd=ROOT,
                 capture_output=True,
                 text=True,

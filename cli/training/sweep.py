@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cli.training.plugins import add_plugin_argument, load_named, words
+from neuroflight.cli.training.plugins import add_plugin_argument, load_named, words
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -19,11 +19,11 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
-    from training.sweeps.axes import Varied
-    from training.sweeps.config import Sweep
-    from training.sweeps.jobs import SweepCallback
-    from training.sweeps.summary import Configuration, Run
-    from training.sweeps.trial import AtThrust, Figure
+    from neuroflight.training.sweeps.axes import Varied
+    from neuroflight.training.sweeps.config import Sweep
+    from neuroflight.training.sweeps.jobs import SweepCallback
+    from neuroflight.training.sweeps.summary import Configuration, Run
+    from neuroflight.training.sweeps.trial import AtThrust, Figure
 
 CPUS_MAX = 4096
 WIDTH = 160  # characters of a table printed to a file
@@ -51,12 +51,12 @@ def run(args: argparse.Namespace) -> int:
     """Do the runs with a progress bar, print the tables. Returns 0; 1 if a run failed."""
     from rich.console import Console
 
-    from cli.output import check_folder, command_line
-    from toolchain.errors import TrainingError
-    from toolchain.files import claimed
-    from training.sweeps.config import load_sweep
-    from training.sweeps.run import RECORD, run_sweep
-    from training.sweeps.summary import configurations
+    from neuroflight.cli.output import check_folder, command_line
+    from neuroflight.toolchain.errors import TrainingError
+    from neuroflight.toolchain.files import claimed
+    from neuroflight.training.sweeps.config import load_sweep
+    from neuroflight.training.sweeps.run import RECORD, run_sweep
+    from neuroflight.training.sweeps.summary import configurations
 
     cpus = args.cpus if args.cpus is not None else len(os.sched_getaffinity(0))
     if not 1 <= cpus <= CPUS_MAX:
@@ -96,7 +96,7 @@ def _progress_bars(sweep: Sweep, out: Path) -> Iterator[SweepCallback]:
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-    from training.sweeps.jobs import SweepCallback, request_stop
+    from neuroflight.training.sweeps.jobs import SweepCallback, request_stop
 
     console = Console(stderr=True)
     columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[figures]}"))
@@ -151,8 +151,8 @@ def _progress_bars(sweep: Sweep, out: Path) -> Iterator[SweepCallback]:
 def _print(
     console: Console, out: Path, sweep: Sweep, runs: Sequence[Run], found: Sequence[Configuration]
 ) -> None:
-    from training.sweeps.run import PLOT, RECORD, TRIALS
-    from training.sweeps.summary import unfit
+    from neuroflight.training.sweeps.run import PLOT, RECORD, TRIALS
+    from neuroflight.training.sweeps.summary import unfit
 
     console.print(_runs(runs))
     if sweep.validation.thrust:
@@ -263,7 +263,7 @@ def _table(title: str, heads: Sequence[str]) -> Table:
 def _cells(varied: Varied, keys: Sequence[str]) -> list[str]:
     from rich.markup import escape
 
-    from training.sweeps.config import shown
+    from neuroflight.training.sweeps.config import shown
 
     return [escape(shown(varied[key])) for key in keys]
 

@@ -10,15 +10,15 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cli.training.plugins import add_plugin_argument, load_named, words
+from neuroflight.cli.training.plugins import add_plugin_argument, load_named, words
 
 if TYPE_CHECKING:
-    from sim.aircraft.model import Aircraft
-    from training.config.training_config import TrainingConfig
-    from training.fitness.ending import Ending
-    from training.fitness.references import References
-    from training.runs.seeds import Planned
-    from training.runs.train import Callback, Progress
+    from neuroflight.sim.aircraft.model import Aircraft
+    from neuroflight.training.config.training_config import TrainingConfig
+    from neuroflight.training.fitness.ending import Ending
+    from neuroflight.training.fitness.references import References
+    from neuroflight.training.runs.seeds import Planned
+    from neuroflight.training.runs.train import Callback, Progress
 
 DEFAULT_RECIPE = "nf1"  # of every aircraft that has none of its own
 PLOT, BOARD = "monitor.png", "tensorboard"
@@ -64,8 +64,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Train with a progress display, then print the result."""
-    from sim.aircraft.model import load_aircraft
-    from toolchain.files import claimed
+    from neuroflight.sim.aircraft.model import load_aircraft
+    from neuroflight.toolchain.files import claimed
 
     load_named(args)
     aircraft = load_aircraft(args.aircraft)
@@ -80,10 +80,10 @@ def _train_all(
     args: argparse.Namespace, aircraft: Aircraft, config: TrainingConfig, claims: ExitStack
 ) -> int:
     """Train every seed in --out, which is this process's own. claims: gets the folders of several seeds."""
-    from toolchain.files import claimed
-    from toolchain.policy.check_stamp import write_stamp
-    from training.runs.seeds import best_seed, keep, plan  # torch, which takes seconds
-    from training.runs.train import read_record
+    from neuroflight.toolchain.files import claimed
+    from neuroflight.toolchain.policy.check_stamp import write_stamp
+    from neuroflight.training.runs.seeds import best_seed, keep, plan  # torch, which takes seconds
+    from neuroflight.training.runs.train import read_record
 
     planned = plan(aircraft, config, args.out, args.seeds, resume=args.resume, force=args.force)
     for item in planned:
@@ -126,9 +126,9 @@ class _Fitness:
     """
 
     def __init__(self, aircraft: Aircraft, named: str, config: TrainingConfig) -> None:
-        from cli.training.policy_check import find_betaflight
-        from toolchain.errors import AircraftError
-        from training.fitness.references import References
+        from neuroflight.cli.training.policy_check import find_betaflight
+        from neuroflight.toolchain.errors import AircraftError
+        from neuroflight.training.fitness.references import References
 
         self._aircraft, self.why = aircraft, ""
         self._references: References | None = None
@@ -151,9 +151,9 @@ class _Fitness:
 
     def choose(self, planned: tuple[Planned, ...]) -> Ending | None:
         """The best checkpoint that is fit, see `choose_fit`; None: nothing is checked, or could not be."""
-        from cli.training.policy_check import Checking
-        from toolchain.errors import NeuroflightError
-        from training.fitness.ending import choose_fit
+        from neuroflight.cli.training.policy_check import Checking
+        from neuroflight.toolchain.errors import NeuroflightError
+        from neuroflight.training.fitness.ending import choose_fit
 
         if self._references is None:
             return None
@@ -168,8 +168,8 @@ class _Fitness:
         """Print how the check ended, or the command that makes one."""
         from rich.console import Console
 
-        from cli.training.policy_check import print_end
-        from toolchain.policy.check_stamp import check_command
+        from neuroflight.cli.training.policy_check import print_end
+        from neuroflight.toolchain.policy.check_stamp import check_command
 
         console = Console(highlight=False, soft_wrap=True)
         policy = args.out / "policy.onnx"
@@ -188,7 +188,7 @@ class _Fitness:
 
 def _config(args: argparse.Namespace, aircraft: Aircraft) -> TrainingConfig:
     """The configuration of the arguments. Raises TrainingError if it is invalid."""
-    from training.config.config_file import load_config
+    from neuroflight.training.config.config_file import load_config
 
     overrides = [*args.set]
     for key in ("algorithm", "steps", "seed"):
@@ -199,8 +199,8 @@ def _config(args: argparse.Namespace, aircraft: Aircraft) -> TrainingConfig:
 
 def _source(args: argparse.Namespace, aircraft: Aircraft) -> str | None:
     """The recipe or file that the run begins from; None: `TrainingConfig()`."""
-    from sim.aircraft.model import shipped
-    from training.config.config_file import recipes
+    from neuroflight.sim.aircraft.model import shipped
+    from neuroflight.training.config.config_file import recipes
 
     if args.config is not None:
         return str(args.config)
@@ -211,7 +211,7 @@ def _source(args: argparse.Namespace, aircraft: Aircraft) -> str | None:
 
 def _check_folder(out: Path) -> None:
     """Reject a folder that could not be written after the training."""
-    from cli.output import check_folder, check_output
+    from neuroflight.cli.output import check_folder, check_output
 
     check_folder(out, "--out")
     check_output(out / "training.json", ".json")
@@ -225,9 +225,9 @@ def _remove_events(planned: tuple[Planned, ...]) -> None:
 
 
 def _train(args: argparse.Namespace, aircraft: Aircraft, item: Planned) -> Progress:
-    from cli.training.train_display import Display
-    from training.checkpoints.monitor_process import Monitor
-    from training.runs.train import Callbacks, train
+    from neuroflight.cli.training.train_display import Display
+    from neuroflight.training.checkpoints.monitor_process import Monitor
+    from neuroflight.training.runs.train import Callbacks, train
 
     config = item.config
     with ExitStack() as stack:
@@ -237,7 +237,7 @@ def _train(args: argparse.Namespace, aircraft: Aircraft, item: Planned) -> Progr
         )
         callbacks: list[Callback] = [display]
         if args.tensorboard:
-            from training.runs.tensorboard import TensorBoard
+            from neuroflight.training.runs.tensorboard import TensorBoard
 
             board = TensorBoard(item.out / BOARD, item.done)
             stack.callback(board.close)
@@ -260,7 +260,7 @@ def _train(args: argparse.Namespace, aircraft: Aircraft, item: Planned) -> Progr
 
 def _print_saved_steps(item: Planned, before: int | None) -> None:
     """before: `_written` when the run began."""
-    from training.runs.train import read_record
+    from neuroflight.training.runs.train import read_record
 
     if (now := _written(item)) is not None and (now != before or item.done is not None):
         steps = read_record(item.out)["steps"]
@@ -273,7 +273,7 @@ def _print_saved_steps(item: Planned, before: int | None) -> None:
 
 def _written(item: Planned) -> int | None:
     """When the record of a run was written [ns]; None if there is none."""
-    from training.runs.train import RECORD
+    from neuroflight.training.runs.train import RECORD
 
     path = item.out / RECORD
     return path.stat().st_mtime_ns if path.exists() else None
@@ -281,7 +281,7 @@ def _written(item: Planned) -> int | None:
 
 def _command(args: argparse.Namespace, config: TrainingConfig, seeds: int = 1) -> str:
     """The command that repeats the run, without --out."""
-    from cli.output import command_line
+    from neuroflight.cli.output import command_line
 
     return command_line(
         "train",
@@ -298,10 +298,10 @@ def _command(args: argparse.Namespace, config: TrainingConfig, seeds: int = 1) -
 
 def _draw(out: Path, aircraft: Aircraft, planned: tuple[Planned, ...], best: int) -> None:
     """Write monitor.png, if there is anything to draw."""
-    from sim.plotting import save_png
-    from training.checkpoints.monitor import EPISODES, flown
-    from training.checkpoints.monitor_plot import draw, read_monitor
-    from training.runs.train import MONITOR
+    from neuroflight.sim.plotting import save_png
+    from neuroflight.training.checkpoints.monitor import EPISODES, flown
+    from neuroflight.training.checkpoints.monitor_plot import draw, read_monitor
+    from neuroflight.training.runs.train import MONITOR
 
     runs = [read_monitor(item.out / MONITOR) for item in planned if (item.out / MONITOR).exists()]
     if any(run.history for run in runs):
@@ -315,8 +315,8 @@ def _print(
 ) -> None:
     from rich.console import Console
 
-    from cli.training.train_display import figures
-    from training.checkpoints.selection import within
+    from neuroflight.cli.training.train_display import figures
+    from neuroflight.training.checkpoints.selection import within
 
     console = Console(highlight=False, soft_wrap=True)
     for item in planned:

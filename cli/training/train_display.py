@@ -9,9 +9,9 @@ from rich.live import Live
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.text import Text
 
-from training.checkpoints.metrics import CheckpointMetrics
-from training.runs.train import Callback
-from training.runs.train import Progress as State
+from neuroflight.training.checkpoints.metrics import CheckpointMetrics
+from neuroflight.training.runs.train import Callback
+from neuroflight.training.runs.train import Progress as State
 
 
 class Display(Callback):

@@ -13,8 +13,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cli.training.tune_pid_betaflight import tune_betaflight_of
-from cli.training.tune_pid_report import (
+from neuroflight.cli.training.tune_pid_betaflight import tune_betaflight_of
+from neuroflight.cli.training.tune_pid_report import (
     BETAFLIGHT,
     DISSERTATION,
     FLYING,
@@ -26,7 +26,7 @@ from cli.training.tune_pid_report import (
     document,
     print_tables,
 )
-from cli.training.tune_pid_search import (
+from neuroflight.cli.training.tune_pid_search import (
     Show,
     by_thrust,
     check_thrusts_only,
@@ -35,18 +35,18 @@ from cli.training.tune_pid_search import (
     flights_bar,
     search_bar,
 )
-from cli.training.tune_pid_users import tune_users_of
-from toolchain.errors import TrainingError
+from neuroflight.cli.training.tune_pid_users import tune_users_of
+from neuroflight.toolchain.errors import TrainingError
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from sim.aircraft.model import Aircraft, PidSettings
-    from training.evaluation.evaluation import Evaluation, Flights
-    from training.pid_tuning.trial import Limits
-    from training.pid_tuning.tuning import Tuning
-    from training.tasks.task import Task
+    from neuroflight.sim.aircraft.model import Aircraft, PidSettings
+    from neuroflight.training.evaluation.evaluation import Evaluation, Flights
+    from neuroflight.training.pid_tuning.trial import Limits
+    from neuroflight.training.pid_tuning.tuning import Tuning
+    from neuroflight.training.tasks.task import Task
 
 BUDGET_MAX = 100_000
 
@@ -128,10 +128,10 @@ def run(args: argparse.Namespace) -> int:
 
     from rich.console import Console
 
-    from sim.aircraft.model import FOLDER, load_aircraft, shipped
-    from sim.aircraft.pid_write import write_pid
-    from sim.plotting import save_png
-    from training.pid_tuning.tuning_plot import draw
+    from neuroflight.sim.aircraft.model import FOLDER, load_aircraft, shipped
+    from neuroflight.sim.aircraft.pid_write import write_pid
+    from neuroflight.sim.plotting import save_png
+    from neuroflight.training.pid_tuning.tuning_plot import draw
 
     aircraft = load_aircraft(args.aircraft)
     if args.of == BETAFLIGHT:
@@ -168,12 +168,12 @@ def run(args: argparse.Namespace) -> int:
 
 def _check(args: argparse.Namespace) -> None:
     """Check the arguments and fill in the defaults of the terms. Raises NeuroflightError."""
-    from cli.output import check_output
-    from cli.training.evaluation.ranges import check_ranges
-    from sim.aircraft.pid_write import NAME
-    from sim.physics.world import COUNT_MAX
-    from training.evaluation.users_controller import is_users_controller
-    from training.pid_tuning.tuning import IDLE_MAX
+    from neuroflight.cli.output import check_output
+    from neuroflight.cli.training.evaluation.ranges import check_ranges
+    from neuroflight.sim.aircraft.pid_write import NAME
+    from neuroflight.sim.physics.world import COUNT_MAX
+    from neuroflight.training.evaluation.users_controller import is_users_controller
+    from neuroflight.training.pid_tuning.tuning import IDLE_MAX
 
     check_ranges(
         ("--seed", args.seed, 0, 2**32 - 1),
@@ -208,9 +208,9 @@ def _check(args: argparse.Namespace) -> None:
 
 def _limits(args: argparse.Namespace, aircraft: Aircraft) -> Limits:
     """Return the limits by the terms, where the user names none."""
-    from training.pid_tuning import dissertation, flying
-    from training.pid_tuning.trial import Limits
-    from training.pid_tuning.tuning import idle_limit
+    from neuroflight.training.pid_tuning import dissertation, flying
+    from neuroflight.training.pid_tuning.trial import Limits
+    from neuroflight.training.pid_tuning.tuning import idle_limit
 
     def given(value: float | None, usual: float) -> float:
         return usual if value is None else value
@@ -224,9 +224,9 @@ def _limits(args: argparse.Namespace, aircraft: Aircraft) -> Limits:
 
 
 def _tune(args: argparse.Namespace, aircraft: Aircraft, limits: Limits) -> Tuning:
-    from training.pid_tuning.dissertation import DissertationTrials
-    from training.pid_tuning.flying import FlyingTrials
-    from training.pid_tuning.tuning import streams, tune
+    from neuroflight.training.pid_tuning.dissertation import DissertationTrials
+    from neuroflight.training.pid_tuning.flying import FlyingTrials
+    from neuroflight.training.pid_tuning.tuning import streams, tune
 
     draw, search = streams(args.seed)
     tuner = chosen_tuner(args)
@@ -242,7 +242,7 @@ def _tune(args: argparse.Namespace, aircraft: Aircraft, limits: Limits) -> Tunin
 
 def _throttle(args: argparse.Namespace, aircraft: Aircraft) -> float:
     """Return the throttle of drawn responses."""
-    from training.pid_tuning.flying import IDLE, throttle_for
+    from neuroflight.training.pid_tuning.flying import IDLE, throttle_for
 
     return 0.0 if args.terms == DISSERTATION else throttle_for(aircraft, 1.0, IDLE)
 
@@ -253,9 +253,9 @@ def _fly_unseen(args: argparse.Namespace, aircraft: Aircraft, tuning: Tuning) ->
     By the dissertation's terms of the first rule and of the tuned settings, in pulses; by flying terms of
     the tuned settings at each thrust, in flights.
     """
-    from training.evaluation.evaluation import figures
-    from training.pid_tuning.flying import LEVELS
-    from training.tasks.task import PulseTask
+    from neuroflight.training.evaluation.evaluation import figures
+    from neuroflight.training.pid_tuning.flying import LEVELS
+    from neuroflight.training.tasks.task import PulseTask
 
     checked = {}
     best = tuning.best.settings
@@ -281,10 +281,10 @@ def _flights(
     throttle: float | NDArray[np.float32],
     progress: Show,
 ) -> Flights:
-    from sim.control.pid import Pid
-    from sim.control.pid_table import mixer
-    from training.evaluation.evaluation import record
-    from training.pid_tuning.trial import RATE_HZ
+    from neuroflight.sim.control.pid import Pid
+    from neuroflight.sim.control.pid_table import mixer
+    from neuroflight.training.evaluation.evaluation import record
+    from neuroflight.training.pid_tuning.trial import RATE_HZ
 
     return record(
         Pid(mixer(aircraft), settings, count, RATE_HZ),

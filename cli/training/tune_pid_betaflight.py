@@ -7,7 +7,7 @@ import json
 import sys
 from typing import TYPE_CHECKING
 
-from cli.training.tune_pid_report import (
+from neuroflight.cli.training.tune_pid_report import (
     BETAFLIGHT,
     DEFAULTS,
     TUNED,
@@ -18,23 +18,29 @@ from cli.training.tune_pid_report import (
     keeps_limit,
     print_thrusts,
 )
-from cli.training.tune_pid_search import by_thrust, chosen_tuner, final_flights, flights_bar, search_bar
+from neuroflight.cli.training.tune_pid_search import (
+    by_thrust,
+    chosen_tuner,
+    final_flights,
+    flights_bar,
+    search_bar,
+)
 
 if TYPE_CHECKING:
-    from sim.aircraft.model import Aircraft
-    from sim.ports.betaflight.build import Betaflight
-    from training.evaluation.evaluation import Evaluation
-    from training.pid_tuning.betaflight_tuning import Settings, Tuning
+    from neuroflight.sim.aircraft.model import Aircraft
+    from neuroflight.sim.ports.betaflight.build import Betaflight
+    from neuroflight.training.evaluation.evaluation import Evaluation
+    from neuroflight.training.pid_tuning.betaflight_tuning import Settings, Tuning
 
     Checked = dict[str, dict[str, Evaluation]]  # by settings, then by thrust
 
 
 def tune_betaflight_of(args: argparse.Namespace, aircraft: Aircraft) -> int:
     """Tune, fly unseen commands, write and print. Returns 1 where nothing better keeps the limit."""
-    from cli.sim.fly_ports import built_betaflight
-    from sim.ports.betaflight.tune import tune_text
-    from toolchain.files import write_text
-    from training.pid_tuning.betaflight_tuning import tune_betaflight
+    from neuroflight.cli.sim.fly_ports import built_betaflight
+    from neuroflight.sim.ports.betaflight.tune import tune_text
+    from neuroflight.toolchain.files import write_text
+    from neuroflight.training.pid_tuning.betaflight_tuning import tune_betaflight
 
     built = built_betaflight(args, aircraft)
     with search_bar(args.budget, "Betaflight's defaults") as show:
@@ -64,10 +70,10 @@ def tune_betaflight_of(args: argparse.Namespace, aircraft: Aircraft) -> int:
 
 def _fly_unseen(args: argparse.Namespace, built: Betaflight, aircraft: Aircraft, best: Settings) -> Checked:
     """Return the figures of the defaults and of the settings in the flights of a PID's check."""
-    from sim.ports.betaflight.fleet import ArmedBetaflight
-    from sim.ports.betaflight.port import IDLE
-    from training.evaluation.betaflight import record_betaflight
-    from training.pid_tuning.betaflight_tuning import as_tune
+    from neuroflight.sim.ports.betaflight.fleet import ArmedBetaflight
+    from neuroflight.sim.ports.betaflight.port import IDLE
+    from neuroflight.training.evaluation.betaflight import record_betaflight
+    from neuroflight.training.pid_tuning.betaflight_tuning import as_tune
 
     task, throttle = final_flights(aircraft, IDLE, args.check)
     checked: Checked = {}

@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cli.output import command_line
+from neuroflight.cli.output import command_line
 
 if TYPE_CHECKING:
     import numpy as np
@@ -15,10 +15,10 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
-    from sim.aircraft.model import Aircraft, PidSettings
-    from training.evaluation.evaluation import Evaluation
-    from training.pid_tuning.trial import Limits
-    from training.pid_tuning.tuning import Tuning
+    from neuroflight.sim.aircraft.model import Aircraft, PidSettings
+    from neuroflight.training.evaluation.evaluation import Evaluation
+    from neuroflight.training.pid_tuning.trial import Limits
+    from neuroflight.training.pid_tuning.tuning import Tuning
 
 PID, BETAFLIGHT = SUBJECTS = ("pid", "betaflight")
 FLYING, DISSERTATION = TERMS = ("flying", "dissertation")
@@ -78,7 +78,7 @@ def command(args: argparse.Namespace) -> str:
 
 
 def _settings(settings: PidSettings) -> dict[str, Any]:
-    from toolchain.contract import AXES
+    from neuroflight.toolchain.contract import AXES
 
     gains = {axis: list(values) for axis, values in zip(AXES, settings.gains, strict=True)}
     return {"idle": settings.idle, "derivative_cutoff_hz": settings.derivative_cutoff_hz, **gains}
@@ -102,7 +102,7 @@ def document(
     checked: dict[str, Evaluation],
 ) -> dict[str, Any]:
     """The whole result as JSON data."""
-    from toolchain.contract import AXES
+    from neuroflight.toolchain.contract import AXES
 
     found = zip(AXES, tuning.ultimate_gains, strict=True)
     return {
@@ -137,7 +137,7 @@ def print_tables(
     """Gains and figures as tables."""
     from rich.table import Table
 
-    from toolchain.contract import AXES
+    from neuroflight.toolchain.contract import AXES
 
     gains = Table(title=f"PID of {aircraft.name}: K_P, K_I, K_D", title_justify="left")
     for heading in ("", *AXES):

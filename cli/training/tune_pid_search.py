@@ -8,17 +8,17 @@ from contextlib import contextmanager
 from dataclasses import replace
 from typing import TYPE_CHECKING, Protocol
 
-from cli.training.tune_pid_report import BETAFLIGHT, FLYING
-from toolchain.errors import TrainingError
+from neuroflight.cli.training.tune_pid_report import BETAFLIGHT, FLYING
+from neuroflight.toolchain.errors import TrainingError
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from sim.aircraft.model import Aircraft
-    from training.evaluation.evaluation import Evaluation, Flights
-    from training.pid_tuning.tuner import MakeTuner
-    from training.tasks.flight import FlightTask
+    from neuroflight.sim.aircraft.model import Aircraft
+    from neuroflight.training.evaluation.evaluation import Evaluation, Flights
+    from neuroflight.training.pid_tuning.tuner import MakeTuner
+    from neuroflight.training.tasks.flight import FlightTask
 
 CHECKED_MAX = 500  # commands at each thrust: a Betaflight for each flight at a time
 OF_A_PID = ("max_output", "max_idle", "name", "plot")  # options of its search alone
@@ -41,9 +41,9 @@ class Candidate(Protocol):
 
 def check_thrusts_only(args: argparse.Namespace) -> None:
     """Refuse options of a PID's search and fill in the defaults of all others. Raises NeuroflightError."""
-    from cli.output import check_output
-    from cli.training.evaluation.ranges import check_ranges
-    from training.pid_tuning.flying import CHANGE
+    from neuroflight.cli.output import check_output
+    from neuroflight.cli.training.evaluation.ranges import check_ranges
+    from neuroflight.training.pid_tuning.flying import CHANGE
 
     if args.terms != FLYING:
         raise TrainingError(f"--terms {args.terms}: of a PID's search; all others are by flying terms")
@@ -58,8 +58,8 @@ def check_thrusts_only(args: argparse.Namespace) -> None:
 
 def chosen_tuner(args: argparse.Namespace) -> MakeTuner:
     """Return what searches: CMA-ES, or the user's own."""
-    from training.pid_tuning.cma_es import CmaEs
-    from training.pid_tuning.tuner import load_tuner
+    from neuroflight.training.pid_tuning.cma_es import CmaEs
+    from neuroflight.training.pid_tuning.tuner import load_tuner
 
     return CmaEs if args.tuner is None else load_tuner(args.tuner)
 
@@ -103,9 +103,9 @@ def final_flights(aircraft: Aircraft, idle: float, commands: int) -> tuple[Fligh
     """Return the task, and the throttle of each of its flights: `commands` at each thrust of the search."""
     import numpy as np
 
-    from sim.analysis.holding import DRIFT_S
-    from training.pid_tuning.flying import LEVELS, PULSES, throttle_for
-    from training.tasks.flight import FlightTask
+    from neuroflight.sim.analysis.holding import DRIFT_S
+    from neuroflight.training.pid_tuning.flying import LEVELS, PULSES, throttle_for
+    from neuroflight.training.tasks.flight import FlightTask
 
     task, count = FlightTask(pulses=PULSES, hover_s=DRIFT_S).of_commands(commands)
     throttle = [throttle_for(aircraft, level, idle) for level in LEVELS]
@@ -114,8 +114,8 @@ def final_flights(aircraft: Aircraft, idle: float, commands: int) -> tuple[Fligh
 
 def by_thrust(flown: Flights) -> dict[str, Evaluation]:
     """Return the figures at each thrust of `final_flights`; the change is that of the motors."""
-    from training.evaluation.evaluation import figures
-    from training.pid_tuning.flying import LEVELS
+    from neuroflight.training.evaluation.evaluation import figures
+    from neuroflight.training.pid_tuning.flying import LEVELS
 
     count = len(flown.rate) // len(LEVELS)
     found = {}

@@ -7,7 +7,7 @@ import json
 import sys
 from typing import TYPE_CHECKING, Any
 
-from cli.training.tune_pid_report import (
+from neuroflight.cli.training.tune_pid_report import (
     DEFAULTS,
     TUNED,
     command,
@@ -17,22 +17,28 @@ from cli.training.tune_pid_report import (
     keeps_limit,
     print_thrusts,
 )
-from cli.training.tune_pid_search import by_thrust, chosen_tuner, final_flights, flights_bar, search_bar
+from neuroflight.cli.training.tune_pid_search import (
+    by_thrust,
+    chosen_tuner,
+    final_flights,
+    flights_bar,
+    search_bar,
+)
 
 if TYPE_CHECKING:
-    from sim.aircraft.model import Aircraft
-    from training.evaluation.evaluation import Evaluation
-    from training.evaluation.users_controller import UsersController
-    from training.pid_tuning.users_tuning import Tuning, Values
+    from neuroflight.sim.aircraft.model import Aircraft
+    from neuroflight.training.evaluation.evaluation import Evaluation
+    from neuroflight.training.evaluation.users_controller import UsersController
+    from neuroflight.training.pid_tuning.users_tuning import Tuning, Values
 
     Checked = dict[str, dict[str, Evaluation]]  # by values, then by thrust
 
 
 def tune_users_of(args: argparse.Namespace, aircraft: Aircraft) -> int:
     """Tune, fly unseen commands, write and print. Returns 1 where the limit is not kept."""
-    from toolchain.files import write_text
-    from training.evaluation.users_controller import load_users_controller, values_text
-    from training.pid_tuning.users_tuning import check_names, tune_users
+    from neuroflight.toolchain.files import write_text
+    from neuroflight.training.evaluation.users_controller import load_users_controller, values_text
+    from neuroflight.training.pid_tuning.users_tuning import check_names, tune_users
 
     controller = load_users_controller(args.of)
     names = list(args.parameters or controller.parameters)
@@ -66,7 +72,7 @@ def _fly_unseen(
     args: argparse.Namespace, controller: UsersController, aircraft: Aircraft, tuning: Tuning
 ) -> Checked:
     """Return the figures as the class says and as found, in the flights of a PID's check."""
-    from training.evaluation.evaluation import record
+    from neuroflight.training.evaluation.evaluation import record
 
     task, throttle = final_flights(aircraft, controller.idle, args.check)
     both: dict[str, Values] = {DEFAULTS: controller.values, TUNED: tuning.best.values}

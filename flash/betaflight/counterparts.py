@@ -10,8 +10,8 @@ import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
-from flash.setting_text import NO_TEXT, Value, check_text
-from toolchain.errors import LinkError
+from neuroflight.flash.setting_text import NO_TEXT, Value, check_text
+from neuroflight.toolchain.errors import LinkError
 
 Changes = dict[str, Value]
 Convert = Callable[

@@ -7,8 +7,8 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
-from toolchain.errors import LinkError
-from toolchain.files import file_size
+from neuroflight.toolchain.errors import LinkError
+from neuroflight.toolchain.files import file_size
 
 FILE_BYTES_MAX = 1 << 20  # a dump of 4.5 has 60 kB
 SHOWN = 70  # characters of a line in an error or a listing

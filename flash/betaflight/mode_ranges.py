@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 
-from toolchain.contract import (
+from neuroflight.toolchain.contract import (
     AUX_COUNT,
     MODE_LOW_US,
     MODE_SLOT_COUNT,

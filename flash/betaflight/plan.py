@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from flash.betaflight.diff_file import Line
-from flash.client import NoAnswerError, RefusedError
-from flash.setting_text import RATES, STYLE, Value, same
-from flash.settings import Settings
-from toolchain.errors import LinkError
+from neuroflight.flash.betaflight.diff_file import Line
+from neuroflight.flash.client import NoAnswerError, RefusedError
+from neuroflight.flash.setting_text import RATES, STYLE, Value, same
+from neuroflight.flash.settings import Settings
+from neuroflight.toolchain.errors import LinkError
 
 
 @dataclass(frozen=True)

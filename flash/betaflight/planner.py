@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 
-from flash.betaflight.counterparts import (
+from neuroflight.flash.betaflight.counterparts import (
     BEEPERS,
     COMMANDS,
     NOT_A_COMMAND,
@@ -17,13 +17,13 @@ from flash.betaflight.counterparts import (
     number,
     reason_without,
 )
-from flash.betaflight.diff_file import Diff, Line
-from flash.betaflight.mode_ranges import HIGH_US, PREARM, box_name, placed, read_aux, unpacked
-from flash.betaflight.motor_order import MOTORS, OUTPUT_PINS, motor_outputs, read_pin
-from flash.betaflight.plan import Group, Left, Plan
-from flash.betaflight.rate_profiles import RateProfiles
-from flash.setting_text import STYLE, Value, known_setting
-from toolchain.contract import MODE_LOW_US, Mode, ModeRange
+from neuroflight.flash.betaflight.diff_file import Diff, Line
+from neuroflight.flash.betaflight.mode_ranges import HIGH_US, PREARM, box_name, placed, read_aux, unpacked
+from neuroflight.flash.betaflight.motor_order import MOTORS, OUTPUT_PINS, motor_outputs, read_pin
+from neuroflight.flash.betaflight.plan import Group, Left, Plan
+from neuroflight.flash.betaflight.rate_profiles import RateProfiles
+from neuroflight.flash.setting_text import STYLE, Value, known_setting
+from neuroflight.toolchain.contract import MODE_LOW_US, Mode, ModeRange
 
 HOST = "HOST"  # the host program's target name, which takes any board's file
 USB_PORT, SOFT_SERIAL = 20, 30  # first numbers of these kinds of ports in a serial line

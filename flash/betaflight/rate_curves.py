@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from toolchain.contract import (
+from neuroflight.toolchain.contract import (
     AXES,
     RATE_MAX_DEG_S,
     RC_RATE_DEG_S,

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from flash.betaflight.counterparts import is_on, number
-from flash.betaflight.diff_file import Diff, Line
-from flash.betaflight.rate_curves import LIMIT_DEG_S, AxisRates, Profile, Style, nearest_style
-from toolchain.contract import AXES
-from toolchain.errors import LinkError
+from neuroflight.flash.betaflight.counterparts import is_on, number
+from neuroflight.flash.betaflight.diff_file import Diff, Line
+from neuroflight.flash.betaflight.rate_curves import LIMIT_DEG_S, AxisRates, Profile, Style, nearest_style
+from neuroflight.toolchain.contract import AXES
+from neuroflight.toolchain.errors import LinkError
 
 KINDS = ("BETAFLIGHT", "RACEFLIGHT", "KISS", "ACTUAL", "QUICK")
 FIRST, LAST = (3, 0), (2026, 6)  # versions whose defaults are known

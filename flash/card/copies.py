@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from flash.card.files import PIECE_BYTES, SECTOR, Card, LogFile, is_blank
+from neuroflight.flash.card.files import PIECE_BYTES, SECTOR, Card, LogFile, is_blank
 
 
 def copy_of(card: Card, log: LogFile, folder: Path, progress: Callable[[int], None]) -> Path | None:

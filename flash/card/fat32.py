@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import BinaryIO
 
-from toolchain.errors import CardError
+from neuroflight.toolchain.errors import CardError
 
 SECTOR = 512  # bytes; cards have no other
 SIGNATURE = b"\x55\xaa"

@@ -7,8 +7,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
-from toolchain.contract import LOG_FILE_PREFIX, LOG_FILE_SUFFIX
-from toolchain.errors import CardError
+from neuroflight.toolchain.contract import LOG_FILE_PREFIX, LOG_FILE_SUFFIX
+from neuroflight.toolchain.errors import CardError
 
 NAME = re.compile(rf"{LOG_FILE_PREFIX}(\d{{5}}){re.escape(LOG_FILE_SUFFIX)}", re.IGNORECASE)
 NUMBER_MAX = 99_999

@@ -6,9 +6,9 @@ import os
 from collections.abc import Callable
 from pathlib import Path
 
-from flash.card.fat32 import Entry, Fat32
-from flash.card.files import PIECE_BYTES, SECTOR, LogFile, is_blank, is_log_name
-from toolchain.errors import CardError
+from neuroflight.flash.card.fat32 import Entry, Fat32
+from neuroflight.flash.card.files import PIECE_BYTES, SECTOR, LogFile, is_blank, is_log_name
+from neuroflight.toolchain.errors import CardError
 
 UNFINISHED = ".NEW"  # instead of the suffix, until a file is whole
 

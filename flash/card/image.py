@@ -10,10 +10,10 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from flash.card.fat32 import Fat32
-from flash.card.files import PIECE_BYTES, SECTOR, LogFile, is_blank, is_log_name
-from flash.card.folder import in_pieces
-from toolchain.errors import CardError
+from neuroflight.flash.card.fat32 import Fat32
+from neuroflight.flash.card.files import PIECE_BYTES, SECTOR, LogFile, is_blank, is_log_name
+from neuroflight.flash.card.folder import in_pieces
+from neuroflight.toolchain.errors import CardError
 
 QUIET = {"MTOOLS_SKIP_CHECK": "1"}  # small FAT32 images, as tests have, are beyond what mtools finds usual
 CREATE_S = 600.0  # for one file: a card writes 4 GB at 10 MB/s in 400 s

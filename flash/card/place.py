@@ -8,11 +8,11 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from flash.card.fat32 import FORMAT, Fat32
-from flash.card.files import Card
-from flash.card.folder import FolderCard
-from flash.card.image import ImageCard
-from toolchain.errors import CardError
+from neuroflight.flash.card.fat32 import FORMAT, Fat32
+from neuroflight.flash.card.files import Card
+from neuroflight.flash.card.folder import FolderCard
+from neuroflight.flash.card.image import ImageCard
+from neuroflight.toolchain.errors import CardError
 
 MOUNTS, BLOCKS = Path("/proc/self/mountinfo"), Path("/sys/dev/block")
 FAT, FAT_NAMES = ("vfat", "msdos"), {"exfat": "exFAT", "fuseblk": "NTFS or exFAT"}

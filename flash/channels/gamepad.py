@@ -11,10 +11,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from flash.channels.layout import NAMES, REST, Channels
-from flash.channels.source import Instead, SourceLostError
-from toolchain.contract import CHANNEL_MAX_US, CHANNEL_MID_US, CHANNEL_MIN_US, CHANNEL_THROTTLE
-from toolchain.errors import LinkError
+from neuroflight.flash.channels.layout import NAMES, REST, Channels
+from neuroflight.flash.channels.source import Instead, SourceLostError
+from neuroflight.toolchain.contract import CHANNEL_MAX_US, CHANNEL_MID_US, CHANNEL_MIN_US, CHANNEL_THROTTLE
+from neuroflight.toolchain.errors import LinkError
 
 STICK_SPAN_US = (CHANNEL_MAX_US - CHANNEL_MIN_US) // 2
 NO_SCREEN = {  # of SDL: it needs no window, and must leave signals to Python

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
-from flash.setting_text import Value
-from toolchain.contract import (
+from neuroflight.flash.setting_text import Value
+from neuroflight.toolchain.contract import (
     AUX_COUNT,
     CHANNEL_AUX1,
     CHANNEL_COUNT,
@@ -23,7 +23,7 @@ from toolchain.contract import (
     Mode,
     ModeRange,
 )
-from toolchain.errors import LinkError
+from neuroflight.toolchain.errors import LinkError
 
 Channels = tuple[int, ...]  # CHANNEL_COUNT pulse widths [us], in the order of NAMES
 

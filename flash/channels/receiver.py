@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from flash.setting_text import Value, value_text
-from toolchain.errors import LinkError
+from neuroflight.flash.setting_text import Value, value_text
+from neuroflight.toolchain.errors import LinkError
 
 SETTING, MSP = "receiver_protocol", "msp"
 

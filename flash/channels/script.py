@@ -20,11 +20,11 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from flash.channels.layout import NAMES, REST, Channels, Layout, throttle_low
-from flash.channels.source import Instead
-from toolchain.contract import CHANNEL_VALID_MAX_US, CHANNEL_VALID_MIN_US
-from toolchain.errors import LinkError
-from toolchain.files import file_size
+from neuroflight.flash.channels.layout import NAMES, REST, Channels, Layout, throttle_low
+from neuroflight.flash.channels.source import Instead
+from neuroflight.toolchain.contract import CHANNEL_VALID_MAX_US, CHANNEL_VALID_MIN_US
+from neuroflight.toolchain.errors import LinkError
+from neuroflight.toolchain.files import file_size
 
 FILE_BYTES_MAX = 1 << 20
 ROWS_MAX = 100_000

@@ -12,12 +12,12 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
-from flash import messages, records, requests
-from flash.channels.layout import Channels, Layout, throttle_low
-from flash.channels.source import Instead, Source
-from flash.client import Client, NoAnswerError, RefusedError
-from toolchain.contract import ArmingReason, Msp, Refusal
-from toolchain.errors import LinkError
+from neuroflight.flash import messages, records, requests
+from neuroflight.flash.channels.layout import Channels, Layout, throttle_low
+from neuroflight.flash.channels.source import Instead, Source
+from neuroflight.flash.client import Client, NoAnswerError, RefusedError
+from neuroflight.toolchain.contract import ArmingReason, Msp, Refusal
+from neuroflight.toolchain.errors import LinkError
 
 RATE_HZ = 50.0
 ANSWER_S = 0.25  # for the reply to a frame

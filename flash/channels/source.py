@@ -5,8 +5,8 @@ from __future__ import annotations
 from enum import Enum
 from typing import Protocol
 
-from flash.channels.layout import Channels
-from toolchain.errors import LinkError
+from neuroflight.flash.channels.layout import Channels
+from neuroflight.toolchain.errors import LinkError
 
 
 class Instead(Enum):

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from flash.channels.layout import Channels
-from flash.channels.source import Instead
+from neuroflight.flash.channels.layout import Channels
+from neuroflight.flash.channels.source import Instead
 
 
 @dataclass(frozen=True)

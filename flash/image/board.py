@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from flash import messages
-from flash.client import Client, RefusedError
-from flash.image.messages import Banks, image_info
-from flash.info import check_api
-from flash.messages import BatteryLevel, BatteryState
-from flash.policy.slots import Policies, read_policies
-from toolchain.contract import IMAGE_LAYOUT, MSP_FIRMWARE, Msp
-from toolchain.errors import LinkError
+from neuroflight.flash import messages
+from neuroflight.flash.client import Client, RefusedError
+from neuroflight.flash.image.messages import Banks, image_info
+from neuroflight.flash.info import check_api
+from neuroflight.flash.messages import BatteryLevel, BatteryState
+from neuroflight.flash.policy.slots import Policies, read_policies
+from neuroflight.toolchain.contract import IMAGE_LAYOUT, MSP_FIRMWARE, Msp
+from neuroflight.toolchain.errors import LinkError
 
 _OTHERS = {
     "BTFL": "Betaflight",

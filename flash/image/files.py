@@ -14,9 +14,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from flash.rom.image_check import policy_for
-from flash.rom.segments import Segment, read_segments
-from toolchain.contract import (
+from neuroflight.flash.rom.image_check import policy_for
+from neuroflight.flash.rom.segments import Segment, read_segments
+from neuroflight.toolchain.contract import (
     FLASH_BANKS,
     FLASH_POLICY_SLOTS,
     IMAGE_HEADER_OFFSET,
@@ -29,8 +29,8 @@ from toolchain.contract import (
     image_checksum,
     image_header,
 )
-from toolchain.errors import ImageError
-from toolchain.files import file_size
+from neuroflight.toolchain.errors import ImageError
+from neuroflight.toolchain.files import file_size
 
 BOTH = "neuroflight.nfi"  # beside the other files of a build
 SUFFIXES = (".nfi", ".elf", ".hex", ".bin")

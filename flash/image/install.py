@@ -14,17 +14,17 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import Enum, auto
 
-from flash.client import Client
-from flash.image.files import bank_name
-from flash.image.plan import Plan
-from flash.image.settings_kept import Kept, keep_settings, read_settings
-from flash.image.trial import Ending, Trial, await_image
-from flash.image.update import Clock, Progress, patiently, switch, write_image
-from flash.policy import swap
-from flash.restart import restart
-from flash.setting_text import Value
-from flash.transport import Transport
-from toolchain.errors import LinkError
+from neuroflight.flash.client import Client
+from neuroflight.flash.image.files import bank_name
+from neuroflight.flash.image.plan import Plan
+from neuroflight.flash.image.settings_kept import Kept, keep_settings, read_settings
+from neuroflight.flash.image.trial import Ending, Trial, await_image
+from neuroflight.flash.image.update import Clock, Progress, patiently, switch, write_image
+from neuroflight.flash.policy import swap
+from neuroflight.flash.restart import restart
+from neuroflight.flash.setting_text import Value
+from neuroflight.flash.transport import Transport
+from neuroflight.toolchain.errors import LinkError
 
 
 class Stage(Enum):

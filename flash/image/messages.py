@@ -5,9 +5,9 @@ from __future__ import annotations
 import struct
 from dataclasses import dataclass
 
-from flash.payload import Reader
-from flash.requests import WORD_BYTES
-from toolchain.contract import IMAGE_BUILD_BYTES, MSP_PAYLOAD_MAX, Msp
+from neuroflight.flash.payload import Reader
+from neuroflight.flash.requests import WORD_BYTES
+from neuroflight.toolchain.contract import IMAGE_BUILD_BYTES, MSP_PAYLOAD_MAX, Msp
 
 OFFSET_BYTES = 4  # before the data in IMAGE_WRITE
 DATA_BYTES_MAX = MSP_PAYLOAD_MAX - OFFSET_BYTES

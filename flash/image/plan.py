@@ -5,15 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import ceil
 
-from flash.image.board import Board
-from flash.image.files import Image, ImageFile, Policy, image_for
-from flash.image.messages import DATA_BYTES_MAX, OFFSET_BYTES, Bank
-from flash.messages import PolicySource
-from flash.msp import FRAME_OVERHEAD_MAX
-from flash.policy import swap
-from flash.requests import WORD_BYTES
-from toolchain.contract import FLASH_BANKS, FLASH_SECTORS, MSP_PAYLOAD_MAX
-from toolchain.errors import ImageError
+from neuroflight.flash.image.board import Board
+from neuroflight.flash.image.files import Image, ImageFile, Policy, image_for
+from neuroflight.flash.image.messages import DATA_BYTES_MAX, OFFSET_BYTES, Bank
+from neuroflight.flash.messages import PolicySource
+from neuroflight.flash.msp import FRAME_OVERHEAD_MAX
+from neuroflight.flash.policy import swap
+from neuroflight.flash.requests import WORD_BYTES
+from neuroflight.toolchain.contract import FLASH_BANKS, FLASH_SECTORS, MSP_PAYLOAD_MAX
+from neuroflight.toolchain.errors import ImageError
 
 # Of the chip, typical, 32 bits at once: DS11853, flash memory programming; and of the board's line.
 ERASE_S = 1.0  # a sector of 128 KB

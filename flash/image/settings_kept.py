@@ -10,11 +10,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from flash.client import Client
-from flash.setting_text import Value, same, set_line, value_text
-from flash.settings import Settings, in_order
-from toolchain.errors import LinkError
-from toolchain.files import write_text
+from neuroflight.flash.client import Client
+from neuroflight.flash.setting_text import Value, same, set_line, value_text
+from neuroflight.flash.settings import Settings, in_order
+from neuroflight.toolchain.errors import LinkError
+from neuroflight.toolchain.files import write_text
 
 
 @dataclass(frozen=True)

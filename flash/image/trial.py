@@ -6,18 +6,18 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum, auto
 
-from flash import messages, records
-from flash.client import Client, NoAnswerError, RefusedError
-from flash.hints import FAULTS
-from flash.image.files import Image, bank_name
-from flash.image.messages import Banks, image_info
-from flash.image.update import Clock, hash_of
-from flash.info import version_of
-from flash.messages import PolicyInfo
-from flash.restart import opened
-from flash.transport import Transport
-from toolchain.contract import Msp
-from toolchain.errors import LinkError
+from neuroflight.flash import messages, records
+from neuroflight.flash.client import Client, NoAnswerError, RefusedError
+from neuroflight.flash.hints import FAULTS
+from neuroflight.flash.image.files import Image, bank_name
+from neuroflight.flash.image.messages import Banks, image_info
+from neuroflight.flash.image.update import Clock, hash_of
+from neuroflight.flash.info import version_of
+from neuroflight.flash.messages import PolicyInfo
+from neuroflight.flash.restart import opened
+from neuroflight.flash.transport import Transport
+from neuroflight.toolchain.contract import Msp
+from neuroflight.toolchain.errors import LinkError
 
 WAIT_S = 30.0  # in which an image proves itself, or has failed all its starts
 ASK_S = 0.5  # for one answer

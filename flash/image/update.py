@@ -10,9 +10,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TypeVar
 
-from flash.client import Client, NoAnswerError, RefusedError
-from flash.image.files import Image, bank_name
-from flash.image.messages import (
+from neuroflight.flash.client import Client, NoAnswerError, RefusedError
+from neuroflight.flash.image.files import Image, bank_name
+from neuroflight.flash.image.messages import (
     DATA_BYTES_MAX,
     image_begun,
     image_ended,
@@ -23,8 +23,8 @@ from flash.image.messages import (
     image_switched,
     image_write,
 )
-from toolchain.contract import Msp, Refusal
-from toolchain.errors import LinkError
+from neuroflight.toolchain.contract import Msp, Refusal
+from neuroflight.toolchain.errors import LinkError
 
 Progress = Callable[[str, int, int], None]  # what is done ("erase", "write", "check"), so much, of so much
 Clock = Callable[[], float]

@@ -6,8 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TypeVar
 
-from flash.client import Client, RefusedError
-from flash.logs.messages import (
+from neuroflight.flash.client import Client, RefusedError
+from neuroflight.flash.logs.messages import (
     ERRORS,
     STATES,
     LogEntry,
@@ -18,8 +18,8 @@ from flash.logs.messages import (
     log_entry,
     log_info,
 )
-from toolchain.contract import LogError, LogState, Msp, Refusal
-from toolchain.errors import LinkError
+from neuroflight.toolchain.contract import LogError, LogState, Msp, Refusal
+from neuroflight.toolchain.errors import LinkError
 
 PAUSE_S = 0.01  # between two questions whose answer takes the device a while
 STARTING_S = 10.0  # until a card has been looked at: a second by its specification

@@ -6,9 +6,9 @@ import os
 from collections.abc import Callable
 from pathlib import Path
 
-from flash.client import Client
-from flash.logs.messages import LogEntry
-from flash.logs.reading import read_bytes
+from neuroflight.flash.client import Client
+from neuroflight.flash.logs.messages import LogEntry
+from neuroflight.flash.logs.reading import read_bytes
 
 PROBE_BYTES = 2048  # that are compared at both ends; a log's first ones hold the state that it began with
 SAME_NAMES_MAX = 1000

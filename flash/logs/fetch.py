@@ -8,13 +8,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from flash.client import Client, RefusedError
-from flash.logs.catalogue import refusal_words
-from flash.logs.copies import find_copy, same_so_far, take_name
-from flash.logs.messages import LogEntry
-from flash.logs.reading import LogReader
-from toolchain.errors import LinkError
-from toolchain.files import claimed_file
+from neuroflight.flash.client import Client, RefusedError
+from neuroflight.flash.logs.catalogue import refusal_words
+from neuroflight.flash.logs.copies import find_copy, same_so_far, take_name
+from neuroflight.flash.logs.messages import LogEntry
+from neuroflight.flash.logs.reading import LogReader
+from neuroflight.toolchain.errors import LinkError
+from neuroflight.toolchain.files import claimed_file
 
 PART = ".part"
 KEPT_BYTES = 1 << 20  # of which a crash of this computer loses the last ones at most

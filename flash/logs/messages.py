@@ -5,8 +5,8 @@ from __future__ import annotations
 import struct
 from dataclasses import dataclass
 
-from flash.payload import Reader
-from toolchain.contract import (
+from neuroflight.flash.payload import Reader
+from neuroflight.toolchain.contract import (
     LOG_ERASE_MAGIC,
     LOG_INFO_LOGGING,
     LOG_INFO_LOOKING,

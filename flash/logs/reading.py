@@ -15,10 +15,10 @@ from collections import deque
 from collections.abc import Callable, Iterable
 from heapq import heappop, heappush
 
-from flash.client import Client
-from flash.logs.messages import log_block, read_request
-from toolchain.contract import Msp
-from toolchain.errors import LinkError
+from neuroflight.flash.client import Client
+from neuroflight.flash.logs.messages import log_block, read_request
+from neuroflight.toolchain.contract import Msp
+from neuroflight.toolchain.errors import LinkError
 
 WINDOW = 16  # requests on their way: 43 ms of replies at 921,600 baud, beyond what USB adapters wait
 SECTOR = 512  # bytes of a card; no request reaches into the next one

@@ -8,7 +8,7 @@ from typing import Any
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from flash.mavlink.offboard import Source
+from neuroflight.flash.mavlink.offboard import Source
 
 Msg = Any  # a message of pymavlink, which has no types
 Answer = Callable[[Source, Msg, int], Msg | None]  # the last: nanoseconds since the firmware's start

@@ -9,8 +9,8 @@ from typing import Any, Protocol
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from flash.mavlink.customs import CUSTOM_MODE, MODE_OFFBOARD, MODE_RECEIVER
-from flash.mavlink.offboard import Source
+from neuroflight.flash.mavlink.customs import CUSTOM_MODE, MODE_OFFBOARD, MODE_RECEIVER
+from neuroflight.flash.mavlink.offboard import Source
 
 ACCEPTED, REJECTED, DENIED, UNSUPPORTED, FAILED, IN_PROGRESS = (
     mavlink.MAV_RESULT_ACCEPTED,

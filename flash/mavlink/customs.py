@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from flash.mavlink.offboard import Source
+from neuroflight.flash.mavlink.offboard import Source
 
 SOURCES_MAX = 64  # whose customs are kept; a client that is forgotten reads floats
 

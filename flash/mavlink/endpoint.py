@@ -11,7 +11,7 @@ from typing import Any, Protocol
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from toolchain.errors import LinkError
+from neuroflight.toolchain.errors import LinkError
 
 FORM = "udp:HOST:PORT, such as udp:127.0.0.1:14550"
 DATAGRAM_MAX = 2048  # bytes; a MAVLink frame has 280 at most, ground stations join a few

@@ -7,22 +7,22 @@ import math
 from collections.abc import Callable
 from functools import cached_property
 
-from flash import messages, records, requests
-from flash.channels import receiver
-from flash.client import Client, NoAnswerError, RefusedError
-from flash.info import check_api, is_ours, version_of
-from flash.mavlink.parameters import Parameter, parameter_list
-from flash.mavlink.sticks import Sticks, sticks_of
-from flash.mavlink.telemetry import Inertial, Vehicle
-from flash.mavlink.texts import Condition
-from flash.messages import Attitude, BatteryState, PolicyInfo, StatusEx
-from flash.records import FaultKind, Safety
-from flash.setting_text import Value, value_text
-from flash.settings import Settings
-from flash.stream import Sample, Stream, decode_sample
-from flash.transport import LineGoneError
-from toolchain.contract import MSP_ACCELERATION_COUNTS, Msp, Refusal
-from toolchain.errors import LinkError
+from neuroflight.flash import messages, records, requests
+from neuroflight.flash.channels import receiver
+from neuroflight.flash.client import Client, NoAnswerError, RefusedError
+from neuroflight.flash.info import check_api, is_ours, version_of
+from neuroflight.flash.mavlink.parameters import Parameter, parameter_list
+from neuroflight.flash.mavlink.sticks import Sticks, sticks_of
+from neuroflight.flash.mavlink.telemetry import Inertial, Vehicle
+from neuroflight.flash.mavlink.texts import Condition
+from neuroflight.flash.messages import Attitude, BatteryState, PolicyInfo, StatusEx
+from neuroflight.flash.records import FaultKind, Safety
+from neuroflight.flash.setting_text import Value, value_text
+from neuroflight.flash.settings import Settings
+from neuroflight.flash.stream import Sample, Stream, decode_sample
+from neuroflight.flash.transport import LineGoneError
+from neuroflight.toolchain.contract import MSP_ACCELERATION_COUNTS, Msp, Refusal
+from neuroflight.toolchain.errors import LinkError
 
 ASK_S = 0.5  # for one answer: a board takes milliseconds, the emulated one tenths of a second
 CHANNELS_S = 0.1  # for the answer to channels, while a companion waits

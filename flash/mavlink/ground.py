@@ -7,9 +7,9 @@ from typing import Any
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from flash.mavlink.endpoint import Peer, Wire
-from flash.mavlink.offboard import Source
-from flash.mavlink.texts import Text, status_texts
+from neuroflight.flash.mavlink.endpoint import Peer, Wire
+from neuroflight.flash.mavlink.offboard import Source
+from neuroflight.flash.mavlink.texts import Text, status_texts
 
 PACKETS_MAX = 32  # of a peer at a time: none keeps the others waiting
 COMPLAINT_PERIOD_S = 1.0  # between two complaints

@@ -14,14 +14,14 @@ from typing import Any
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from flash.client import Client, NoAnswerError, RefusedError
-from flash.logs.catalogue import check_readable, read_info, refusal_words
-from flash.logs.messages import LogEntry, entry_request, log_entry
-from flash.logs.reading import LogReader
-from flash.mavlink.ground import Ground
-from flash.mavlink.offboard import Source
-from toolchain.contract import Msp
-from toolchain.errors import LinkError
+from neuroflight.flash.client import Client, NoAnswerError, RefusedError
+from neuroflight.flash.logs.catalogue import check_readable, read_info, refusal_words
+from neuroflight.flash.logs.messages import LogEntry, entry_request, log_entry
+from neuroflight.flash.logs.reading import LogReader
+from neuroflight.flash.mavlink.ground import Ground
+from neuroflight.flash.mavlink.offboard import Source
+from neuroflight.toolchain.contract import Msp
+from neuroflight.toolchain.errors import LinkError
 
 MESSAGES = frozenset({"LOG_REQUEST_LIST", "LOG_REQUEST_DATA", "LOG_REQUEST_END", "LOG_ERASE"})
 PACKET_BYTES = 90  # of a log in LOG_DATA

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from toolchain.contract import (
+from neuroflight.toolchain.contract import (
     CHANNEL_MID_US,
     CHANNEL_MIN_US,
     CHANNEL_PITCH,

@@ -8,20 +8,20 @@ from typing import Any
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from flash.client import NoAnswerError
-from flash.mavlink.customs import Customs
-from flash.mavlink.firmware import Firmware
-from flash.mavlink.ground import Ground
-from flash.mavlink.offboard import Source
-from flash.mavlink.parameters import (
+from neuroflight.flash.client import NoAnswerError
+from neuroflight.flash.mavlink.customs import Customs
+from neuroflight.flash.mavlink.firmware import Firmware
+from neuroflight.flash.mavlink.ground import Ground
+from neuroflight.flash.mavlink.offboard import Source
+from neuroflight.flash.mavlink.parameters import (
     Parameter,
     TypeMismatchError,
     came_in_bytes,
     decode_value,
     encode_value,
 )
-from flash.setting_text import RATES, STYLE
-from toolchain.errors import LinkError
+from neuroflight.flash.setting_text import RATES, STYLE
+from neuroflight.toolchain.errors import LinkError
 
 MESSAGES = frozenset({"PARAM_REQUEST_LIST", "PARAM_REQUEST_READ", "PARAM_SET"})
 BY_NAME = -1  # as the index of PARAM_REQUEST_READ

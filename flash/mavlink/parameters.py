@@ -16,9 +16,9 @@ from dataclasses import dataclass
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from flash.mavlink.parameter_names import parameter_name
-from flash.requests import SettingInfo
-from flash.setting_text import Value
+from neuroflight.flash.mavlink.parameter_names import parameter_name
+from neuroflight.flash.requests import SettingInfo
+from neuroflight.flash.setting_text import Value
 
 REAL32, INT32 = mavlink.MAV_PARAM_TYPE_REAL32, mavlink.MAV_PARAM_TYPE_INT32
 # How the first bytes of the field hold a whole number, by param_type.

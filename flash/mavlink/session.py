@@ -12,25 +12,25 @@ from typing import Any
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from flash.client import Client, NoAnswerError
-from flash.mavlink import commands, telemetry, texts
-from flash.mavlink.answers import ANSWERS
-from flash.mavlink.commands import Request
-from flash.mavlink.customs import Customs, Mode, ModeError, message_mode
-from flash.mavlink.endpoint import Peer
-from flash.mavlink.firmware import Firmware
-from flash.mavlink.ground import Ground
-from flash.mavlink.log_server import MESSAGES as LOG_MESSAGES
-from flash.mavlink.log_server import LogServer
-from flash.mavlink.offboard import TIMEOUT_S, Offboard, Source
-from flash.mavlink.parameter_server import MESSAGES as PARAMETER_MESSAGES
-from flash.mavlink.parameter_server import ParameterServer
-from flash.mavlink.setpoints import STEERING
-from flash.mavlink.steering import Steering
-from flash.mavlink.streams import DEFAULT_HZ, HEARTBEAT, SAMPLED, default_period, streamed
-from flash.mavlink.texts import Condition
-from flash.transport import LineGoneError, Transport
-from toolchain.errors import LinkError
+from neuroflight.flash.client import Client, NoAnswerError
+from neuroflight.flash.mavlink import commands, telemetry, texts
+from neuroflight.flash.mavlink.answers import ANSWERS
+from neuroflight.flash.mavlink.commands import Request
+from neuroflight.flash.mavlink.customs import Customs, Mode, ModeError, message_mode
+from neuroflight.flash.mavlink.endpoint import Peer
+from neuroflight.flash.mavlink.firmware import Firmware
+from neuroflight.flash.mavlink.ground import Ground
+from neuroflight.flash.mavlink.log_server import MESSAGES as LOG_MESSAGES
+from neuroflight.flash.mavlink.log_server import LogServer
+from neuroflight.flash.mavlink.offboard import TIMEOUT_S, Offboard, Source
+from neuroflight.flash.mavlink.parameter_server import MESSAGES as PARAMETER_MESSAGES
+from neuroflight.flash.mavlink.parameter_server import ParameterServer
+from neuroflight.flash.mavlink.setpoints import STEERING
+from neuroflight.flash.mavlink.steering import Steering
+from neuroflight.flash.mavlink.streams import DEFAULT_HZ, HEARTBEAT, SAMPLED, default_period, streamed
+from neuroflight.flash.mavlink.texts import Condition
+from neuroflight.flash.transport import LineGoneError, Transport
+from neuroflight.toolchain.errors import LinkError
 
 LOOK, LOOK_FURTHER = "look", "look further"  # at the firmware: tasks beside the messages of DEFAULT_HZ
 LOOK_S, LOOK_FURTHER_S, RETRY_S = 0.1, 1.0, 0.5  # their periods; of looking whether it is back

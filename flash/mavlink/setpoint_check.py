@@ -7,8 +7,8 @@ from __future__ import annotations
 
 from collections import deque
 
-from flash.stream import Sample
-from toolchain.contract import FlightState
+from neuroflight.flash.stream import Sample
+from neuroflight.toolchain.contract import FlightState
 
 WINDOW_S = 0.4  # a sample is so old at most
 PAUSE_S = 0.1  # without channels, after which the firmware centres the sticks

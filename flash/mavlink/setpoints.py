@@ -11,10 +11,10 @@ from typing import Any
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from flash.mavlink.frames import swap_frame
-from flash.mavlink.offboard import Setpoint
-from flash.mavlink.sticks import HALF_STICK_US, Sticks, thrust_channel
-from toolchain.contract import (
+from neuroflight.flash.mavlink.frames import swap_frame
+from neuroflight.flash.mavlink.offboard import Setpoint
+from neuroflight.flash.mavlink.sticks import HALF_STICK_US, Sticks, thrust_channel
+from neuroflight.toolchain.contract import (
     CHANNEL_AUX1,
     CHANNEL_COUNT,
     CHANNEL_MAX_US,

@@ -6,16 +6,16 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from flash.mavlink import commands, texts
-from flash.mavlink.commands import Request
-from flash.mavlink.customs import MODE_RECEIVER, Mode
-from flash.mavlink.firmware import Firmware
-from flash.mavlink.ground import Ground
-from flash.mavlink.offboard import Offboard, Source
-from flash.mavlink.setpoint_check import SetpointCheck
-from flash.mavlink.setpoints import STEERING
-from flash.stream import Sample
-from toolchain.contract import RECEIVER_OFF_FRAMES, FlightState
+from neuroflight.flash.mavlink import commands, texts
+from neuroflight.flash.mavlink.commands import Request
+from neuroflight.flash.mavlink.customs import MODE_RECEIVER, Mode
+from neuroflight.flash.mavlink.firmware import Firmware
+from neuroflight.flash.mavlink.ground import Ground
+from neuroflight.flash.mavlink.offboard import Offboard, Source
+from neuroflight.flash.mavlink.setpoint_check import SetpointCheck
+from neuroflight.flash.mavlink.setpoints import STEERING
+from neuroflight.flash.stream import Sample
+from neuroflight.toolchain.contract import RECEIVER_OFF_FRAMES, FlightState
 
 PERIOD_S = 0.02  # between channels that say the same; new ones go at once
 SWITCHED_S = 1.0  # in which the firmware obeys the arm switch

@@ -11,10 +11,10 @@ from bisect import bisect_left
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from flash.channels.layout import read_layout
-from flash.setting_rules import steep_rc_rate
-from flash.setting_text import STYLE, STYLE_BETAFLIGHT, Value
-from toolchain.contract import (
+from neuroflight.flash.channels.layout import read_layout
+from neuroflight.flash.setting_rules import steep_rc_rate
+from neuroflight.flash.setting_text import STYLE, STYLE_BETAFLIGHT, Value
+from neuroflight.toolchain.contract import (
     CHANNEL_AUX1,
     CHANNEL_COUNT,
     CHANNEL_MAX_US,

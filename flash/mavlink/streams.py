@@ -6,8 +6,8 @@ from typing import Any
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from flash.mavlink import telemetry
-from flash.mavlink.firmware import Firmware
+from neuroflight.flash.mavlink import telemetry
+from neuroflight.flash.mavlink.firmware import Firmware
 
 HEARTBEAT = mavlink.MAVLINK_MSG_ID_HEARTBEAT  # Session makes it, as it differs from peer to peer
 ATTITUDE = mavlink.MAVLINK_MSG_ID_ATTITUDE

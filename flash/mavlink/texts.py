@@ -8,10 +8,10 @@ from typing import Any
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from flash.hints import HINTS, words
-from flash.messages import BatteryLevel, arming_reasons
-from flash.records import FaultKind, Safety
-from toolchain.contract import FallbackCause, FlightState, GyroHealth, StopCause
+from neuroflight.flash.hints import HINTS, words
+from neuroflight.flash.messages import BatteryLevel, arming_reasons
+from neuroflight.flash.records import FaultKind, Safety
+from neuroflight.toolchain.contract import FallbackCause, FlightState, GyroHealth, StopCause
 
 CHUNK = 50  # characters of one STATUSTEXT
 TEXT_MAX = 4 * CHUNK

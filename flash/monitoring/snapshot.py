@@ -4,12 +4,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from flash import messages, records
-from flash.client import Client
-from flash.info import Info
-from flash.overview import Overview, read_overview
-from flash.records import Tasks
-from toolchain.contract import CHANNEL_COUNT, GYRO_COUNTS, GYRO_FULL_SCALE_DEG_S, MSP_GYRO_COUNTS, Msp
+from neuroflight.flash import messages, records
+from neuroflight.flash.client import Client
+from neuroflight.flash.info import Info
+from neuroflight.flash.overview import Overview, read_overview
+from neuroflight.flash.records import Tasks
+from neuroflight.toolchain.contract import (
+    CHANNEL_COUNT,
+    GYRO_COUNTS,
+    GYRO_FULL_SCALE_DEG_S,
+    MSP_GYRO_COUNTS,
+    Msp,
+)
 
 # MSP tells the channels in this order, whatever the receiver's is.
 CHANNELS = ("roll", "pitch", "yaw", "throttle", *(f"aux{n}" for n in range(1, CHANNEL_COUNT - 3)))

@@ -6,11 +6,11 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from flash.client import Client, NoAnswerError
-from flash.info import Info, read_info
-from flash.monitoring.snapshot import Snapshot, read_snapshot
-from flash.transport import Transport
-from toolchain.errors import LinkError
+from neuroflight.flash.client import Client, NoAnswerError
+from neuroflight.flash.info import Info, read_info
+from neuroflight.flash.monitoring.snapshot import Snapshot, read_snapshot
+from neuroflight.flash.transport import Transport
+from neuroflight.toolchain.errors import LinkError
 
 ANSWER_S = 0.5  # for one answer: a display must not stand still for long
 

@@ -9,13 +9,13 @@ from __future__ import annotations
 
 from types import TracebackType
 
-from flash import messages, records, requests
-from flash.client import Client, RefusedError
-from flash.hints import words
-from flash.info import check_ours
-from flash.motors.readiness import UNSENT, check_ready
-from flash.motors.session import close_test
-from toolchain.contract import (
+from neuroflight.flash import messages, records, requests
+from neuroflight.flash.client import Client, RefusedError
+from neuroflight.flash.hints import words
+from neuroflight.flash.info import check_ours
+from neuroflight.flash.motors.readiness import UNSENT, check_ready
+from neuroflight.flash.motors.session import close_test
+from neuroflight.toolchain.contract import (
     CHANNEL_MAX_US,
     CHANNEL_MIN_US,
     MOTOR_BENCH_MAGIC,
@@ -27,7 +27,7 @@ from toolchain.contract import (
     FlightState,
     Msp,
 )
-from toolchain.errors import LinkError, NeuroflightError
+from neuroflight.toolchain.errors import LinkError, NeuroflightError
 
 REPLY_S = 0.2  # a board answers within some milliseconds; two of these are less than the firmware's time-out
 SPAN_US = CHANNEL_MAX_US - CHANNEL_MIN_US

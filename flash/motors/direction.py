@@ -5,10 +5,10 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 
-from flash import requests
-from flash.client import Client, RefusedError
-from toolchain.contract import DshotCommand, Msp, Refusal
-from toolchain.errors import LinkError
+from neuroflight.flash import requests
+from neuroflight.flash.client import Client, RefusedError
+from neuroflight.toolchain.contract import DshotCommand, Msp, Refusal
+from neuroflight.toolchain.errors import LinkError
 
 DIRECTIONS = {  # as users say them
     "normal": DshotCommand.DIRECTION_NORMAL,

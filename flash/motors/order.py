@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from toolchain.errors import LinkError
+from neuroflight.toolchain.errors import LinkError
 
 
 def outputs_of(outputs: Sequence[int], turned: Sequence[int]) -> tuple[int, ...]:

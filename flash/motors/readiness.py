@@ -6,14 +6,14 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from flash import messages, records
-from flash.client import Client
-from flash.hints import HINTS, words
-from flash.info import check_ours
-from flash.messages import BatteryLevel
-from flash.settings import Settings
-from toolchain.contract import ARMING_FLAG_SWITCH, FlightState, Msp
-from toolchain.errors import LinkError
+from neuroflight.flash import messages, records
+from neuroflight.flash.client import Client
+from neuroflight.flash.hints import HINTS, words
+from neuroflight.flash.info import check_ours
+from neuroflight.flash.messages import BatteryLevel
+from neuroflight.flash.settings import Settings
+from neuroflight.toolchain.contract import ARMING_FLAG_SWITCH, FlightState, Msp
+from neuroflight.toolchain.errors import LinkError
 
 UNSENT = "nothing that acts was sent"
 STANDING_US = (0, 1000)  # what MOTOR tells of a motor that stands, or is not there

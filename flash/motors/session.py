@@ -10,9 +10,9 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Sequence
 
-from flash import requests
-from flash.client import Client, NoAnswerError, RefusedError
-from toolchain.contract import (
+from neuroflight.flash import requests
+from neuroflight.flash.client import Client, NoAnswerError, RefusedError
+from neuroflight.toolchain.contract import (
     CHANNEL_MAX_US,
     CHANNEL_MIN_US,
     DSHOT_STOP,
@@ -23,7 +23,7 @@ from toolchain.contract import (
     Msp,
     Refusal,
 )
-from toolchain.errors import LinkError
+from neuroflight.toolchain.errors import LinkError
 
 LIMIT_DEFAULT = 0.15  # motor fraction: turns every motor, moves no clamped aircraft
 REFRESH_S = 0.05  # between two values: ten are lost before the firmware stops the motors

@@ -7,9 +7,16 @@ import time
 from collections.abc import Callable, Collection
 from dataclasses import dataclass
 
-from flash.client import Client
-from flash.motors.session import LIMIT_DEFAULT, REFRESH_S, MotorTest, check_fraction, check_limit, check_sum
-from toolchain.errors import LinkError
+from neuroflight.flash.client import Client
+from neuroflight.flash.motors.session import (
+    LIMIT_DEFAULT,
+    REFRESH_S,
+    MotorTest,
+    check_fraction,
+    check_limit,
+    check_sum,
+)
+from neuroflight.toolchain.errors import LinkError
 
 RAMP_DEFAULT_S = 0.5
 SECONDS_DEFAULT = 2.0

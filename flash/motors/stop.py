@@ -5,12 +5,12 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
-from flash.client import Client, RefusedError
-from flash.info import check_ours
-from flash.motors.readiness import UNSENT, await_standing
-from flash.motors.session import close_test, end_commands
-from toolchain.contract import Refusal
-from toolchain.errors import LinkError
+from neuroflight.flash.client import Client, RefusedError
+from neuroflight.flash.info import check_ours
+from neuroflight.flash.motors.readiness import UNSENT, await_standing
+from neuroflight.flash.motors.session import close_test, end_commands
+from neuroflight.toolchain.contract import Refusal
+from neuroflight.toolchain.errors import LinkError
 
 
 def stop(

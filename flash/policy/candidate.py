@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from flash.policy.slots import SHA_SHOWN, Policies
-from toolchain.contract import IMAGE_BUILD_BYTES, Mix
-from toolchain.errors import LinkError
+from neuroflight.flash.policy.slots import SHA_SHOWN, Policies
+from neuroflight.toolchain.contract import IMAGE_BUILD_BYTES, Mix
+from neuroflight.toolchain.errors import LinkError
 
 
 @dataclass(frozen=True)

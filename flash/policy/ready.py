@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from flash import messages, records
-from flash.client import Client
-from flash.info import check_ours
-from flash.messages import BatteryLevel
-from flash.policy.slots import Policies
-from toolchain.contract import ArmingReason, FlightState, Msp
-from toolchain.errors import LinkError
+from neuroflight.flash import messages, records
+from neuroflight.flash.client import Client
+from neuroflight.flash.info import check_ours
+from neuroflight.flash.messages import BatteryLevel
+from neuroflight.flash.policy.slots import Policies
+from neuroflight.toolchain.contract import ArmingReason, FlightState, Msp
+from neuroflight.toolchain.errors import LinkError
 
 # FAULT stops the motors until the next start, with which a swap ends.
 STANDING = (FlightState.BOOT, FlightState.CALIBRATING, FlightState.DISARMED, FlightState.FAULT)

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from flash.client import Client, NoAnswerError
-from flash.policy.slots import Place, Policies, read_patiently
-from flash.policy.swap import Board
-from flash.policy_errors import policy_error
-from flash.restart import restart
-from toolchain.contract import Msp
-from toolchain.errors import LinkError
+from neuroflight.flash.client import Client, NoAnswerError
+from neuroflight.flash.policy.slots import Place, Policies, read_patiently
+from neuroflight.flash.policy.swap import Board
+from neuroflight.flash.policy_errors import policy_error
+from neuroflight.flash.restart import restart
+from neuroflight.toolchain.contract import Msp
+from neuroflight.toolchain.errors import LinkError
 
 UNTOUCHED = "nothing was changed"
 

@@ -6,11 +6,11 @@ import struct
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from flash import messages
-from flash.client import Client, NoAnswerError
-from flash.messages import PolicyInfo, PolicySource
-from flash.payload import Reader
-from toolchain.contract import IMAGE_BUILD_BYTES, Msp
+from neuroflight.flash import messages
+from neuroflight.flash.client import Client, NoAnswerError
+from neuroflight.flash.messages import PolicyInfo, PolicySource
+from neuroflight.flash.payload import Reader
+from neuroflight.toolchain.contract import IMAGE_BUILD_BYTES, Msp
 
 PLACES = (PolicySource.SLOT_A, PolicySource.SLOT_B)
 NAMES = {

@@ -16,16 +16,16 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Protocol
 
-from flash import requests
-from flash.client import Client, NoAnswerError, RefusedError
-from flash.messages import PolicySource
-from flash.policy.candidate import Candidate
-from flash.policy.slots import OTHER_IMAGE, Place, Policies, read_patiently
-from flash.policy_errors import policy_error
-from flash.restart import restart
-from flash.transport import Transport
-from toolchain.contract import Msp, Refusal
-from toolchain.errors import LinkError
+from neuroflight.flash import requests
+from neuroflight.flash.client import Client, NoAnswerError, RefusedError
+from neuroflight.flash.messages import PolicySource
+from neuroflight.flash.policy.candidate import Candidate
+from neuroflight.flash.policy.slots import OTHER_IMAGE, Place, Policies, read_patiently
+from neuroflight.flash.policy_errors import policy_error
+from neuroflight.flash.restart import restart
+from neuroflight.flash.transport import Transport
+from neuroflight.toolchain.contract import Msp, Refusal
+from neuroflight.toolchain.errors import LinkError
 
 ATTEMPTS = 3  # of a whole swap
 RESENDS = 2  # of a block or the end whose reply did not come

@@ -13,9 +13,9 @@ from dataclasses import dataclass
 from functools import reduce
 from operator import xor
 
-from flash.transport import Transport
-from toolchain.contract import FLASH_BASE, FLASH_BYTES, FLASH_SECTORS
-from toolchain.errors import LinkError
+from neuroflight.flash.transport import Transport
+from neuroflight.toolchain.contract import FLASH_BASE, FLASH_BYTES, FLASH_SECTORS
+from neuroflight.toolchain.errors import LinkError
 
 SYNC, ACK, NACK = 0x7F, 0x79, 0x1F
 GET, GET_ID, READ, GO, WRITE, ERASE = 0x00, 0x02, 0x11, 0x21, 0x31, 0x44

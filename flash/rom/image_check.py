@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NoReturn
 
-from flash.rom.segments import ERASED, Segment
-from toolchain.contract import (
+from neuroflight.flash.rom.segments import ERASED, Segment
+from neuroflight.toolchain.contract import (
     DTCM,
     FLASH_BANKS,
     FLASH_BASE,
@@ -25,7 +25,7 @@ from toolchain.contract import (
     policy_checksum,
     policy_header,
 )
-from toolchain.errors import LinkError
+from neuroflight.toolchain.errors import LinkError
 
 BOARD = "MATEKF722"
 FLASH_ALIAS = 0x00200000  # the same flash as the core fetches it

@@ -11,10 +11,10 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
-from flash.rom.client import DATA_MAX, RomClient
-from flash.rom.segments import ERASED, Segment, touched_sectors
-from toolchain.contract import FLASH_BANK_B, FLASH_BOOT, FLASH_POLICY_SLOTS, FLASH_SECTORS
-from toolchain.errors import LinkError
+from neuroflight.flash.rom.client import DATA_MAX, RomClient
+from neuroflight.flash.rom.segments import ERASED, Segment, touched_sectors
+from neuroflight.toolchain.contract import FLASH_BANK_B, FLASH_BOOT, FLASH_POLICY_SLOTS, FLASH_SECTORS
+from neuroflight.toolchain.errors import LinkError
 
 BITS_PER_BYTE = 11  # on the line: start, 8, parity, stop
 OVERHEAD_BYTES = 2 + 1 + 5 + 1 + 2 + 1  # of a write or read beside its data

@@ -21,9 +21,9 @@ from elftools.common.exceptions import ELFError
 from elftools.construct import ConstructError
 from elftools.elf.elffile import ELFFile
 
-from toolchain.contract import FLASH_BASE, FLASH_BYTES, FLASH_SECTORS
-from toolchain.errors import LinkError
-from toolchain.files import file_size
+from neuroflight.toolchain.contract import FLASH_BASE, FLASH_BYTES, FLASH_SECTORS
+from neuroflight.toolchain.errors import LinkError
+from neuroflight.toolchain.files import file_size
 
 ERASED = 0xFF
 GAP_BYTES = 1024  # erased bytes in a row that a .bin may hold without being split

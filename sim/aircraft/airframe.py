@@ -13,12 +13,12 @@ from pathlib import Path
 
 import numpy as np
 
-from sim.aircraft import mesh
-from sim.aircraft.mass import MeshPose, Part, Tensor, Vector, principal
-from sim.aircraft.mesh import Solid
-from sim.strict_toml import StrictTable
-from toolchain.contract import MOTOR_COUNT_MAX
-from toolchain.files import file_size
+from neuroflight.sim.aircraft import mesh
+from neuroflight.sim.aircraft.mass import MeshPose, Part, Tensor, Vector, principal
+from neuroflight.sim.aircraft.mesh import Solid
+from neuroflight.sim.strict_toml import StrictTable
+from neuroflight.toolchain.contract import MOTOR_COUNT_MAX
+from neuroflight.toolchain.files import file_size
 
 ZERO: Vector = (0.0, 0.0, 0.0)
 PARTS_MAX = 1000

@@ -9,9 +9,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from sim.aircraft.model import FILE_BYTES_MAX, parse_aircraft
-from toolchain.errors import AircraftError
-from toolchain.files import file_size, write_bytes
+from neuroflight.sim.aircraft.model import FILE_BYTES_MAX, parse_aircraft
+from neuroflight.toolchain.errors import AircraftError
+from neuroflight.toolchain.files import file_size, write_bytes
 
 Value = str | float | tuple[float, ...]
 Changes = Mapping[str, Mapping[str, Value]]  # table ("gyro", "propulsion.response"), key, value

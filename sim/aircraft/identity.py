@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from sim.aircraft.model import Aircraft, load_aircraft, shipped
-from sim.aircraft.props_out import SUFFIX
+from neuroflight.sim.aircraft.model import Aircraft, load_aircraft, shipped
+from neuroflight.sim.aircraft.props_out import SUFFIX
 
 DIGITS = 12  # of a digest that tell two aircraft apart for people
 

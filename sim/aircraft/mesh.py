@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.aircraft.mass import MeshPose, Tensor, Vector, rotation_matrix
+from neuroflight.sim.aircraft.mass import MeshPose, Tensor, Vector, rotation_matrix
 
 Array = NDArray[np.float64]
 BYTES_MAX = 32 << 20  # of a mesh file; 670,000 triangles in binary

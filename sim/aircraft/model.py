@@ -15,16 +15,16 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.aircraft.advance import AdvanceRatio, read_advance
-from sim.aircraft.airframe import ZERO, Meshes, read_parts, read_rotors, reject_collisions
-from sim.aircraft.airframe import Rotor as Rotor
-from sim.aircraft.digest import EARLIER, file_sha256, flown_sha256
-from sim.aircraft.mass import MassProperties, Part, Vector, mass_properties
-from sim.aircraft.props_out import SUFFIX, props_out
-from sim.strict_toml import StrictTable
-from toolchain.contract import AXES, GRAVITY, POLICY_FILTER_MEAN, Mix
-from toolchain.errors import AircraftError
-from toolchain.files import file_size
+from neuroflight.sim.aircraft.advance import AdvanceRatio, read_advance
+from neuroflight.sim.aircraft.airframe import ZERO, Meshes, read_parts, read_rotors, reject_collisions
+from neuroflight.sim.aircraft.airframe import Rotor as Rotor
+from neuroflight.sim.aircraft.digest import EARLIER, file_sha256, flown_sha256
+from neuroflight.sim.aircraft.mass import MassProperties, Part, Vector, mass_properties
+from neuroflight.sim.aircraft.props_out import SUFFIX, props_out
+from neuroflight.sim.strict_toml import StrictTable
+from neuroflight.toolchain.contract import AXES, GRAVITY, POLICY_FILTER_MEAN, Mix
+from neuroflight.toolchain.errors import AircraftError
+from neuroflight.toolchain.files import file_size
 
 FOLDER = Path(__file__).parent
 FILE_BYTES_MAX = 256 << 10

@@ -6,10 +6,10 @@ import math
 import re
 from dataclasses import dataclass, replace
 
-from sim.aircraft.airframe import ZERO
-from sim.aircraft.mass import Part, Vector, mass_properties
-from sim.aircraft.model import Aircraft
-from toolchain.errors import AircraftError
+from neuroflight.sim.aircraft.airframe import ZERO
+from neuroflight.sim.aircraft.mass import Part, Vector, mass_properties
+from neuroflight.sim.aircraft.model import Aircraft
+from neuroflight.toolchain.errors import AircraftError
 
 GRAMS_MAX = 100_000.0
 REACH_MAX = 5.0  # [m]

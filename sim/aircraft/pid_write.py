@@ -8,10 +8,10 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
-from sim.aircraft.model import PidSettings, load_aircraft, parse_aircraft
-from toolchain.contract import AXES, POLICY_FILTER_MEAN, Mix
-from toolchain.errors import AircraftError
-from toolchain.files import write_bytes
+from neuroflight.sim.aircraft.model import PidSettings, load_aircraft, parse_aircraft
+from neuroflight.toolchain.contract import AXES, POLICY_FILTER_MEAN, Mix
+from neuroflight.toolchain.errors import AircraftError
+from neuroflight.toolchain.files import write_bytes
 
 NAME = re.compile(r"[A-Za-z0-9_-]{1,32}")
 MARK = "Found by `neuroflight tune-pid"

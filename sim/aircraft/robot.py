@@ -15,9 +15,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.aircraft.mass import Vector, rotation_matrix
-from toolchain.errors import AircraftError
-from toolchain.files import file_size
+from neuroflight.sim.aircraft.mass import Vector, rotation_matrix
+from neuroflight.toolchain.errors import AircraftError
+from neuroflight.toolchain.files import file_size
 
 FILE_BYTES_MAX = 4 << 20
 ELEMENTS_MAX = 100_000

@@ -14,14 +14,14 @@ from pathlib import Path
 
 import numpy as np
 
-from sim.aircraft.model import Aircraft, load_aircraft, parse_aircraft
-from sim.aircraft.robot import VERTICAL, Drive, Robot, read_xml
-from sim.aircraft.robot_parts import hub_of
-from sim.aircraft.robot_text import Writer
-from sim.aircraft.sdf import read_sdf
-from sim.aircraft.urdf import read_urdf
-from toolchain.contract import MOTOR_COUNT_MAX
-from toolchain.errors import AircraftError
+from neuroflight.sim.aircraft.model import Aircraft, load_aircraft, parse_aircraft
+from neuroflight.sim.aircraft.robot import VERTICAL, Drive, Robot, read_xml
+from neuroflight.sim.aircraft.robot_parts import hub_of
+from neuroflight.sim.aircraft.robot_text import Writer
+from neuroflight.sim.aircraft.sdf import read_sdf
+from neuroflight.sim.aircraft.urdf import read_urdf
+from neuroflight.toolchain.contract import MOTOR_COUNT_MAX
+from neuroflight.toolchain.errors import AircraftError
 
 ROTORS_MIN = 3
 

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from sim.aircraft.mass import Part, Vector, rotation_angles
-from sim.aircraft.robot import Array, Drive, Link, Robot
-from toolchain.errors import AircraftError
+from neuroflight.sim.aircraft.mass import Part, Vector, rotation_angles
+from neuroflight.sim.aircraft.robot import Array, Drive, Link, Robot
+from neuroflight.toolchain.errors import AircraftError
 
 MASS_MIN = 1e-6  # [kg], of a part
 SAME = 1e-6  # relative: propellers that differ by less are one

@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from sim.aircraft.mass import Vector
-from sim.aircraft.model import RPM, Aircraft, FirstOrderResponse, TorqueResponse, aircraft_file
-from sim.aircraft.robot import Array, Drive, Robot
-from sim.aircraft.robot_parts import (
+from neuroflight.sim.aircraft.mass import Vector
+from neuroflight.sim.aircraft.model import RPM, Aircraft, FirstOrderResponse, TorqueResponse, aircraft_file
+from neuroflight.sim.aircraft.robot import Array, Drive, Robot
+from neuroflight.sim.aircraft.robot_parts import (
     MASS_MIN,
     alike,
     hub_of,
@@ -24,7 +24,7 @@ from sim.aircraft.robot_parts import (
     toml,
     vector_of,
 )
-from toolchain.errors import AircraftError
+from neuroflight.toolchain.errors import AircraftError
 
 GYRO_OF = "nf1"  # whose gyro and accelerometer an aircraft has that says nothing of them
 LAG_S = (0.03, 0.04)  # assumed; small brushless drives have 20 to 60 ms

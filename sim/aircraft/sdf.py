@@ -9,8 +9,8 @@ from pathlib import Path, PurePosixPath
 
 import numpy as np
 
-from sim.aircraft.mass import Vector
-from sim.aircraft.robot import (
+from neuroflight.sim.aircraft.mass import Vector
+from neuroflight.sim.aircraft.robot import (
     HERE,
     LINKS_MAX,
     Array,
@@ -27,7 +27,7 @@ from sim.aircraft.robot import (
     text_of,
     vector,
 )
-from toolchain.errors import AircraftError
+from neuroflight.toolchain.errors import AircraftError
 
 MODEL = "__model__"
 INCLUDES_MAX, DEPTH_MAX = 50, 8

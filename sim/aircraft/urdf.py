@@ -8,8 +8,8 @@ import xml.etree.ElementTree as ET
 
 import numpy as np
 
-from sim.aircraft.model import RPM
-from sim.aircraft.robot import (
+from neuroflight.sim.aircraft.model import RPM
+from neuroflight.sim.aircraft.robot import (
     HERE,
     LINKS_MAX,
     Array,
@@ -24,8 +24,8 @@ from sim.aircraft.robot import (
     tensor,
     vector,
 )
-from toolchain.contract import GRAVITY
-from toolchain.errors import AircraftError
+from neuroflight.toolchain.contract import GRAVITY
+from neuroflight.toolchain.errors import AircraftError
 
 ENDLESS = "continuous"
 PROPELLER = re.compile(r"prop(\d+)_link")  # how gym-pybullet-drones names them

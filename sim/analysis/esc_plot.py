@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from sim.plotting import INK, MOTOR_COLOURS, MUTED, dress, legend_above, titled_figure
+from neuroflight.sim.plotting import INK, MOTOR_COLOURS, MUTED, dress, legend_above, titled_figure
 
 Array = NDArray[np.float64]
 

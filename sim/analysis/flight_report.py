@@ -14,12 +14,12 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import ScalarFormatter
 from numpy.typing import NDArray
 
-from sim.analysis.confidence import Mean
-from sim.analysis.holding import DRIFT_S, Holding
-from sim.analysis.metrics import Figures
-from sim.analysis.response import ResponseFigures
-from sim.flight.trace import Trace
-from sim.plotting import (
+from neuroflight.sim.analysis.confidence import Mean
+from neuroflight.sim.analysis.holding import DRIFT_S, Holding
+from neuroflight.sim.analysis.metrics import Figures
+from neuroflight.sim.analysis.response import ResponseFigures
+from neuroflight.sim.flight.trace import Trace
+from neuroflight.sim.plotting import (
     AXIS_COLOURS,
     FLIGHT_COLOURS,
     INK,
@@ -30,8 +30,8 @@ from sim.plotting import (
     save_png,
     titled_figure,
 )
-from toolchain.contract import AXES
-from toolchain.files import write_text
+from neuroflight.toolchain.contract import AXES
+from neuroflight.toolchain.files import write_text
 
 WINDOW_S = 13.5  # the most a plot shows: three pulses of 4.5 s
 SMOOTH_S = 0.020  # of the motors' moving average

@@ -13,9 +13,9 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.analysis.flight_report import Flight
-from sim.analysis.holding import DRIFT_S
-from sim.analysis.limits import (
+from neuroflight.sim.analysis.flight_report import Flight
+from neuroflight.sim.analysis.holding import DRIFT_S
+from neuroflight.sim.analysis.limits import (
     CHANGE,
     DRIFT_DEG,
     DRIFT_DEG_S,
@@ -24,8 +24,8 @@ from sim.analysis.limits import (
     ROUGHER,
     TRACKING,
 )
-from sim.analysis.swing import change, swing
-from toolchain.contract import AXES
+from neuroflight.sim.analysis.swing import change, swing
+from neuroflight.toolchain.contract import AXES
 
 ENTRY_S = 0.2  # of a command that is held: rotors and aircraft are on their way to it
 HELD_S = 0.1  # the least of what is left for a figure: six periods of a swing at 60 Hz

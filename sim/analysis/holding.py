@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sim.analysis.confidence import Mean, mean_of
+from neuroflight.sim.analysis.confidence import Mean, mean_of
 
 Array = NDArray[np.float64]
 SETTLED_S = 0.5  # after the sticks are centred: the aircraft rests, or should

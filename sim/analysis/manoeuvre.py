@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.analysis.holding import SETTLED_S
-from sim.analysis.metrics import CHANGE_S, tracking
-from sim.flight.trace import Trace
+from neuroflight.sim.analysis.holding import SETTLED_S
+from neuroflight.sim.analysis.metrics import CHANGE_S, tracking
+from neuroflight.sim.flight.trace import Trace
 
 Array = NDArray[np.float64]
 SHAKE_HZ = (20.0, 80.0)  # where prop wash shakes a 5-inch: slower a controller holds it, faster its mass does

@@ -12,10 +12,10 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sim.analysis.response import ResponseFigures, hold, response_figures
-from sim.analysis.spectrum import components, smoothness
-from sim.flight.trace import Trace
-from toolchain.contract import IDLE_DEFAULT, Mix
+from neuroflight.sim.analysis.response import ResponseFigures, hold, response_figures
+from neuroflight.sim.analysis.spectrum import components, smoothness
+from neuroflight.sim.flight.trace import Trace
+from neuroflight.toolchain.contract import IDLE_DEFAULT, Mix
 
 Array = NDArray[np.float64]
 SAMPLES_PER_S = 1000.0  # the 1 ms samples of the sums

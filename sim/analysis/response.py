@@ -17,7 +17,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sim.analysis.confidence import Mean, mean_of, share_of
+from neuroflight.sim.analysis.confidence import Mean, mean_of, share_of
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from sim.analysis.response import (
+from neuroflight.sim.analysis.response import (
     BAND,
     LATE_S,
     LATER_S,
@@ -18,9 +18,9 @@ from sim.analysis.response import (
     large,
     progress,
 )
-from sim.analysis.spectrum_plot import Line, draw_spectra
-from sim.plotting import AXIS_COLOURS, INK, MUTED, SHADE, dress, legend_above, titled_figure
-from toolchain.contract import AXES
+from neuroflight.sim.analysis.spectrum_plot import Line, draw_spectra
+from neuroflight.sim.plotting import AXIS_COLOURS, INK, MUTED, SHADE, dress, legend_above, titled_figure
+from neuroflight.toolchain.contract import AXES
 
 WINDOW_S = 1.0  # the most that is shown of a held command
 PERCENTILES = (5, 25, 50, 75, 95)

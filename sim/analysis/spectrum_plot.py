@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 from matplotlib.axes import Axes
 
-from sim.analysis.spectrum import Spectrum
-from sim.plotting import INK, MOTOR_COLOURS, dress, plain_numbers
+from neuroflight.sim.analysis.spectrum import Spectrum
+from neuroflight.sim.plotting import INK, MOTOR_COLOURS, dress, plain_numbers
 
 PERCENT_MIN = 1e-4  # what is drawn of the amplitudes' scale [% of full command]
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.flight.motion import Motion
-from sim.flight.scenario import Scenario
+from neuroflight.sim.flight.motion import Motion
+from neuroflight.sim.flight.scenario import Scenario
 
 Array = NDArray[np.float64]
 STEADY_S = 2.0  # end of a segment in which a height is held

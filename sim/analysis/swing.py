@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sim.analysis.metrics import CHANGE_S
+from neuroflight.sim.analysis.metrics import CHANGE_S
 
 SWING_HZ = (20.0, 200.0)  # above: no rotor follows; below: the way to a command itself
 

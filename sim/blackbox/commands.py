@@ -13,11 +13,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.blackbox.flight import WHOLE, Part, armed_rows, check_sticks, cut
-from sim.blackbox.log import Log
-from sim.blackbox.units import channels
-from sim.flight.trace import Trace
-from toolchain.errors import TraceError
+from neuroflight.sim.blackbox.flight import WHOLE, Part, armed_rows, check_sticks, cut
+from neuroflight.sim.blackbox.log import Log
+from neuroflight.sim.blackbox.units import channels
+from neuroflight.sim.flight.trace import Trace
+from neuroflight.toolchain.errors import TraceError
 
 Array = NDArray[np.float64]
 

@@ -7,9 +7,9 @@ import math
 import numpy as np
 from matplotlib.figure import Figure
 
-from sim.blackbox.commands import Commands
-from sim.plotting import AXIS_COLOURS, INK, dress, titled_figure
-from toolchain.contract import AXES
+from neuroflight.sim.blackbox.commands import Commands
+from neuroflight.sim.plotting import AXIS_COLOURS, INK, dress, titled_figure
+from neuroflight.toolchain.contract import AXES
 
 NORMAL_COLOUR = "#cc0000"
 LEAST = 0.5  # samples, where the logarithmic axis begins: a bin of one sample shows

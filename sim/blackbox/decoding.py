@@ -16,10 +16,19 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.blackbox import encodings
-from sim.blackbox.encodings import FIELDS, NOTHING, TAG8_4S16, TAG8_8SVB, WORD, Reader, signed_of, unsigned
-from sim.blackbox.headers import DEFAULTS, FieldDefinition, Headers, intervals
-from toolchain.contract import LOG_FRAME_BYTES_MAX, LogEvent
+from neuroflight.sim.blackbox import encodings
+from neuroflight.sim.blackbox.encodings import (
+    FIELDS,
+    NOTHING,
+    TAG8_4S16,
+    TAG8_8SVB,
+    WORD,
+    Reader,
+    signed_of,
+    unsigned,
+)
+from neuroflight.sim.blackbox.headers import DEFAULTS, FieldDefinition, Headers, intervals
+from neuroflight.toolchain.contract import LOG_FRAME_BYTES_MAX, LogEvent
 
 Progress = Callable[[float], None]  # is given what part is done, 0..1
 Array = NDArray[np.int64]

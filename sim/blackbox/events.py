@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from sim.blackbox.decoding import Event
-from sim.blackbox.firmware import Maker
-from sim.blackbox.log import Log
-from toolchain.contract import FallbackCause, FlightState, LogEvent, StopCause
+from neuroflight.sim.blackbox.decoding import Event
+from neuroflight.sim.blackbox.firmware import Maker
+from neuroflight.sim.blackbox.log import Log
+from neuroflight.toolchain.contract import FallbackCause, FlightState, LogEvent, StopCause
 
 DISARMING = (  # Betaflight's reasons, which ours are told by as well
     *("arming disabled", "failsafe", "throttle too long low", "sticks", "switch", "crash"),

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from sim.blackbox.log import Integers, Log
-from sim.blackbox.units import channels
-from toolchain.files import replacing
+from neuroflight.sim.blackbox.log import Integers, Log
+from neuroflight.sim.blackbox.units import channels
+from neuroflight.toolchain.files import replacing
 
 ROWS = 4096  # written at a time
 

@@ -11,14 +11,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.analysis.flight_report import Flight
-from sim.analysis.metrics import figures
-from sim.blackbox.log import Log
-from sim.blackbox.sticks import RATE_MOST_DEG_S, check
-from sim.blackbox.units import Channels, channels
-from sim.flight.trace import COLUMNS, Trace
-from toolchain.contract import IDLE_DEFAULT, Mix
-from toolchain.errors import TraceError
+from neuroflight.sim.analysis.flight_report import Flight
+from neuroflight.sim.analysis.metrics import figures
+from neuroflight.sim.blackbox.log import Log
+from neuroflight.sim.blackbox.sticks import RATE_MOST_DEG_S, check
+from neuroflight.sim.blackbox.units import Channels, channels
+from neuroflight.sim.flight.trace import COLUMNS, Trace
+from neuroflight.toolchain.contract import IDLE_DEFAULT, Mix
+from neuroflight.toolchain.errors import TraceError
 
 RATE_MIN_HZ = 20.0  # rows a second, below which no response shows
 GYRO_LOST = "no line gyro_scale in its headers: tell it by --header gyro_scale=DEG_S, deg/s of a count"

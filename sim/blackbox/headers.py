@@ -11,11 +11,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from sim.blackbox.encodings import NEG_14BIT, READERS, TAG8_4S16, UNSIGNED_VB
-from sim.blackbox.firmware import Maker, firmware, has_mapped_throttle
-from sim.blackbox.scales import gyro_count, header_number, is_adc
-from toolchain.errors import TraceError
-from toolchain.files import file_size
+from neuroflight.sim.blackbox.encodings import NEG_14BIT, READERS, TAG8_4S16, UNSIGNED_VB
+from neuroflight.sim.blackbox.firmware import Maker, firmware, has_mapped_throttle
+from neuroflight.sim.blackbox.scales import gyro_count, header_number, is_adc
+from neuroflight.toolchain.errors import TraceError
+from neuroflight.toolchain.files import file_size
 
 FILE_BYTES_MAX = 256 << 20  # of a file: flash chips have up to 256 MB, our card's files 64 MB
 LOGS_MAX = 1000  # in a file

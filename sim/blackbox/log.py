@@ -14,13 +14,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.blackbox.decoding import EVENTS_MAX, Event, Progress, decode
-from sim.blackbox.encodings import WORD
-from sim.blackbox.firmware import Maker, firmware
-from sim.blackbox.headers import LOGS_MAX, Extent, Headers, find_logs, read_bytes, read_headers
-from sim.blackbox.transfer import text_transfer
-from toolchain.contract import LogEvent
-from toolchain.errors import TraceError
+from neuroflight.sim.blackbox.decoding import EVENTS_MAX, Event, Progress, decode
+from neuroflight.sim.blackbox.encodings import WORD
+from neuroflight.sim.blackbox.firmware import Maker, firmware
+from neuroflight.sim.blackbox.headers import LOGS_MAX, Extent, Headers, find_logs, read_bytes, read_headers
+from neuroflight.sim.blackbox.transfer import text_transfer
+from neuroflight.toolchain.contract import LogEvent
+from neuroflight.toolchain.errors import TraceError
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]

@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.blackbox.firmware import Firmware, Maker
-from sim.blackbox.log import Log
-from sim.blackbox.scales import header_number
-from sim.control.motors import motor_fractions
-from toolchain.contract import DSHOT_MAX, DSHOT_MIN, DSHOT_SPAN, DSHOT_STOP, MOTOR_COUNT_MAX
+from neuroflight.sim.blackbox.firmware import Firmware, Maker
+from neuroflight.sim.blackbox.log import Log
+from neuroflight.sim.blackbox.scales import header_number
+from neuroflight.sim.control.motors import motor_fractions
+from neuroflight.toolchain.contract import DSHOT_MAX, DSHOT_MIN, DSHOT_SPAN, DSHOT_STOP, MOTOR_COUNT_MAX
 
 Array = NDArray[np.float64]
 Words = NDArray[np.uint16]

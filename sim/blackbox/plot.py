@@ -10,12 +10,21 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from sim.blackbox.events import words
-from sim.blackbox.log import Log
-from sim.blackbox.units import Channels, channels
-from sim.plotting import AXIS_COLOURS, INK, MOTOR_COLOURS, MUTED, SHADE, dress, legend_above, titled_figure
-from toolchain.contract import AXES
-from toolchain.errors import TraceError
+from neuroflight.sim.blackbox.events import words
+from neuroflight.sim.blackbox.log import Log
+from neuroflight.sim.blackbox.units import Channels, channels
+from neuroflight.sim.plotting import (
+    AXIS_COLOURS,
+    INK,
+    MOTOR_COLOURS,
+    MUTED,
+    SHADE,
+    dress,
+    legend_above,
+    titled_figure,
+)
+from neuroflight.toolchain.contract import AXES
+from neuroflight.toolchain.errors import TraceError
 
 Array = NDArray[np.float64]
 

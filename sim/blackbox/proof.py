@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.blackbox.rates import RatesError, Reading
+from neuroflight.sim.blackbox.rates import RatesError, Reading
 
 Array = NDArray[np.float64]
 

@@ -7,12 +7,12 @@ from enum import Enum
 
 import numpy as np
 
-from sim.blackbox.firmware import Maker
-from sim.blackbox.flight import GYRO_LOST
-from sim.blackbox.log import Log
-from sim.blackbox.sticks import beyond, is_stick
-from sim.blackbox.units import Channels, channels, control_rate_hz
-from toolchain.contract import AXES, DSHOT_MAX
+from neuroflight.sim.blackbox.firmware import Maker
+from neuroflight.sim.blackbox.flight import GYRO_LOST
+from neuroflight.sim.blackbox.log import Log
+from neuroflight.sim.blackbox.sticks import beyond, is_stick
+from neuroflight.sim.blackbox.units import Channels, channels, control_rate_hz
+from neuroflight.toolchain.contract import AXES, DSHOT_MAX
 
 GYRO_FULL_DEG_S = 2000.0  # of the chip's range (sim.physics.imu)
 NEAR_FULL = 0.995  # of it, that is taken for saturated

@@ -16,8 +16,8 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.blackbox.firmware import Firmware, Maker
-from sim.blackbox.scales import gyro_count
+from neuroflight.sim.blackbox.firmware import Firmware, Maker
+from neuroflight.sim.blackbox.scales import gyro_count
 
 Array = NDArray[np.float64]
 

@@ -13,7 +13,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.blackbox.firmware import Firmware, Maker
+from neuroflight.sim.blackbox.firmware import Firmware, Maker
 
 Array = NDArray[np.float64]
 Columns = Mapping[str, NDArray[np.int64]]

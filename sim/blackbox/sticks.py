@@ -13,14 +13,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.blackbox.firmware import Firmware, Maker, has_box_mask, has_mapped_throttle
-from sim.blackbox.headers import DEFAULTS
-from sim.blackbox.log import Log
-from sim.blackbox.proof import choose
-from sim.blackbox.rates import SETTINGS, RatesError, readings
-from sim.blackbox.scales import fine, header_number
-from toolchain.contract import AXES, CHANNEL_MAX_US, CHANNEL_MIN_US
-from toolchain.errors import TraceError
+from neuroflight.sim.blackbox.firmware import Firmware, Maker, has_box_mask, has_mapped_throttle
+from neuroflight.sim.blackbox.headers import DEFAULTS
+from neuroflight.sim.blackbox.log import Log
+from neuroflight.sim.blackbox.proof import choose
+from neuroflight.sim.blackbox.rates import SETTINGS, RatesError, readings
+from neuroflight.sim.blackbox.scales import fine, header_number
+from neuroflight.toolchain.contract import AXES, CHANNEL_MAX_US, CHANNEL_MIN_US
+from neuroflight.toolchain.errors import TraceError
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.bool_]

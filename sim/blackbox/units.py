@@ -13,12 +13,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.blackbox.firmware import Firmware, Maker, firmware, has_box_mask
-from sim.blackbox.log import Log, floats
-from sim.blackbox.motors import motor_idle, motors
-from sim.blackbox.scales import current, fine, gyro_count, header_number, rotor_rpm, voltage
-from sim.blackbox.sticks import Pilot, pilot
-from toolchain.contract import DSHOT_STOP, GRAVITY, MOTOR_COUNT_MAX, Mix
+from neuroflight.sim.blackbox.firmware import Firmware, Maker, firmware, has_box_mask
+from neuroflight.sim.blackbox.log import Log, floats
+from neuroflight.sim.blackbox.motors import motor_idle, motors
+from neuroflight.sim.blackbox.scales import current, fine, gyro_count, header_number, rotor_rpm, voltage
+from neuroflight.sim.blackbox.sticks import Pilot, pilot
+from neuroflight.toolchain.contract import DSHOT_STOP, GRAVITY, MOTOR_COUNT_MAX, Mix
 
 Floats = NDArray[np.float32]
 Array = NDArray[np.float64]

@@ -11,30 +11,30 @@ from typing import Any, NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.board.core.context import TIME_HZ
-from sim.board.core.engine import CPI, Engine, Note
-from sim.board.devices.esc import SILENT_S, Esc, Frame
-from sim.board.devices.gyro_chip import ICM20602, READY, GyroChip, GyroKind
-from sim.board.devices.sd_card import CardSlot, SdCard
-from sim.board.inspection import Inspection
-from sim.board.matekf722 import MOTORS
-from sim.board.native.library import Native, native_library
-from sim.board.peripherals.adc import Adc, AdcCommon
-from sim.board.peripherals.dma import DmaSystem
-from sim.board.peripherals.exti import Exti, Syscfg
-from sim.board.peripherals.flash import Flash
-from sim.board.peripherals.gpio import Pins
-from sim.board.peripherals.iwdg import Iwdg
-from sim.board.peripherals.option_bytes import OptionBytes, signature
-from sim.board.peripherals.pwr import Pwr
-from sim.board.peripherals.rcc import MICROSECOND, Clocks, Rcc
-from sim.board.peripherals.spi import GyroSpi, Spi
-from sim.board.peripherals.timer import TIMERS, Timer
-from sim.board.peripherals.usart import Usart
-from sim.board.registers.bus import Companion, Device, Registers, Touch, load_table
-from sim.board.rom.boot_loader import BootLoader
-from toolchain.contract import DSHOT_MIN
-from toolchain.image.bank_state import proven
+from neuroflight.sim.board.core.context import TIME_HZ
+from neuroflight.sim.board.core.engine import CPI, Engine, Note
+from neuroflight.sim.board.devices.esc import SILENT_S, Esc, Frame
+from neuroflight.sim.board.devices.gyro_chip import ICM20602, READY, GyroChip, GyroKind
+from neuroflight.sim.board.devices.sd_card import CardSlot, SdCard
+from neuroflight.sim.board.inspection import Inspection
+from neuroflight.sim.board.matekf722 import MOTORS
+from neuroflight.sim.board.native.library import Native, native_library
+from neuroflight.sim.board.peripherals.adc import Adc, AdcCommon
+from neuroflight.sim.board.peripherals.dma import DmaSystem
+from neuroflight.sim.board.peripherals.exti import Exti, Syscfg
+from neuroflight.sim.board.peripherals.flash import Flash
+from neuroflight.sim.board.peripherals.gpio import Pins
+from neuroflight.sim.board.peripherals.iwdg import Iwdg
+from neuroflight.sim.board.peripherals.option_bytes import OptionBytes, signature
+from neuroflight.sim.board.peripherals.pwr import Pwr
+from neuroflight.sim.board.peripherals.rcc import MICROSECOND, Clocks, Rcc
+from neuroflight.sim.board.peripherals.spi import GyroSpi, Spi
+from neuroflight.sim.board.peripherals.timer import TIMERS, Timer
+from neuroflight.sim.board.peripherals.usart import Usart
+from neuroflight.sim.board.registers.bus import Companion, Device, Registers, Touch, load_table
+from neuroflight.sim.board.rom.boot_loader import BootLoader
+from neuroflight.toolchain.contract import DSHOT_MIN
+from neuroflight.toolchain.image.bank_state import proven
 
 USARTS = ("USART1", "USART2", "USART3", "UART4", "UART5")
 ENTRY_BOUND = 5 * MICROSECOND  # from the gyro's edge to its handler [cycles]

@@ -9,11 +9,11 @@ from __future__ import annotations
 
 from typing import Any
 
-from sim.board.core.context import TIME_HZ, Context
-from sim.board.peripherals.dma import STREAMS, DmaSystem
-from sim.board.peripherals.exti import Exti
-from sim.board.peripherals.rcc import MICROSECOND
-from sim.board.registers.bus import load_table
+from neuroflight.sim.board.core.context import TIME_HZ, Context
+from neuroflight.sim.board.peripherals.dma import STREAMS, DmaSystem
+from neuroflight.sim.board.peripherals.exti import Exti
+from neuroflight.sim.board.peripherals.rcc import MICROSECOND
+from neuroflight.sim.board.registers.bus import load_table
 
 PERIOD = TIME_HZ // 100  # [cycles]
 AGAIN = (1300 * MICROSECOND, 1700 * MICROSECOND)  # one after the other

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from sim.board.devices.gyro_chip import (
+from neuroflight.sim.board.devices.gyro_chip import (
     ICM20601,
     ICM20602,
     ICM20608G,
@@ -13,8 +13,8 @@ from sim.board.devices.gyro_chip import (
     MPU9250,
     GyroKind,
 )
-from sim.board.devices.gyro_mount import Alignment
-from toolchain.contract import SIM_BATTERY_MV, SIM_GYRO_ALIGNMENT
+from neuroflight.sim.board.devices.gyro_mount import Alignment
+from neuroflight.toolchain.contract import SIM_BATTERY_MV, SIM_GYRO_ALIGNMENT
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from toolchain.contract import BATTERY_FILTER_S, BATTERY_RATE_HZ, SETTINGS
+from neuroflight.toolchain.contract import BATTERY_FILTER_S, BATTERY_RATE_HZ, SETTINGS
 
 Array = NDArray[np.float64]
 Array32 = NDArray[np.float32]

@@ -7,11 +7,11 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.control.motors import throttle_mix
-from sim.control.observation import Observer
-from toolchain.ir.interpreter import advance, clear_state
-from toolchain.passes import optimize
-from toolchain.policy.model import PolicyModel
+from neuroflight.sim.control.motors import throttle_mix
+from neuroflight.sim.control.observation import Observer
+from neuroflight.toolchain.ir.interpreter import advance, clear_state
+from neuroflight.toolchain.passes import optimize
+from neuroflight.toolchain.policy.model import PolicyModel
 
 SENSED = frozenset({"rotor_speed", "gravity"})  # blocks that no step of a Controller is given
 

@@ -9,12 +9,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.aircraft.model import Aircraft, TorqueResponse
-from sim.control.motors import raised
-from sim.physics.rotor import coefficient, response_rows, rotor_geometry, target_speed
-from toolchain.contract import ESTIMATOR_CORRECTION_HZ, ESTIMATOR_DELAY_MAX, GRAVITY
-from toolchain.errors import AircraftError
-from toolchain.policy.model_constants import UNLIMITED, ModelConstants
+from neuroflight.sim.aircraft.model import Aircraft, TorqueResponse
+from neuroflight.sim.control.motors import raised
+from neuroflight.sim.physics.rotor import coefficient, response_rows, rotor_geometry, target_speed
+from neuroflight.toolchain.contract import ESTIMATOR_CORRECTION_HZ, ESTIMATOR_DELAY_MAX, GRAVITY
+from neuroflight.toolchain.errors import AircraftError
+from neuroflight.toolchain.policy.model_constants import UNLIMITED, ModelConstants
 
 Array = NDArray[np.float32]
 Which = NDArray[np.intp] | slice

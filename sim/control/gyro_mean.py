@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from toolchain.contract import GYRO_RATE_DEFAULT_HZ
+from neuroflight.toolchain.contract import GYRO_RATE_DEFAULT_HZ
 
 Array = NDArray[np.float32]
 

@@ -9,10 +9,10 @@ import re
 from functools import cache
 from pathlib import Path
 
-from sim import compiled
-from toolchain.errors import BuildError
-from toolchain.files import write_text_if_changed
-from toolchain.rendering.contract_header import render_contract
+from neuroflight.sim import compiled
+from neuroflight.toolchain.errors import BuildError
+from neuroflight.toolchain.files import write_text_if_changed
+from neuroflight.toolchain.rendering.contract_header import render_contract
 
 C = Path(__file__).parent / "c"
 FIRMWARE = Path(__file__).resolve().parents[2] / "firmware" / "src"

@@ -8,8 +8,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from toolchain.contract import DSHOT_MAX, DSHOT_MIN, DSHOT_SPAN, DSHOT_STOP, Mix
-from toolchain.errors import LinkError
+from neuroflight.toolchain.contract import DSHOT_MAX, DSHOT_MIN, DSHOT_SPAN, DSHOT_STOP, Mix
+from neuroflight.toolchain.errors import LinkError
 
 Array = NDArray[np.float32]
 

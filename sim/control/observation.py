@@ -11,8 +11,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.control.estimator import Estimator
-from toolchain.contract import (
+from neuroflight.sim.control.estimator import Estimator
+from neuroflight.toolchain.contract import (
     GYRO_FULL_SCALE_DEG_S,
     IDLE_DEFAULT,
     RATE_ERROR_INTEGRAL_LIMIT_RAD,
@@ -21,7 +21,7 @@ from toolchain.contract import (
     needs_model,
     observation_count,
 )
-from toolchain.policy.model_constants import ModelConstants
+from neuroflight.toolchain.policy.model_constants import ModelConstants
 
 Array = NDArray[np.float32]
 Which = NDArray[np.intp] | slice

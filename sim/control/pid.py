@@ -30,10 +30,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.aircraft.model import Aircraft, PidSettings
-from sim.control.library import library
-from sim.control.pid_table import Array, pid_mixer, pid_settings, settings_table
-from toolchain.rendering.pid_table import PidTable, pid_gains
+from neuroflight.sim.aircraft.model import Aircraft, PidSettings
+from neuroflight.sim.control.library import library
+from neuroflight.sim.control.pid_table import Array, pid_mixer, pid_settings, settings_table
+from neuroflight.toolchain.rendering.pid_table import PidTable, pid_gains
 
 Array32 = NDArray[np.float32]
 

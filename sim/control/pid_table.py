@@ -10,11 +10,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.aircraft.identity import shipped_as, told
-from sim.aircraft.model import Aircraft, PidSettings, aircraft_file, load_aircraft
-from toolchain.errors import AircraftError, BuildError
-from toolchain.policy.model import PolicyModel
-from toolchain.rendering.pid_table import PidTable
+from neuroflight.sim.aircraft.identity import shipped_as, told
+from neuroflight.sim.aircraft.model import Aircraft, PidSettings, aircraft_file, load_aircraft
+from neuroflight.toolchain.errors import AircraftError, BuildError
+from neuroflight.toolchain.policy.model import PolicyModel
+from neuroflight.toolchain.rendering.pid_table import PidTable
 
 Array = NDArray[np.float64]
 

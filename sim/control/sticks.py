@@ -12,7 +12,7 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from toolchain.contract import (
+from neuroflight.toolchain.contract import (
     CHANNEL_ARM,
     CHANNEL_COUNT,
     CHANNEL_MAX_US,
@@ -26,7 +26,7 @@ from toolchain.contract import (
     RATE_FULL_STICK_DEG_S,
     SWITCH_ON_US,
 )
-from toolchain.errors import ScenarioError
+from neuroflight.toolchain.errors import ScenarioError
 
 # Float32 constants and their order of use are the firmware's (rates.c).
 _FULL_STICK = np.float32(math.radians(RATE_FULL_STICK_DEG_S))  # [rad/s]

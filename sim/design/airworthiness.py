@@ -15,12 +15,12 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.aircraft.mass import MeshPose, rotation_angles, rotation_matrix
-from sim.aircraft.model import RPM, Aircraft, Propulsion
-from sim.design.figures import Figures, aircraft_figures, balanced_thrust, thrust_map
-from sim.physics.air import AIR_DENSITY
-from sim.physics.rotor import thrust_and_torque
-from toolchain.contract import AXES, GRAVITY
+from neuroflight.sim.aircraft.mass import MeshPose, rotation_angles, rotation_matrix
+from neuroflight.sim.aircraft.model import RPM, Aircraft, Propulsion
+from neuroflight.sim.design.figures import Figures, aircraft_figures, balanced_thrust, thrust_map
+from neuroflight.sim.physics.air import AIR_DENSITY
+from neuroflight.sim.physics.rotor import thrust_and_torque
+from neuroflight.toolchain.contract import AXES, GRAVITY
 
 Array = NDArray[np.float64]
 

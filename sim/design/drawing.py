@@ -19,11 +19,11 @@ from matplotlib.path import Path as Curve
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
-from sim.aircraft.mass import Part, rotation_matrix
-from sim.aircraft.mesh import cylinder, equal_box
-from sim.aircraft.model import RPM, Aircraft, Rotor
-from sim.design.figures import Figures
-from sim.plotting import GRID, INK, save_png
+from neuroflight.sim.aircraft.mass import Part, rotation_matrix
+from neuroflight.sim.aircraft.mesh import cylinder, equal_box
+from neuroflight.sim.aircraft.model import RPM, Aircraft, Rotor
+from neuroflight.sim.design.figures import Figures
+from neuroflight.sim.plotting import GRID, INK, save_png
 
 Array = NDArray[np.float64]
 MM = 1000.0  # drawn in millimetres

@@ -9,11 +9,11 @@ from itertools import combinations, product
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.aircraft.mass import principal
-from sim.aircraft.model import Aircraft, Battery
-from sim.physics.battery import loaded_voltage, open_circuit_voltage
-from sim.physics.rotor import coefficient, target_speed, thrust_and_torque
-from toolchain.contract import GRAVITY
+from neuroflight.sim.aircraft.mass import principal
+from neuroflight.sim.aircraft.model import Aircraft, Battery
+from neuroflight.sim.physics.battery import loaded_voltage, open_circuit_voltage
+from neuroflight.sim.physics.rotor import coefficient, target_speed, thrust_and_torque
+from neuroflight.toolchain.contract import GRAVITY
 
 Array = NDArray[np.float64]
 

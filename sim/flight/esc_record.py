@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.aircraft.model import RPM
-from sim.physics.twin import Twin
-from toolchain.files import write_text
+from neuroflight.sim.aircraft.model import RPM
+from neuroflight.sim.physics.twin import Twin
+from neuroflight.toolchain.files import write_text
 
 Array = NDArray[np.float64]
 

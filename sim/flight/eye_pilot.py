@@ -16,10 +16,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.control import sticks
+from neuroflight.sim.control import sticks
 
 if TYPE_CHECKING:
-    from sim.flight.scenario import Scenario
+    from neuroflight.sim.flight.scenario import Scenario
 
 REACTION_S = 0.2  # from what happens to what his fingers do about it
 MOVE_S = 0.02  # between two positions of his sticks

@@ -19,15 +19,22 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.control import sticks
-from sim.control.motors import each_fraction, motor_fractions
-from sim.flight.eye_pilot import EyePilot
-from sim.flight.scenario import Scenario, Segment
-from sim.flight.trace import Trace
-from sim.physics.twin import Twin
-from sim.ports.port import BatteryPort, FirmwarePort, Reply, Sample, SerialReceiverPort, control_divider
-from toolchain.contract import BOOT_GRACE_MS, CALIBRATION_MS, CHANNEL_ARM, CHANNEL_THROTTLE
-from toolchain.errors import LinkError, TraceError
+from neuroflight.sim.control import sticks
+from neuroflight.sim.control.motors import each_fraction, motor_fractions
+from neuroflight.sim.flight.eye_pilot import EyePilot
+from neuroflight.sim.flight.scenario import Scenario, Segment
+from neuroflight.sim.flight.trace import Trace
+from neuroflight.sim.physics.twin import Twin
+from neuroflight.sim.ports.port import (
+    BatteryPort,
+    FirmwarePort,
+    Reply,
+    Sample,
+    SerialReceiverPort,
+    control_divider,
+)
+from neuroflight.toolchain.contract import BOOT_GRACE_MS, CALIBRATION_MS, CHANNEL_ARM, CHANNEL_THROTTLE
+from neuroflight.toolchain.errors import LinkError, TraceError
 
 FRAME_S = 0.003  # an SBUS frame is 25 x 12 bits at 100 kbaud
 FRAME_SPACING_S = 0.004  # a frame and a gap

@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sim.flight.scenario import STILL, TURN_DEG_S, Rates, Scenario, Segment
-from sim.physics.world import Mount
+from neuroflight.sim.flight.scenario import STILL, TURN_DEG_S, Rates, Scenario, Segment
+from neuroflight.sim.physics.world import Mount
 
 SETTLE_S = 1.0  # from standing rotors to a hover; no figure counts it
 HOVER_S = 4.0  # behind each of them, level or not: what a memory that wound up in it leaves

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.physics.rotor import thrust_and_torque
-from sim.physics.twin import Twin
-from toolchain.contract import GRAVITY
+from neuroflight.sim.physics.rotor import thrust_and_torque
+from neuroflight.sim.physics.twin import Twin
+from neuroflight.toolchain.contract import GRAVITY
 
 Array = NDArray[np.float64]
 

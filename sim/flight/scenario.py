@@ -24,13 +24,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.control import sticks
-from sim.flight.freestyle import FRAME_S, stick_strokes
-from sim.physics.world import Mount
-from sim.strict_toml import StrictTable
-from toolchain.contract import RATE_FULL_STICK_DEG_S
-from toolchain.errors import ScenarioError
-from toolchain.files import file_size
+from neuroflight.sim.control import sticks
+from neuroflight.sim.flight.freestyle import FRAME_S, stick_strokes
+from neuroflight.sim.physics.world import Mount
+from neuroflight.sim.strict_toml import StrictTable
+from neuroflight.toolchain.contract import RATE_FULL_STICK_DEG_S
+from neuroflight.toolchain.errors import ScenarioError
+from neuroflight.toolchain.files import file_size
 
 Rates = tuple[float, float, float]  # roll, pitch, yaw [deg/s]
 STILL: Rates = (0.0, 0.0, 0.0)

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from toolchain.contract import DSHOT_MAX, MOTOR_COUNT_MAX
-from toolchain.errors import TraceError
-from toolchain.files import replacing
+from neuroflight.toolchain.contract import DSHOT_MAX, MOTOR_COUNT_MAX
+from neuroflight.toolchain.errors import TraceError
+from neuroflight.toolchain.files import replacing
 
 BYTES_MAX = 1 << 30  # of a file's arrays: about three hours at 1 kHz
 EVEN = 1e-6  # relative spread of even time steps that is due to rounding

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.aircraft.edit import Changes, Value
-from sim.identification.recording import SAMPLES_MIN, Recording
-from toolchain.contract import AXES
-from toolchain.errors import TraceError
+from neuroflight.sim.aircraft.edit import Changes, Value
+from neuroflight.sim.identification.recording import SAMPLES_MIN, Recording
+from neuroflight.toolchain.contract import AXES
+from neuroflight.toolchain.errors import TraceError
 
 Array = NDArray[np.float64]
 

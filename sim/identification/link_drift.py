@@ -23,13 +23,13 @@ from tempfile import TemporaryDirectory
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.aircraft.mass import MassProperties, mass_properties, principal
-from sim.aircraft.model import Aircraft
-from sim.physics.bullet import pybullet
-from sim.physics.rotation import quaternion, roll_pitch_yaw
-from sim.physics.rotor import speeds_along, target_speed, thrust_and_torque
-from toolchain.contract import GYRO_FULL_SCALE_DEG_S
-from toolchain.errors import AircraftError
+from neuroflight.sim.aircraft.mass import MassProperties, mass_properties, principal
+from neuroflight.sim.aircraft.model import Aircraft
+from neuroflight.sim.physics.bullet import pybullet
+from neuroflight.sim.physics.rotation import quaternion, roll_pitch_yaw
+from neuroflight.sim.physics.rotor import speeds_along, target_speed, thrust_and_torque
+from neuroflight.toolchain.contract import GYRO_FULL_SCALE_DEG_S
+from neuroflight.toolchain.errors import AircraftError
 
 Array = NDArray[np.float64]
 FORMULATIONS = ("reduced", "maximal")

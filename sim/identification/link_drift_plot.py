@@ -9,8 +9,8 @@ from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d import Axes3D
 
-from sim.identification.link_drift import FORMULATIONS, Drift, onset, worst_by_rate
-from sim.plotting import AXIS_COLOURS, INK, dress, dress_cube, titled_figure
+from neuroflight.sim.identification.link_drift import FORMULATIONS, Drift, onset, worst_by_rate
+from neuroflight.sim.plotting import AXIS_COLOURS, INK, dress, dress_cube, titled_figure
 
 DRIFT_MIN_M = 1e-17  # what a drift of nothing is drawn as
 POINTS = 2500  # samples drawn of each run: enough for a cloud

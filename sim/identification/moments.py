@@ -19,18 +19,18 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.aircraft.model import FILE_BYTES_MAX, Aircraft, aircraft_file, parse_aircraft
-from sim.aircraft.props_out import SUFFIX
-from sim.analysis.confidence import NORMAL
-from sim.blackbox.flight import check_motors
-from sim.blackbox.log import read_log
-from sim.blackbox.units import channels
-from sim.flight.trace import load_trace
-from sim.physics.rotor import rotor_geometry, rotor_wrench, speeds_along, target_speed
-from sim.recorded.log import SUFFIXES, split_number
-from toolchain.contract import AXES
-from toolchain.errors import AircraftError, TraceError
-from toolchain.files import file_size
+from neuroflight.sim.aircraft.model import FILE_BYTES_MAX, Aircraft, aircraft_file, parse_aircraft
+from neuroflight.sim.aircraft.props_out import SUFFIX
+from neuroflight.sim.analysis.confidence import NORMAL
+from neuroflight.sim.blackbox.flight import check_motors
+from neuroflight.sim.blackbox.log import read_log
+from neuroflight.sim.blackbox.units import channels
+from neuroflight.sim.flight.trace import load_trace
+from neuroflight.sim.physics.rotor import rotor_geometry, rotor_wrench, speeds_along, target_speed
+from neuroflight.sim.recorded.log import SUFFIXES, split_number
+from neuroflight.toolchain.contract import AXES
+from neuroflight.toolchain.errors import AircraftError, TraceError
+from neuroflight.toolchain.files import file_size
 
 Array = NDArray[np.float64]
 

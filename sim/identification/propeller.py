@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.aircraft.advance import AdvanceRatio, Terms, read_advance
-from sim.identification.propeller_tables import Measurements, Static, read_tables
-from sim.strict_toml import StrictTable
-from toolchain.errors import DynoError
+from neuroflight.sim.aircraft.advance import AdvanceRatio, Terms, read_advance
+from neuroflight.sim.identification.propeller_tables import Measurements, Static, read_tables
+from neuroflight.sim.strict_toml import StrictTable
+from neuroflight.toolchain.errors import DynoError
 
 Array = NDArray[np.float64]
 

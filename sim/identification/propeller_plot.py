@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.figure import Figure
 
-from sim.identification.propeller import Curve, PropellerFit
-from sim.plotting import AXIS_COLOURS, INK, dress, titled_figure
+from neuroflight.sim.identification.propeller import Curve, PropellerFit
+from neuroflight.sim.plotting import AXIS_COLOURS, INK, dress, titled_figure
 
 
 def draw(fit: PropellerFit, title: str) -> Figure:

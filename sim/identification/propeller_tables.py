@@ -23,9 +23,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.aircraft.advance import RATIO_LAST
-from sim.identification.table import find_table, numbers, read_text
-from toolchain.errors import DynoError
+from neuroflight.sim.aircraft.advance import RATIO_LAST
+from neuroflight.sim.identification.table import find_table, numbers, read_text
+from neuroflight.toolchain.errors import DynoError
 
 Array = NDArray[np.float64]
 

@@ -21,17 +21,17 @@ from typing import TextIO
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.blackbox.flight import WHOLE, Part, part_rows
-from sim.blackbox.headers import Headers
-from sim.blackbox.log import Frames, Log, list_logs, read_log
-from sim.blackbox.scales import fine
-from sim.blackbox.units import channels
-from sim.flight.trace import load_trace
-from sim.recorded.log import split_number
-from sim.recorded.sidecar import headers_beside
-from toolchain.contract import GRAVITY
-from toolchain.errors import TraceError
-from toolchain.files import file_size
+from neuroflight.sim.blackbox.flight import WHOLE, Part, part_rows
+from neuroflight.sim.blackbox.headers import Headers
+from neuroflight.sim.blackbox.log import Frames, Log, list_logs, read_log
+from neuroflight.sim.blackbox.scales import fine
+from neuroflight.sim.blackbox.units import channels
+from neuroflight.sim.flight.trace import load_trace
+from neuroflight.sim.recorded.log import split_number
+from neuroflight.sim.recorded.sidecar import headers_beside
+from neuroflight.toolchain.contract import GRAVITY
+from neuroflight.toolchain.errors import TraceError
+from neuroflight.toolchain.files import file_size
 
 Array = NDArray[np.float64]
 

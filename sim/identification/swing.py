@@ -17,10 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from sim.analysis.confidence import NORMAL
-from sim.identification.recording import Recording
-from toolchain.contract import AXES, GRAVITY
-from toolchain.errors import TraceError
+from neuroflight.sim.analysis.confidence import NORMAL
+from neuroflight.sim.identification.recording import Recording
+from neuroflight.toolchain.contract import AXES, GRAVITY
+from neuroflight.toolchain.errors import TraceError
 
 Array = NDArray[np.float64]
 

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.figure import Figure
 
-from sim.identification.swing import Swing
-from sim.plotting import AXIS_COLOURS, INK, dress, titled_figure
-from toolchain.contract import AXES
+from neuroflight.sim.identification.swing import Swing
+from neuroflight.sim.plotting import AXIS_COLOURS, INK, dress, titled_figure
+from neuroflight.toolchain.contract import AXES
 
 
 def draw(swings: Sequence[Swing], title: str) -> Figure:

@@ -15,8 +15,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from toolchain.errors import NeuroflightError
-from toolchain.files import file_size
+from neuroflight.toolchain.errors import NeuroflightError
+from neuroflight.toolchain.files import file_size
 
 Array = NDArray[np.float64]
 Failure = type[NeuroflightError]

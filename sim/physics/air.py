@@ -7,9 +7,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.aircraft.model import Aircraft
-from sim.physics.library import library, pointer, random_source, struct
-from toolchain.contract import GRAVITY
+from neuroflight.sim.aircraft.model import Aircraft
+from neuroflight.sim.physics.library import library, pointer, random_source, struct
+from neuroflight.toolchain.contract import GRAVITY
 
 Array = NDArray[np.float64]
 

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.aircraft.model import Battery
-from sim.physics.library import elements, library, pointer, struct
+from neuroflight.sim.aircraft.model import Battery
+from neuroflight.sim.physics.library import elements, library, pointer, struct
 
 Array = NDArray[np.float64]
 

@@ -8,9 +8,9 @@ from tempfile import TemporaryDirectory
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.aircraft.model import Aircraft
-from sim.physics.bullet import pybullet
-from sim.physics.rotation import quaternion, roll_pitch_yaw
+from neuroflight.sim.aircraft.model import Aircraft
+from neuroflight.sim.physics.bullet import pybullet
+from neuroflight.sim.physics.rotation import quaternion, roll_pitch_yaw
 
 Array = NDArray[np.float64]
 GROUND, AIRCRAFT = 1, 2  # collision groups

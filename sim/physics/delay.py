@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.physics.library import assign, library, pointer, struct
+from neuroflight.sim.physics.library import assign, library, pointer, struct
 
 Array = NDArray[np.float64]
 

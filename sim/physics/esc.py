@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.aircraft.model import EscTelemetry
+from neuroflight.sim.aircraft.model import EscTelemetry
 
 Array = NDArray[np.float64]
 

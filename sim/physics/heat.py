@@ -13,7 +13,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.aircraft.model import Thermal
+from neuroflight.sim.aircraft.model import Thermal
 
 Array = NDArray[np.float64]
 

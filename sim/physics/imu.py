@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.aircraft.model import Accelerometer, Gyro
-from sim.physics.library import assign, library, pointer, random_source, struct
-from toolchain.contract import GYRO_COUNTS, GYRO_FULL_SCALE_DEG_S
+from neuroflight.sim.aircraft.model import Accelerometer, Gyro
+from neuroflight.sim.physics.library import assign, library, pointer, random_source, struct
+from neuroflight.toolchain.contract import GYRO_COUNTS, GYRO_FULL_SCALE_DEG_S
 
 Array = NDArray[np.float64]
 RATE_PER_COUNT = np.float32(np.deg2rad(GYRO_FULL_SCALE_DEG_S / GYRO_COUNTS))  # [rad/s], the firmware's

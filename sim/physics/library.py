@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sim import compiled
-from toolchain.errors import BuildError
+from neuroflight.sim import compiled
+from neuroflight.toolchain.errors import BuildError
 
 Array = NDArray[np.float64]
 C = Path(__file__).parent / "c"

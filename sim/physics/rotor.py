@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sim.aircraft.model import Aircraft, Propulsion, TorqueResponse
-from sim.physics.library import assign, elements, library, pointer, struct
-from sim.physics.rotation import cross_matrix
+from neuroflight.sim.aircraft.model import Aircraft, Propulsion, TorqueResponse
+from neuroflight.sim.physics.library import assign, elements, library, pointer, struct
+from neuroflight.sim.physics.rotation import cross_matrix
 
 Array = NDArray[np.float64]
 

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.aircraft.model import Aircraft
-from sim.physics.battery import BatteryState, pack_struct
-from sim.physics.esc import Telemetry, telemetry
-from sim.physics.library import assign, library, pointer, struct
-from sim.physics.rotor import propulsion_struct, thrust_and_torque
-from toolchain.errors import AircraftError
+from neuroflight.sim.aircraft.model import Aircraft
+from neuroflight.sim.physics.battery import BatteryState, pack_struct
+from neuroflight.sim.physics.esc import Telemetry, telemetry
+from neuroflight.sim.physics.library import assign, library, pointer, struct
+from neuroflight.sim.physics.rotor import propulsion_struct, thrust_and_torque
+from neuroflight.toolchain.errors import AircraftError
 
 Array = NDArray[np.float64]
 

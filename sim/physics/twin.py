@@ -18,26 +18,26 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.aircraft.mass import Vector
-from sim.aircraft.model import Aircraft
-from sim.physics.air import AIR_DENSITY, Wash, Wind
-from sim.physics.battery import BatteryState
-from sim.physics.delay import CommandDelay, bad_command
-from sim.physics.esc import Telemetry
-from sim.physics.heat import Heat
-from sim.physics.imu import AccelerometerModel, GyroModel
-from sim.physics.library import assign, library, pointer, struct
-from sim.physics.rotor import (
+from neuroflight.sim.aircraft.mass import Vector
+from neuroflight.sim.aircraft.model import Aircraft
+from neuroflight.sim.physics.air import AIR_DENSITY, Wash, Wind
+from neuroflight.sim.physics.battery import BatteryState
+from neuroflight.sim.physics.delay import CommandDelay, bad_command
+from neuroflight.sim.physics.esc import Telemetry
+from neuroflight.sim.physics.heat import Heat
+from neuroflight.sim.physics.imu import AccelerometerModel, GyroModel
+from neuroflight.sim.physics.library import assign, library, pointer, struct
+from neuroflight.sim.physics.rotor import (
     load_factors,
     propulsion_struct,
     response_rows,
     rotor_geometry,
     rotors_struct,
 )
-from sim.physics.supply import Draw, Supply
-from sim.physics.variation import Variation
-from sim.physics.world import Mount, World
-from toolchain.contract import GRAVITY
+from neuroflight.sim.physics.supply import Draw, Supply
+from neuroflight.sim.physics.variation import Variation
+from neuroflight.sim.physics.world import Mount, World
+from neuroflight.toolchain.contract import GRAVITY
 
 Array = NDArray[np.float64]
 CALM: Vector = (0.0, 0.0, 0.0)

@@ -23,13 +23,20 @@ from enum import Enum
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.aircraft.model import Aircraft
-from sim.physics.bodies import AIRCRAFT, GROUND, create_box, create_ground, load_rig, resting_height
-from sim.physics.bullet import pybullet
-from sim.physics.library import assign, library, pointer, struct
-from sim.physics.rotation import cross_matrix, quaternion
-from toolchain.contract import GRAVITY
-from toolchain.errors import AircraftError, BuildError
+from neuroflight.sim.aircraft.model import Aircraft
+from neuroflight.sim.physics.bodies import (
+    AIRCRAFT,
+    GROUND,
+    create_box,
+    create_ground,
+    load_rig,
+    resting_height,
+)
+from neuroflight.sim.physics.bullet import pybullet
+from neuroflight.sim.physics.library import assign, library, pointer, struct
+from neuroflight.sim.physics.rotation import cross_matrix, quaternion
+from neuroflight.toolchain.contract import GRAVITY
+from neuroflight.toolchain.errors import AircraftError, BuildError
 
 Array = NDArray[np.float64]
 COUNT_MAX = 4096

@@ -21,20 +21,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from flash.messages import arming_reasons
-from sim.board.board import Board
-from sim.board.core.context import TIME_HZ, BoardError
-from sim.board.debug.fault_injection import Fault, FaultPlan
-from sim.board.debug.snapshot import Snapshot, restore_snapshot, take_snapshot
-from sim.board.debug.variables import read_variables
-from sim.board.devices.gyro_chip import READY
-from sim.board.devices.gyro_mount import accel_counts, gyro_counts
-from sim.board.devices.sd_card import SdCard
-from sim.board.matekf722 import FULL_VOLTS, GYRO, Gyro
-from sim.board.serial.idle_board import configured
-from sim.ports.port import Logged, Reply, Sample, control_divider, flight_settings
-from sim.ports.receiver_frames import RECEIVERS, Receiver
-from toolchain.contract import (
+from neuroflight.flash.messages import arming_reasons
+from neuroflight.sim.board.board import Board
+from neuroflight.sim.board.core.context import TIME_HZ, BoardError
+from neuroflight.sim.board.debug.fault_injection import Fault, FaultPlan
+from neuroflight.sim.board.debug.snapshot import Snapshot, restore_snapshot, take_snapshot
+from neuroflight.sim.board.debug.variables import read_variables
+from neuroflight.sim.board.devices.gyro_chip import READY
+from neuroflight.sim.board.devices.gyro_mount import accel_counts, gyro_counts
+from neuroflight.sim.board.devices.sd_card import SdCard
+from neuroflight.sim.board.matekf722 import FULL_VOLTS, GYRO, Gyro
+from neuroflight.sim.board.serial.idle_board import configured
+from neuroflight.sim.ports.port import Logged, Reply, Sample, control_divider, flight_settings
+from neuroflight.sim.ports.receiver_frames import RECEIVERS, Receiver
+from neuroflight.toolchain.contract import (
     GYRO_EDGE_RATE_HZ,
     GYRO_RATE_DEFAULT_HZ,
     SETTINGS,
@@ -43,8 +43,8 @@ from toolchain.contract import (
     Setting,
     StopCause,
 )
-from toolchain.errors import LinkError
-from toolchain.image.elf import read_flashable
+from neuroflight.toolchain.errors import LinkError
+from neuroflight.toolchain.image.elf import read_flashable
 
 RECEIVER = "USART2"
 BOOT_S = 5.0  # from power to the first sample that the firmware reads

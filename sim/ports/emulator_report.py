@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from sim.board.core.context import TIME_HZ
-from sim.board.core.engine import Note
-from sim.board.debug.profile import TaskCount, task_counts
-from sim.board.devices.gyro_chip import READY
-from sim.board.registers.bus import load_table
-from sim.ports.emulator import EmulatedPort, Event
+from neuroflight.sim.board.core.context import TIME_HZ
+from neuroflight.sim.board.core.engine import Note
+from neuroflight.sim.board.debug.profile import TaskCount, task_counts
+from neuroflight.sim.board.devices.gyro_chip import READY
+from neuroflight.sim.board.registers.bus import load_table
+from neuroflight.sim.ports.emulator import EmulatedPort, Event
 
 GYRO_EDGE = 16 + load_table().interrupt(f"EXTI{READY[2:]}")  # exception number
 _US = 1e6 / TIME_HZ

@@ -22,20 +22,27 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from flash import messages, records
-from flash.client import Client
-from flash.logs.messages import log_info
-from flash.transport import TcpPort, TcpTransport
-from sim.control.motors import each_fraction
-from sim.ports.port import Logged, Reply, Sample, control_divider, flight_settings, setting_changes
-from sim.ports.simulator_link import (
+from neuroflight.flash import messages, records
+from neuroflight.flash.client import Client
+from neuroflight.flash.logs.messages import log_info
+from neuroflight.flash.transport import TcpPort, TcpTransport
+from neuroflight.sim.control.motors import each_fraction
+from neuroflight.sim.ports.port import (
+    Logged,
+    Reply,
+    Sample,
+    control_divider,
+    flight_settings,
+    setting_changes,
+)
+from neuroflight.sim.ports.simulator_link import (
     LOOPBACK,
     PACKET_BYTES_MAX,
     SERVO,
     load_link,
     udp_socket,
 )
-from toolchain.contract import (
+from neuroflight.toolchain.contract import (
     CHANNEL_COUNT,
     GYRO_RATE_DEFAULT_HZ,
     MOTOR_COUNT_MAX,
@@ -48,7 +55,7 @@ from toolchain.contract import (
     FallbackCause,
     Msp,
 )
-from toolchain.errors import LinkError
+from neuroflight.toolchain.errors import LinkError
 
 START_S = 10.0  # from start to `ready`
 REPLY_S = 5.0  # an answer takes some 10 us; a busy machine may take its time

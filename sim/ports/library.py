@@ -11,11 +11,18 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from flash import messages, records
-from flash.client import Client
-from flash.logs.messages import log_info
-from sim.ports.port import Logged, Reply, Sample, control_divider, flight_settings, setting_changes
-from toolchain.contract import (
+from neuroflight.flash import messages, records
+from neuroflight.flash.client import Client
+from neuroflight.flash.logs.messages import log_info
+from neuroflight.sim.ports.port import (
+    Logged,
+    Reply,
+    Sample,
+    control_divider,
+    flight_settings,
+    setting_changes,
+)
+from neuroflight.toolchain.contract import (
     CHANNEL_COUNT,
     GYRO_RATE_DEFAULT_HZ,
     MOTOR_COUNT_MAX,
@@ -23,7 +30,7 @@ from toolchain.contract import (
     FallbackCause,
     Msp,
 )
-from toolchain.errors import LinkError
+from neuroflight.toolchain.errors import LinkError
 
 ERR_SETTINGS = -15  # nf_err.h
 _REPLY_BYTES = 2 * MSP_PAYLOAD_MAX

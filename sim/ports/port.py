@@ -9,9 +9,9 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.aircraft.model import Aircraft
-from toolchain.contract import AXES, BOOT_GRACE_MS, RATE_FULL_STICK_DEG_S, FallbackCause
-from toolchain.errors import LinkError
+from neuroflight.sim.aircraft.model import Aircraft
+from neuroflight.toolchain.contract import AXES, BOOT_GRACE_MS, RATE_FULL_STICK_DEG_S, FallbackCause
+from neuroflight.toolchain.errors import LinkError
 
 
 class Sample:

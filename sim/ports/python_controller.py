@@ -15,15 +15,15 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.control import sticks
-from sim.control.battery_voltage import BatteryVoltage
-from sim.control.controller import Controller
-from sim.control.gyro_mean import GyroMean
-from sim.control.motors import dshot_values, throttle_mix
-from sim.control.pid import Pid
-from sim.physics.imu import RATE_PER_COUNT, counts
-from sim.ports.port import Reply, Sample, control_divider
-from toolchain.contract import (
+from neuroflight.sim.control import sticks
+from neuroflight.sim.control.battery_voltage import BatteryVoltage
+from neuroflight.sim.control.controller import Controller
+from neuroflight.sim.control.gyro_mean import GyroMean
+from neuroflight.sim.control.motors import dshot_values, throttle_mix
+from neuroflight.sim.control.pid import Pid
+from neuroflight.sim.physics.imu import RATE_PER_COUNT, counts
+from neuroflight.sim.ports.port import Reply, Sample, control_divider
+from neuroflight.toolchain.contract import (
     BOOT_GRACE_MS,
     CALIBRATION_MS,
     CHANNEL_ARM,

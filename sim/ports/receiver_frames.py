@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from sim.board.peripherals.usart import CRSF, SBUS, Format
-from toolchain.contract import (
+from neuroflight.sim.board.peripherals.usart import CRSF, SBUS, Format
+from neuroflight.toolchain.contract import (
     CHANNEL_COUNT,
     CRC8_DVB_S2_POLY,
     CRSF_SYNC,

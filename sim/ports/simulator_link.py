@@ -12,9 +12,9 @@ import struct
 from functools import cache
 from pathlib import Path
 
-from sim.compiled import Library, Source, load
-from sim.ports.port import Sample
-from toolchain.contract import SIM_RECEIVER_FORMAT, SIM_SERVO_FORMAT, SIM_STATE_FORMAT
+from neuroflight.sim.compiled import Library, Source, load
+from neuroflight.sim.ports.port import Sample
+from neuroflight.toolchain.contract import SIM_RECEIVER_FORMAT, SIM_SERVO_FORMAT, SIM_STATE_FORMAT
 
 LOOPBACK = "127.0.0.1"
 PACKET_BYTES_MAX = 2048

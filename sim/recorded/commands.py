@@ -11,13 +11,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.blackbox.flight import WHOLE, Part, part_rows
-from sim.blackbox.sticks import RATE_MOST_DEG_S, beyond, check
-from sim.control import sticks
-from sim.flight.scenario import Scenario, Segment
-from sim.physics.world import Mount
-from toolchain.contract import RATE_FULL_STICK_DEG_S
-from toolchain.errors import ScenarioError, TraceError
+from neuroflight.sim.blackbox.flight import WHOLE, Part, part_rows
+from neuroflight.sim.blackbox.sticks import RATE_MOST_DEG_S, beyond, check
+from neuroflight.sim.control import sticks
+from neuroflight.sim.flight.scenario import Scenario, Segment
+from neuroflight.sim.physics.world import Mount
+from neuroflight.toolchain.contract import RATE_FULL_STICK_DEG_S
+from neuroflight.toolchain.errors import ScenarioError, TraceError
 
 LENGTH_MAX_S = 3600.0  # as a scenario's longest segment
 ROWS_MAX = 8_000_000  # an hour at 2 kHz

@@ -9,17 +9,17 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.blackbox.flight import WHOLE, Part
-from sim.blackbox.sticks import TELL_RATES
-from sim.flight.scenario import Scenario, load_scenario
-from sim.physics.world import Mount
-from sim.recorded.commands import ROWS_MAX, Commands, Recording, part_of
-from sim.recorded.log import SUFFIXES as LOG_SUFFIXES
-from sim.recorded.log import read_commands, split_number
-from sim.recorded.sidecar import headers_beside
-from sim.recorded.table import parse_table
-from toolchain.errors import ScenarioError, TraceError
-from toolchain.files import file_size
+from neuroflight.sim.blackbox.flight import WHOLE, Part
+from neuroflight.sim.blackbox.sticks import TELL_RATES
+from neuroflight.sim.flight.scenario import Scenario, load_scenario
+from neuroflight.sim.physics.world import Mount
+from neuroflight.sim.recorded.commands import ROWS_MAX, Commands, Recording, part_of
+from neuroflight.sim.recorded.log import SUFFIXES as LOG_SUFFIXES
+from neuroflight.sim.recorded.log import read_commands, split_number
+from neuroflight.sim.recorded.sidecar import headers_beside
+from neuroflight.sim.recorded.table import parse_table
+from neuroflight.toolchain.errors import ScenarioError, TraceError
+from neuroflight.toolchain.files import file_size
 
 CSV, NPZ = ".csv", ".npz"
 BYTES_MAX = {CSV: 256 << 20, NPZ: 1 << 30}  # of a file, by its suffix

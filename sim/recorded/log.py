@@ -8,11 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
-from sim.blackbox.flight import WHOLE, Part, armed_rows, check_sticks
-from sim.blackbox.log import list_logs, read_log
-from sim.blackbox.units import channels
-from sim.recorded.commands import Commands
-from toolchain.errors import ScenarioError, TraceError
+from neuroflight.sim.blackbox.flight import WHOLE, Part, armed_rows, check_sticks
+from neuroflight.sim.blackbox.log import list_logs, read_log
+from neuroflight.sim.blackbox.units import channels
+from neuroflight.sim.recorded.commands import Commands
+from neuroflight.toolchain.errors import ScenarioError, TraceError
 
 SUFFIXES = (".bbl", ".bfl", ".txt")
 _NUMBERED = re.compile(r"(.+):(\d{1,6})")

@@ -6,8 +6,8 @@ import csv
 from itertools import islice
 from pathlib import Path
 
-from toolchain.errors import TraceError
-from toolchain.files import file_size
+from neuroflight.toolchain.errors import TraceError
+from neuroflight.toolchain.files import file_size
 
 BYTES_MAX = 4 << 20
 LINES_MAX = 2000

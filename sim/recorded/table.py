@@ -26,15 +26,22 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.blackbox.firmware import firmware, has_box_mask
-from sim.blackbox.flight import WHOLE, Part
-from sim.blackbox.proof import choose
-from sim.blackbox.rates import RatesError, readings
-from sim.blackbox.scales import fine, gyro_count
-from sim.blackbox.sticks import AIRBORNE, ANGLE_BITS, ANGLE_FLAGS, ask_rates, is_stick, throttle_range
-from sim.recorded.commands import ROWS_MAX, Commands, Recording, part_of
-from toolchain.contract import CHANNEL_MAX_US, CHANNEL_MIN_US
-from toolchain.errors import ScenarioError
+from neuroflight.sim.blackbox.firmware import firmware, has_box_mask
+from neuroflight.sim.blackbox.flight import WHOLE, Part
+from neuroflight.sim.blackbox.proof import choose
+from neuroflight.sim.blackbox.rates import RatesError, readings
+from neuroflight.sim.blackbox.scales import fine, gyro_count
+from neuroflight.sim.blackbox.sticks import (
+    AIRBORNE,
+    ANGLE_BITS,
+    ANGLE_FLAGS,
+    ask_rates,
+    is_stick,
+    throttle_range,
+)
+from neuroflight.sim.recorded.commands import ROWS_MAX, Commands, Recording, part_of
+from neuroflight.toolchain.contract import CHANNEL_MAX_US, CHANNEL_MIN_US
+from neuroflight.toolchain.errors import ScenarioError
 
 if TYPE_CHECKING:
     from _csv import Reader

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.replay.inputs import Answers, Flight
+from neuroflight.sim.replay.inputs import Answers, Flight
 
 EXACT = ("gyro", "setpoint", "throttle")  # compared where the log has them to the bit
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from sim.blackbox.decoding import field_bytes
-from sim.blackbox.headers import read_bytes
-from sim.blackbox.log import Log, list_logs
+from neuroflight.sim.blackbox.decoding import field_bytes
+from neuroflight.sim.blackbox.headers import read_bytes
+from neuroflight.sim.blackbox.log import Log, list_logs
 
 REPLAY = ("gyroRaw", "accRaw", "sampleFlags", "lost", "inputCheck")  # of main frames
 REPLAY_SLOW = ("slowStep", "edgeForbidden", "edgeGain", "edgeFlags", "dropped", "rxCount", "rxBytes")

@@ -19,11 +19,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.board.core.engine import Outcome
-from sim.board.debug.variables import pointers_in, read_variables
-from sim.ports.emulator import RECEIVER, EmulatedPort
-from sim.replay.inputs import Answers, Edge, Flight, words_of_samples
-from toolchain.errors import LinkError, TraceError
+from neuroflight.sim.board.core.engine import Outcome
+from neuroflight.sim.board.debug.variables import pointers_in, read_variables
+from neuroflight.sim.ports.emulator import RECEIVER, EmulatedPort
+from neuroflight.sim.replay.inputs import Answers, Edge, Flight, words_of_samples
+from neuroflight.toolchain.errors import LinkError, TraceError
 
 Progress = Callable[[float], None]
 

@@ -8,12 +8,12 @@ from typing import NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
-from flash.setting_text import parse_setting
-from sim.blackbox.firmware import Maker
-from sim.blackbox.log import Log, floats, words
-from sim.replay.inputs import Answers, Edge, Flight, Inputs
-from toolchain.contract import GYRO_BAD_MS, LOG_RECEIVER_BYTES, LogEvent, LogGroup
-from toolchain.errors import LinkError, TraceError
+from neuroflight.flash.setting_text import parse_setting
+from neuroflight.sim.blackbox.firmware import Maker
+from neuroflight.sim.blackbox.log import Log, floats, words
+from neuroflight.sim.replay.inputs import Answers, Edge, Flight, Inputs
+from neuroflight.toolchain.contract import GYRO_BAD_MS, LOG_RECEIVER_BYTES, LogEvent, LogGroup
+from neuroflight.toolchain.errors import LinkError, TraceError
 
 SETTING = "nf_set_"
 STATE_BYTES_MAX = 1 << 16

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
-from sim.ports.port import setting_changes
-from sim.replay.inputs import Answers, Flight
-from sim.replay.stream import ANSWER, HEAD, MAGIC, packed, unpacked
-from toolchain.errors import LinkError
+from neuroflight.sim.ports.port import setting_changes
+from neuroflight.sim.replay.inputs import Answers, Flight
+from neuroflight.sim.replay.stream import ANSWER, HEAD, MAGIC, packed, unpacked
+from neuroflight.toolchain.errors import LinkError
 
 Progress = Callable[[float], None]
 WORDS_MAX = 1000  # of its stderr that are told

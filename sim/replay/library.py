@@ -15,11 +15,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.ports.library import Reference
-from sim.replay.inputs import Answers, Flight
-from sim.replay.stream import ANSWER, STEP, packed, unpacked
-from toolchain.contract import MOTOR_COUNT_MAX
-from toolchain.errors import LinkError, NeuroflightError, TraceError
+from neuroflight.sim.ports.library import Reference
+from neuroflight.sim.replay.inputs import Answers, Flight
+from neuroflight.sim.replay.stream import ANSWER, STEP, packed, unpacked
+from neuroflight.toolchain.contract import MOTOR_COUNT_MAX
+from neuroflight.toolchain.errors import LinkError, NeuroflightError, TraceError
 
 Progress = Callable[[float], None]
 CHUNK = 2048  # control steps between two words of progress

@@ -14,15 +14,15 @@ from typing import Any
 
 import numpy as np
 
-from sim.aircraft.identity import shipped_as
-from sim.aircraft.model import load_aircraft
-from sim.board.debug.variables import pointers_in, read_variables
-from sim.control.pid_table import pid_table
-from sim.replay.inputs import Answers, Flight
-from sim.replay.library import ReplayLibrary, check_layout, in_process
-from toolchain.errors import TraceError
-from toolchain.image.build import build
-from toolchain.policy.model import read_file, read_policy
+from neuroflight.sim.aircraft.identity import shipped_as
+from neuroflight.sim.aircraft.model import load_aircraft
+from neuroflight.sim.board.debug.variables import pointers_in, read_variables
+from neuroflight.sim.control.pid_table import pid_table
+from neuroflight.sim.replay.inputs import Answers, Flight
+from neuroflight.sim.replay.library import ReplayLibrary, check_layout, in_process
+from neuroflight.toolchain.errors import TraceError
+from neuroflight.toolchain.image.build import build
+from neuroflight.toolchain.policy.model import read_file, read_policy
 
 FIRMWARE = "firmware"
 # What the other policy begins with as after a reset; `mixers` has its idle, `good` whether it may fly.

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.control.motors import motor_fractions
-from sim.replay.inputs import Answers, Flight
-from toolchain.contract import DSHOT_STOP
-from toolchain.errors import TraceError
+from neuroflight.sim.control.motors import motor_fractions
+from neuroflight.sim.replay.inputs import Answers, Flight
+from neuroflight.toolchain.contract import DSHOT_STOP
+from neuroflight.toolchain.errors import TraceError
 
 LARGEST = 5  # differences that are named
 APART_S = 0.1  # two of them

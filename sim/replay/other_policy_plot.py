@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.figure import Figure
 
-from sim.control.motors import motor_fractions
-from sim.plotting import INK, MOTOR_COLOURS, MUTED, dress, legend_above, titled_figure
-from sim.replay.inputs import Answers, Flight
-from sim.replay.other_policy import Opinion
+from neuroflight.sim.control.motors import motor_fractions
+from neuroflight.sim.plotting import INK, MOTOR_COLOURS, MUTED, dress, legend_above, titled_figure
+from neuroflight.sim.replay.inputs import Answers, Flight
+from neuroflight.sim.replay.other_policy import Opinion
 
 POINTS_MAX = 4000  # of a line: more than the figure has pixels
 COLUMNS = 2

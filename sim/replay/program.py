@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from sim.board.debug.variables import constant
-from sim.replay.inputs import Flight
-from toolchain.errors import LinkError, TraceError
+from neuroflight.sim.board.debug.variables import constant
+from neuroflight.sim.replay.inputs import Flight
+from neuroflight.toolchain.errors import LinkError, TraceError
 
 _SHA256 = "policy_blob.header.policy_sha256"
 SHOWN = 16  # digits of a hash

@@ -7,9 +7,9 @@ import struct
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.replay.inputs import Answers, Flight
-from toolchain.contract import LOG_RECEIVER_BYTES, MOTOR_COUNT_MAX
-from toolchain.errors import TraceError
+from neuroflight.sim.replay.inputs import Answers, Flight
+from neuroflight.toolchain.contract import LOG_RECEIVER_BYTES, MOTOR_COUNT_MAX
+from neuroflight.toolchain.errors import TraceError
 
 SAMPLES_MAX = 64
 MAGIC = 0x5052464E

@@ -9,14 +9,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.design.drawing import SPIN_COLOURS
-from sim.physics.rotation import quaternion
-from sim.plotting import AXIS_COLOURS, MOTOR_COLOURS
-from sim.viewing.scene import Scene
-from sim.viewing.shapes import BELOW, FULL_COLOUR, IDLE_COLOUR, aircraft_faces, reach
-from toolchain.contract import AXES
-from toolchain.files import write_text
-from toolchain.rendering.jinja import render
+from neuroflight.sim.design.drawing import SPIN_COLOURS
+from neuroflight.sim.physics.rotation import quaternion
+from neuroflight.sim.plotting import AXIS_COLOURS, MOTOR_COLOURS
+from neuroflight.sim.viewing.scene import Scene
+from neuroflight.sim.viewing.shapes import BELOW, FULL_COLOUR, IDLE_COLOUR, aircraft_faces, reach
+from neuroflight.toolchain.contract import AXES
+from neuroflight.toolchain.files import write_text
+from neuroflight.toolchain.rendering.jinja import render
 
 Array = NDArray[np.float64]
 FRAME_S = 0.02  # between two poses of a page

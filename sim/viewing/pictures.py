@@ -14,12 +14,12 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from PIL import Image
 
-from sim.aircraft.model import Aircraft
-from sim.plotting import AXIS_COLOURS, GRID, INK, MUTED, dress, save_png
-from sim.viewing.scene import Scene
-from sim.viewing.shapes import Kind, aircraft_faces, disc_colour, reach
-from toolchain.contract import AXES
-from toolchain.files import replacing
+from neuroflight.sim.aircraft.model import Aircraft
+from neuroflight.sim.plotting import AXIS_COLOURS, GRID, INK, MUTED, dress, save_png
+from neuroflight.sim.viewing.scene import Scene
+from neuroflight.sim.viewing.shapes import Kind, aircraft_faces, disc_colour, reach
+from neuroflight.toolchain.contract import AXES
+from neuroflight.toolchain.files import replacing
 
 Array = NDArray[np.float64]
 AZIMUTH, ELEVATION = np.deg2rad(35.0), np.deg2rad(28.0)  # of the camera: behind, to the right, above

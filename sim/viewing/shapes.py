@@ -8,10 +8,10 @@ from enum import Enum
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.aircraft.mass import Part, rotation_matrix
-from sim.aircraft.mesh import box, equal_box
-from sim.aircraft.model import Aircraft
-from sim.design.drawing import SPIN_COLOURS, is_propeller, part_surface, propeller_radius
+from neuroflight.sim.aircraft.mass import Part, rotation_matrix
+from neuroflight.sim.aircraft.mesh import box, equal_box
+from neuroflight.sim.aircraft.model import Aircraft
+from neuroflight.sim.design.drawing import SPIN_COLOURS, is_propeller, part_surface, propeller_radius
 
 Array = NDArray[np.float64]
 DISC_CORNERS = 28

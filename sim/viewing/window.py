@@ -8,11 +8,11 @@ from contextlib import suppress
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.physics.bullet import pybullet
-from sim.physics.rotation import quaternion
-from sim.viewing.scene import Scene
-from sim.viewing.shapes import BELOW, Face, Kind, aircraft_faces, disc_colour, reach
-from toolchain.errors import NeuroflightError
+from neuroflight.sim.physics.bullet import pybullet
+from neuroflight.sim.physics.rotation import quaternion
+from neuroflight.sim.viewing.scene import Scene
+from neuroflight.sim.viewing.shapes import BELOW, Face, Kind, aircraft_faces, disc_colour, reach
+from neuroflight.toolchain.errors import NeuroflightError
 
 Array = NDArray[np.float64]
 BODY, NOSE = (0.54, 0.58, 0.63, 1.0), (0.13, 0.15, 0.18, 1.0)

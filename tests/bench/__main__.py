@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
-from cli.main import THREADS
+from neuroflight.cli.main import THREADS
 
 RECIPES = ("nf1", "ppo")  # pathwise gradient and PPO
 SUBJECTS = ("twin", "envs", "training", "compiler", "firmware", "board", "flights")

@@ -22,16 +22,16 @@ from unittest import mock
 
 import numpy as np
 
-from sim.aircraft.model import load_aircraft
-from sim.board.core.context import TIME_HZ
-from sim.board.core.engine import Engine
-from sim.board.native.library import Native
-from sim.control.pid_table import pid_table
-from sim.flight.loop import fly
-from sim.flight.scenario import Scenario, load_scenario
-from sim.physics.twin import Twin
-from sim.ports.emulator import EmulatedPort
-from sim.ports.port import Reply, Sample
+from neuroflight.sim.aircraft.model import load_aircraft
+from neuroflight.sim.board.core.context import TIME_HZ
+from neuroflight.sim.board.core.engine import Engine
+from neuroflight.sim.board.native.library import Native
+from neuroflight.sim.control.pid_table import pid_table
+from neuroflight.sim.flight.loop import fly
+from neuroflight.sim.flight.scenario import Scenario, load_scenario
+from neuroflight.sim.physics.twin import Twin
+from neuroflight.sim.ports.emulator import EmulatedPort
+from neuroflight.sim.ports.port import Reply, Sample
 from tests.bench.unicorn_cost import BLOCK, Cost, unicorn_costs
 
 T = TypeVar("T")
@@ -115,7 +115,7 @@ class Stopwatch:
 
 def measure(report: Callable[[str], None]) -> Speed:
     """Build the image, fly and rest; `report` hears of the progress."""
-    from toolchain.image.build import build
+    from neuroflight.toolchain.image.build import build
 
     with tempfile.TemporaryDirectory() as folder:
         build("MATEKF722", POLICY, ROOT, Path(folder), pid_table(load_aircraft(AIRCRAFT)))

@@ -10,16 +10,16 @@ from pathlib import Path
 
 import numpy as np
 
+from neuroflight.toolchain.codegen.compiler import compile_policy
+from neuroflight.toolchain.contract import observation_blocks
+from neuroflight.toolchain.cortex_m7.timing import Cost, mixed_observations, time_policy
+from neuroflight.toolchain.errors import BuildError
+from neuroflight.toolchain.ir.float32 import Float32
+from neuroflight.toolchain.ir.interpreter import evaluate
+from neuroflight.toolchain.ir.network import Network, chain
+from neuroflight.toolchain.ir.operations import Clip, Linear, Operation, Tanh
+from neuroflight.toolchain.policy.model import PolicyModel
 from tests.bench import emx
-from toolchain.codegen.compiler import compile_policy
-from toolchain.contract import observation_blocks
-from toolchain.cortex_m7.timing import Cost, mixed_observations, time_policy
-from toolchain.errors import BuildError
-from toolchain.ir.float32 import Float32
-from toolchain.ir.interpreter import evaluate
-from toolchain.ir.network import Network, chain
-from toolchain.ir.operations import Clip, Linear, Operation, Tanh
-from toolchain.policy.model import PolicyModel
 
 OURS, THEIRS = "neuroflight", f"emx-onnx-cgen {emx.VERSION}"
 OPTIMIZATIONS = ("-O2", "-O3")

@@ -13,14 +13,14 @@ from pathlib import Path
 
 import numpy as np
 
-from toolchain.codegen.emit import ARITHMETIC
-from toolchain.cortex_m7.arm_policy import CODE, DATA, compile_arm
-from toolchain.cortex_m7.emulator import CortexM7, load_program
-from toolchain.cortex_m7.timing import Cost, call_cost
-from toolchain.errors import BuildError
-from toolchain.ir.float32 import Float32
-from toolchain.ir.network import Network
-from toolchain.ir.onnx_export import to_model
+from neuroflight.toolchain.codegen.emit import ARITHMETIC
+from neuroflight.toolchain.cortex_m7.arm_policy import CODE, DATA, compile_arm
+from neuroflight.toolchain.cortex_m7.emulator import CortexM7, load_program
+from neuroflight.toolchain.cortex_m7.timing import Cost, call_cost
+from neuroflight.toolchain.errors import BuildError
+from neuroflight.toolchain.ir.float32 import Float32
+from neuroflight.toolchain.ir.network import Network
+from neuroflight.toolchain.ir.onnx_export import to_model
 
 VERSION = "1.4.0"
 REQUIREMENTS = (f"emx-onnx-cgen=={VERSION}", "emx-regex-cgen==0.2.0")  # what else it needs, we have

@@ -13,11 +13,11 @@ import gymnasium
 import numpy as np
 from stable_baselines3.common.vec_env import DummyVecEnv
 
+from neuroflight.training.envs.batch import AttitudeBatch
+from neuroflight.training.envs.gym_vector import AttitudeVectorEnv
+from neuroflight.training.envs.sb3_vector import AttitudeVecEnv
+from neuroflight.training.envs.setup import make_setup
 from tests.bench.subject import Subject
-from training.envs.batch import AttitudeBatch
-from training.envs.gym_vector import AttitudeVectorEnv
-from training.envs.sb3_vector import AttitudeVecEnv
-from training.envs.setup import make_setup
 
 ID = "neuroflight/Attitude-v0"
 COUNTS = (1, 8, 64, 256)

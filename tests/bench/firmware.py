@@ -18,17 +18,15 @@ import numpy as np
 from elftools.elf.elffile import ELFFile
 from numpy.typing import NDArray
 
-from sim.aircraft.model import load_aircraft
-from sim.board.debug.variables import read_variables
-from sim.control.pid_table import pid_table
-from sim.flight.loop import fly
-from sim.flight.scenario import load_scenario
-from sim.physics.twin import Twin
-from sim.ports.library import ReferencePort
-from sim.ports.port import Reply, Sample
-from tests.firmware.board.conftest import Chip, Sketch
-from tests.firmware.board.registers import registers_in_use
-from toolchain.contract import (
+from neuroflight.sim.aircraft.model import load_aircraft
+from neuroflight.sim.board.debug.variables import read_variables
+from neuroflight.sim.control.pid_table import pid_table
+from neuroflight.sim.flight.loop import fly
+from neuroflight.sim.flight.scenario import load_scenario
+from neuroflight.sim.physics.twin import Twin
+from neuroflight.sim.ports.library import ReferencePort
+from neuroflight.sim.ports.port import Reply, Sample
+from neuroflight.toolchain.contract import (
     ARMING_DELAY_MS,
     DTCM,
     FLASH_BASE,
@@ -41,10 +39,19 @@ from toolchain.contract import (
     SRAM2,
     Region,
 )
-from toolchain.cortex_m7.cycles import CORE_HZ, DEVICE_CYCLES, Route, price_routes, route_costs, route_of
-from toolchain.cortex_m7.disassembly import disassemble
-from toolchain.cortex_m7.emulator import CortexM7, load_program
-from toolchain.image.build import build
+from neuroflight.toolchain.cortex_m7.cycles import (
+    CORE_HZ,
+    DEVICE_CYCLES,
+    Route,
+    price_routes,
+    route_costs,
+    route_of,
+)
+from neuroflight.toolchain.cortex_m7.disassembly import disassemble
+from neuroflight.toolchain.cortex_m7.emulator import CortexM7, load_program
+from neuroflight.toolchain.image.build import build
+from tests.firmware.board.conftest import Chip, Sketch
+from tests.firmware.board.registers import registers_in_use
 
 ROOT = Path(__file__).resolve().parents[2]
 POLICY = "nf1"  # the shipped one

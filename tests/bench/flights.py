@@ -18,17 +18,17 @@ from unittest import mock
 
 import numpy as np
 
-from sim.aircraft.model import load_aircraft
-from sim.control.pid_table import pid_table
-from sim.flight.loop import fly
-from sim.flight.scenario import Scenario, load_scenario
-from sim.physics.twin import Twin
-from sim.ports.betaflight.build import build_betaflight
-from sim.ports.betaflight.port import BetaflightPort, aircraft_settings
-from sim.ports.betaflight.process import BetaflightProcess
-from sim.ports.host import HostPort
-from sim.ports.library import ReferencePort
-from sim.ports.port import FirmwarePort, twin_settings
+from neuroflight.sim.aircraft.model import load_aircraft
+from neuroflight.sim.control.pid_table import pid_table
+from neuroflight.sim.flight.loop import fly
+from neuroflight.sim.flight.scenario import Scenario, load_scenario
+from neuroflight.sim.physics.twin import Twin
+from neuroflight.sim.ports.betaflight.build import build_betaflight
+from neuroflight.sim.ports.betaflight.port import BetaflightPort, aircraft_settings
+from neuroflight.sim.ports.betaflight.process import BetaflightProcess
+from neuroflight.sim.ports.host import HostPort
+from neuroflight.sim.ports.library import ReferencePort
+from neuroflight.sim.ports.port import FirmwarePort, twin_settings
 from tests.bench.board import Stopwatch
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -73,7 +73,7 @@ class _Timed:
 
 def measure(report: Callable[[str], None]) -> list[Row]:
     """Build, and fly each; `report` hears of the progress."""
-    from toolchain.image.build import build
+    from neuroflight.toolchain.image.build import build
 
     with tempfile.TemporaryDirectory() as folder:
         build("HOST", POLICY, ROOT, Path(folder), pid_table(AIRCRAFT))

@@ -16,19 +16,19 @@ from pathlib import Path
 import numpy as np
 import pybullet
 
-from sim.aircraft.mass import principal
-from sim.aircraft.model import load_aircraft
-from sim.control.controller import PolicyController
-from sim.physics.bodies import load_rig
-from sim.physics.twin import Twin
-from sim.physics.world import Mount, World
+from neuroflight.sim.aircraft.mass import principal
+from neuroflight.sim.aircraft.model import load_aircraft
+from neuroflight.sim.control.controller import PolicyController
+from neuroflight.sim.physics.bodies import load_rig
+from neuroflight.sim.physics.twin import Twin
+from neuroflight.sim.physics.world import Mount, World
+from neuroflight.toolchain.policy.model import read_policy
+from neuroflight.training.config.algorithms import PpoConfig
+from neuroflight.training.config.config_file import load_config
+from neuroflight.training.evaluation.evaluation import figures, record
+from neuroflight.training.runs.train import train
+from neuroflight.training.tasks.task import PulseTask
 from tests.bench.subject import Subject
-from toolchain.policy.model import read_policy
-from training.config.algorithms import PpoConfig
-from training.config.config_file import load_config
-from training.evaluation.evaluation import figures, record
-from training.runs.train import train
-from training.tasks.task import PulseTask
 
 NF1 = load_aircraft("nf1")
 LEARNING = PpoConfig().aircraft

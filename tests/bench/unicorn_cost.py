@@ -17,8 +17,8 @@ import unicorn
 from unicorn import arm_const
 from unicorn.unicorn_py3.unicorn import uclib
 
-from sim.board.core.engine import Engine
-from toolchain.contract import FLASH_BASE, FLASH_BYTES
+from neuroflight.sim.board.core.engine import Engine
+from neuroflight.toolchain.contract import FLASH_BASE, FLASH_BYTES
 
 LOOPS = 500_000
 RUNS = 7  # of which the fastest counts

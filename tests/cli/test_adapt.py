@@ -13,18 +13,18 @@ import onnx
 import pytest
 from onnx.numpy_helper import from_array, to_array
 
-import cli.training.adapt
-import training.adaptation.adapt
-from cli.main import main
-from sim.aircraft.model import load_aircraft
-from sim.analysis.confidence import Mean
-from sim.flight.trace import Trace, save_trace
+import neuroflight.cli.training.adapt
+import neuroflight.training.adaptation.adapt
+from neuroflight.cli.main import main
+from neuroflight.sim.aircraft.model import load_aircraft
+from neuroflight.sim.analysis.confidence import Mean
+from neuroflight.sim.flight.trace import Trace, save_trace
+from neuroflight.toolchain.codegen.compiler import CompiledPolicy
+from neuroflight.toolchain.policy.model import read_policy
+from neuroflight.toolchain.verification.verify import Candidate, all_candidates
+from neuroflight.training.adaptation.adapt import Bench, Proof
+from neuroflight.training.tasks.flight import FlightTask
 from tests.sim.identification.test_moments import NF1, flight
-from toolchain.codegen.compiler import CompiledPolicy
-from toolchain.policy.model import read_policy
-from toolchain.verification.verify import Candidate, all_candidates
-from training.adaptation.adapt import Bench, Proof
-from training.tasks.flight import FlightTask
 
 Capture = pytest.CaptureFixture[str]
 POLICY = Path("training/policies/nf1")
@@ -78,12 +78,12 @@ def pulling(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(autouse=True)
 def small_budget(monkeypatch: pytest.MonkeyPatch) -> None:
     """Few observations to verify with, few commands to find the motors' change with, in flights of 5.5 s."""
-    monkeypatch.setattr(cli.training.adapt, "VERIFIED", 8)
-    monkeypatch.setattr(training.adaptation.adapt, "CALIBRATION", 4)
-    for holder in ("sim.analysis.holding", "training.tasks.flight"):
+    monkeypatch.setattr(neuroflight.cli.training.adapt, "VERIFIED", 8)
+    monkeypatch.setattr(neuroflight.training.adaptation.adapt, "CALIBRATION", 4)
+    for holder in ("neuroflight.sim.analysis.holding", "neuroflight.training.tasks.flight"):
         monkeypatch.setattr(f"{holder}.DRIFT_S", 0.5)
     short = FlightTask(pulses=5, idle_s=0.2, command_s=0.5, rest_s=0.3, hover_s=0.5)
-    monkeypatch.setattr(training.adaptation.adapt, "FLIGHT", short)
+    monkeypatch.setattr(neuroflight.training.adaptation.adapt, "FLIGHT", short)
 
 
 def test_a_dry_run_tells_the_factors_and_writes_nothing(log: Path, tmp_path: Path, capsys: Capture) -> None:
@@ -145,7 +145,7 @@ def test_a_policy_whose_proof_holds_lies_in_the_new_folder(
         opened.append(data)
         return all_candidates(compiled, data, folder, checkpoint)
 
-    monkeypatch.setattr("toolchain.verification.verify.all_candidates", watched)
+    monkeypatch.setattr("neuroflight.toolchain.verification.verify.all_candidates", watched)
     out = tmp_path / "adapted"
     arguments = ["adapt", str(log), "--policy", str(pulling), "--out", str(out), *FEW]
     assert main(arguments) == 0
@@ -177,8 +177,8 @@ def test_a_policy_that_computes_otherwise_on_the_machines_is_not_kept(
     log: Path, pulling: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
 ) -> None:
     finding = SimpleNamespace(finding=SimpleNamespace(message="the core differs"), verdict="differs")
-    monkeypatch.setattr("toolchain.verification.verify.all_candidates", lambda *_: [])
-    monkeypatch.setattr("toolchain.verification.verify.verify", lambda *_, **__: finding)
+    monkeypatch.setattr("neuroflight.toolchain.verification.verify.all_candidates", lambda *_: [])
+    monkeypatch.setattr("neuroflight.toolchain.verification.verify.verify", lambda *_, **__: finding)
     out = tmp_path / "adapted"
     assert main(["adapt", str(log), "--policy", str(pulling), "--out", str(out), *FEW]) == 1
     assert "refused, nothing was kept: the core differs" in capsys.readouterr().err

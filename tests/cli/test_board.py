@@ -16,12 +16,12 @@ from elftools.elf.elffile import ELFFile
 from elftools.elf.sections import SymbolTableSection
 from yamspy import MSPy
 
-from cli.main import main
-from flash.client import Client
-from flash.settings import Settings
-from flash.transport import open_transport
-from toolchain.contract import FLASH_BYTES, Msp
-from toolchain.files import claimed_file
+from neuroflight.cli.main import main
+from neuroflight.flash.client import Client
+from neuroflight.flash.settings import Settings
+from neuroflight.flash.transport import open_transport
+from neuroflight.toolchain.contract import FLASH_BYTES, Msp
+from neuroflight.toolchain.files import claimed_file
 
 LIMIT_S = 60.0  # of a test that hangs
 
@@ -30,7 +30,7 @@ class Running:
     """The command as a program of its own."""
 
     def __init__(self, image: Path, *options: str) -> None:
-        command = [sys.executable, "-m", "cli.main", "board", "--image", str(image), *options]
+        command = [sys.executable, "-m", "neuroflight.cli.main", "board", "--image", str(image), *options]
         self.process = subprocess.Popen(
             command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, bufsize=1
         )

@@ -11,14 +11,14 @@ import numpy as np
 import onnx
 import pytest
 
-from cli.main import main
-from cli.toolchain import build as command
-from sim.aircraft.model import FOLDER, load_aircraft
-from sim.control.pid_table import pid_table
+from neuroflight.cli.main import main
+from neuroflight.cli.toolchain import build as command
+from neuroflight.sim.aircraft.model import FOLDER, load_aircraft
+from neuroflight.sim.control.pid_table import pid_table
+from neuroflight.toolchain.errors import NeuroflightError
+from neuroflight.toolchain.image.report import AircraftFacts
+from neuroflight.toolchain.rendering.pid_table import PidTable
 from tests.conftest import ROOT, build_beside
-from toolchain.errors import NeuroflightError
-from toolchain.image.report import AircraftFacts
-from toolchain.rendering.pid_table import PidTable
 
 Capture = pytest.CaptureFixture[str]
 NF1 = (FOLDER / "nf1.toml").read_text()
@@ -46,7 +46,7 @@ def asked(monkeypatch: pytest.MonkeyPatch, capsys: Capture) -> Callable[..., Ask
         seen.append(Asked(policy, pid, aircraft))
         raise seen[-1]
 
-    monkeypatch.setattr("toolchain.image.build.build", build)
+    monkeypatch.setattr("neuroflight.toolchain.image.build.build", build)
 
     def ask(*words: str | Path) -> Asked:
         assert main(["build", "--unchecked", *map(str, words)]) == 1

@@ -8,12 +8,12 @@ from typing import Any
 
 import pytest
 
-import toolchain.image.build
-import toolchain.image.report
-from cli.main import main
-from sim.aircraft.model import load_aircraft
-from toolchain.policy.check_stamp import Stamp, stamp_document, stamp_path, write_stamp
-from toolchain.policy.model import read_policy
+import neuroflight.toolchain.image.build
+import neuroflight.toolchain.image.report
+from neuroflight.cli.main import main
+from neuroflight.sim.aircraft.model import load_aircraft
+from neuroflight.toolchain.policy.check_stamp import Stamp, stamp_document, stamp_path, write_stamp
+from neuroflight.toolchain.policy.model import read_policy
 
 Build = dict[str, Any]
 
@@ -31,8 +31,8 @@ def built(monkeypatch: pytest.MonkeyPatch) -> Build:
     def build(*args: object, **words: object) -> None:
         seen.update(words)
 
-    monkeypatch.setattr(toolchain.image.build, "build", build)
-    monkeypatch.setattr(toolchain.image.report, "print_report", lambda *_: None)
+    monkeypatch.setattr(neuroflight.toolchain.image.build, "build", build)
+    monkeypatch.setattr(neuroflight.toolchain.image.report, "print_report", lambda *_: None)
     return seen
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import shlex
 from pathlib import Path
 
-from cli.output import command_line
+from neuroflight.cli.output import command_line
 
 
 def test_a_command_can_be_typed_when_its_words_have_spaces() -> None:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cli.main import main
+from neuroflight.cli.main import main
 
 Capture = pytest.CaptureFixture[str]
 POLICIES = Path(__file__).resolve().parents[2] / "training" / "policies"

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from cli.main import THREADS, main
-from toolchain.policy.blob import parse
+from neuroflight.cli.main import THREADS, main
+from neuroflight.toolchain.policy.blob import parse
 
 if TYPE_CHECKING:
     from tests.toolchain.conftest import Kit
@@ -98,7 +98,7 @@ def test_help_is_shown_when_asked_for(command: str, capsys: Capture) -> None:
 
 
 def test_ends_quietly_when_its_reader_goes_away() -> None:
-    program = [sys.executable, "-m", "cli.main", "aircraft", "check", "nf1", "--json"]
+    program = [sys.executable, "-m", "neuroflight.cli.main", "aircraft", "check", "nf1", "--json"]
     process = subprocess.Popen(program, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     assert process.stdout is not None and process.stderr is not None
     process.stdout.close()
@@ -116,7 +116,7 @@ def test_small_matrices_stay_on_one_thread_unless_the_user_says_otherwise(
     if given is not None:
         environment["OPENBLAS_NUM_THREADS"] = given
     asks = (
-        "import sys, os, cli.main as cli; assert 'numpy' not in sys.modules; "
+        "import sys, os, neuroflight.cli.main as cli; assert 'numpy' not in sys.modules; "
         "cli.main(['aircraft', 'check', 'nf1', '--json']); "
         "print(os.environ['OPENBLAS_NUM_THREADS'], file=sys.stderr)"
     )

@@ -10,8 +10,8 @@ from typing import Any
 
 import pytest
 
-from cli.main import main
-from sim.aircraft.model import FOLDER, RPM, TorqueResponse, load_aircraft
+from neuroflight.cli.main import main
+from neuroflight.sim.aircraft.model import FOLDER, RPM, TorqueResponse, load_aircraft
 
 
 def command(capsys: pytest.CaptureFixture[str], *words: str | Path) -> dict[str, Any]:

@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cli.main import main
-from flash.transport import Transport, open_transport
-from sim.aircraft.model import RPM, TorqueResponse, load_aircraft
-from sim.identification.bench.load_cell import write_load_cells
-from sim.identification.dyno.recording import read_recordings
-from sim.identification.dyno.signal import commanded
+from neuroflight.cli.main import main
+from neuroflight.flash.transport import Transport, open_transport
+from neuroflight.sim.aircraft.model import RPM, TorqueResponse, load_aircraft
+from neuroflight.sim.identification.bench.load_cell import write_load_cells
+from neuroflight.sim.identification.dyno.recording import read_recordings
+from neuroflight.sim.identification.dyno.signal import commanded
 from tests.sim.identification.bench.conftest import rig_cells
 from tests.sim.identification.bench.rig import Rig, SensorKind
 
@@ -36,9 +36,9 @@ def rig_of(host_program: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Call
         def opened(text: str) -> Transport:
             return rig.line() if text == rig.device else open_transport(text)
 
-        monkeypatch.setattr("flash.transport.open_transport", opened)
-        monkeypatch.setattr("cli.sim.dyno_bench.monotonic", rig.clock)
-        monkeypatch.setattr("cli.sim.dyno_calibrate.monotonic", rig.clock)
+        monkeypatch.setattr("neuroflight.flash.transport.open_transport", opened)
+        monkeypatch.setattr("neuroflight.cli.sim.dyno_bench.monotonic", rig.clock)
+        monkeypatch.setattr("neuroflight.cli.sim.dyno_calibrate.monotonic", rig.clock)
         return rig
 
     yield make

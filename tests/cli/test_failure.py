@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from cli.main import main
+from neuroflight.cli.main import main
 
 Capture = pytest.CaptureFixture[str]
 PID = "pid:flying"
@@ -120,7 +120,9 @@ def test_mistake_is_one_line_before_anything_is_flown(
     arguments: list[str], message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("training.evaluation.failure.examine", lambda *_: pytest.fail("it was flown"))
+    monkeypatch.setattr(
+        "neuroflight.training.evaluation.failure.examine", lambda *_: pytest.fail("it was flown")
+    )
     assert main(["failure", *arguments]) == 1
     error = capsys.readouterr().err
     assert message in error and error.count("\n") == 1

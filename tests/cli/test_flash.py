@@ -19,12 +19,15 @@ from typing import Any
 import pytest
 import serial
 
-from cli.main import main
-from flash.image import update
-from flash.image.files import Policy, read_images
-from flash.image.messages import image_write
-from flash.msp import Decoder, Message, encode
-from sim.aircraft.model import load_aircraft
+from neuroflight.cli.main import main
+from neuroflight.flash.image import update
+from neuroflight.flash.image.files import Policy, read_images
+from neuroflight.flash.image.messages import image_write
+from neuroflight.flash.msp import Decoder, Message, encode
+from neuroflight.sim.aircraft.model import load_aircraft
+from neuroflight.toolchain.contract import FLASH_BANK_B, FLASH_BASE, IMAGE_LAYOUT, IMAGE_TAIL_BYTES
+from neuroflight.toolchain.image.stamp import stamp
+from neuroflight.toolchain.policy.check_stamp import RULES, stamp_document
 from tests.flash.conftest import TcpServer
 from tests.flash.image.board_model import BoardModel, Fate, Setting, board_with
 from tests.flash.image.conftest import RevivingHost, policy_of_build, stamped
@@ -33,9 +36,6 @@ from tests.flash.image.conftest import board_policy as board_policy
 from tests.flash.image.conftest import host_file as host_file
 from tests.flash.image.conftest import host_images as host_images
 from tests.flash.image.conftest import reviving_host as reviving_host
-from toolchain.contract import FLASH_BANK_B, FLASH_BASE, IMAGE_LAYOUT, IMAGE_TAIL_BYTES
-from toolchain.image.stamp import stamp
-from toolchain.policy.check_stamp import RULES, stamp_document
 
 ROOT = Path(__file__).resolve().parents[2]
 Run = Callable[..., tuple[int, str, str]]
@@ -201,7 +201,7 @@ def test_the_exit_code_is_1_when_the_new_image_is_no_good(
     result: str,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("flash.image.trial.WAIT_S", 1.0)
+    monkeypatch.setattr("neuroflight.flash.image.trial.WAIT_S", 1.0)
     served = serve(fate=fate)
     code, out, err = flash(nfi, served.port, "--json", "--no-backup")
     assert code == 1 and json.loads(out)["result"] == result

@@ -9,16 +9,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cli.main import main
-from cli.sim import fly_ports as command
-from sim.aircraft.model import FOLDER, load_aircraft
-from sim.control.pid_table import pid_table
-from sim.design.figures import aircraft_figures
-from sim.flight.trace import load_trace
+from neuroflight.cli.main import main
+from neuroflight.cli.sim import fly_ports as command
+from neuroflight.sim.aircraft.model import FOLDER, load_aircraft
+from neuroflight.sim.control.pid_table import pid_table
+from neuroflight.sim.design.figures import aircraft_figures
+from neuroflight.sim.flight.trace import load_trace
+from neuroflight.toolchain.image.build import build
+from neuroflight.toolchain.image.report import AircraftFacts
 from tests.conftest import build_beside
 from tests.modelled_policy import modelled_policy
-from toolchain.image.build import build
-from toolchain.image.report import AircraftFacts
 
 ROOT = Path(__file__).resolve().parents[2]
 

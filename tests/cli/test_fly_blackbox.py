@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cli.main import main
-from cli.sim import fly_ports
-from sim.blackbox.log import Log, floats, list_logs, read_log
-from sim.flight.loop import fly
-from sim.flight.trace import load_trace
-from toolchain.contract import LogEvent, LogGroup
+from neuroflight.cli.main import main
+from neuroflight.cli.sim import fly_ports
+from neuroflight.sim.blackbox.log import Log, floats, list_logs, read_log
+from neuroflight.sim.flight.loop import fly
+from neuroflight.sim.flight.trace import load_trace
+from neuroflight.toolchain.contract import LogEvent, LogGroup
 
 pytest.importorskip("orangebox")
 
@@ -96,7 +96,7 @@ def test_what_came_is_kept_when_the_user_interrupts(
 
         fly(*arguments, logged=until, **options)
 
-    monkeypatch.setattr("sim.flight.loop.fly", interrupted)
+    monkeypatch.setattr("neuroflight.sim.flight.loop.fly", interrupted)
     path = tmp_path / "log.bbl"
     scenario = tmp_path / "long.toml"
     scenario.write_text("[[segment]]\nduration_s = 9\nsetpoint_deg_s = [0, 0, 0]\n")

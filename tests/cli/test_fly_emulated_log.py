@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cli.main import main
-from cli.sim import fly_ports
-from sim.blackbox.log import Log, read_log
-from sim.flight.trace import load_trace
+from neuroflight.cli.main import main
+from neuroflight.cli.sim import fly_ports
+from neuroflight.sim.blackbox.log import Log, read_log
+from neuroflight.sim.flight.trace import load_trace
+from neuroflight.toolchain.contract import LogEvent
 from tests.cli.test_fly_blackbox import assert_log_is_trace
-from toolchain.contract import LogEvent
 
 orangebox = pytest.importorskip("orangebox")
 TOOLS = all(map(shutil.which, ("mkfs.vfat", "fsck.vfat", "mcopy")))

@@ -18,19 +18,19 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cli.main import main
-from cli.sim import fly_emulator, fly_ports
-from cli.sim.fly_emulator import STOPPED
-from flash import messages
-from flash.client import Client
-from flash.transport import TcpPort, TcpTransport
-from sim.board.board import Board
-from sim.board.core.source_places import Places
-from sim.flight.trace import COLUMNS, Trace, load_trace
+from neuroflight.cli.main import main
+from neuroflight.cli.sim import fly_emulator, fly_ports
+from neuroflight.cli.sim.fly_emulator import STOPPED
+from neuroflight.flash import messages
+from neuroflight.flash.client import Client
+from neuroflight.flash.transport import TcpPort, TcpTransport
+from neuroflight.sim.board.board import Board
+from neuroflight.sim.board.core.source_places import Places
+from neuroflight.sim.flight.trace import COLUMNS, Trace, load_trace
+from neuroflight.toolchain.contract import FLASH_BASE, MSP_VARIANT_BETAFLIGHT, Msp
 from tests.sim.board.mutants.conftest import build_mutant as build_mutant
 from tests.sim.board.mutants.conftest import workshop as workshop
 from tests.sim.board.mutants.mutant import Mutant
-from toolchain.contract import FLASH_BASE, MSP_VARIANT_BETAFLIGHT, Msp
 
 Command = Callable[..., tuple[int, str, str]]
 
@@ -261,7 +261,7 @@ def test_the_error_stays_the_error_when_the_trace_cannot_be_written(
     def full(*_: object) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("sim.flight.trace.save_trace", full)
+    monkeypatch.setattr("neuroflight.sim.flight.trace.save_trace", full)
     trace = tmp_path / "a.npz"
     code, _, err = fly("--scenario", str(second), "--trace", str(trace), "--build", str(starving))
     assert code == 1 and not trace.exists()

@@ -11,10 +11,10 @@ from pathlib import Path
 
 import pytest
 
-from cli.main import main
-from cli.sim import fly_ports
-from cli.sim.fly_jobs import Crew, Show
-from toolchain.errors import LinkError, NeuroflightError
+from neuroflight.cli.main import main
+from neuroflight.cli.sim import fly_ports
+from neuroflight.cli.sim.fly_jobs import Crew, Show
+from neuroflight.toolchain.errors import LinkError, NeuroflightError
 
 NEVER = threading.Event()
 

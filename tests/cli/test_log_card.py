@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from cli.main import main
+from neuroflight.cli.main import main
 from tests.flash.card.conftest import MEBIBYTE, MakeImage, fsck, put
 from tests.flash.card.conftest import card_image as card_image
 

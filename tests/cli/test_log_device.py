@@ -12,10 +12,10 @@ from pathlib import Path
 
 import pytest
 
-from cli.main import main
-from flash.msp import Decoder, Message, encode
+from neuroflight.cli.main import main
+from neuroflight.flash.msp import Decoder, Message, encode
+from neuroflight.toolchain.contract import LogError, LogState
 from tests.flash.logs.log_model import LogBoard, log_board, log_of
-from toolchain.contract import LogError, LogState
 
 ROOT = Path(__file__).resolve().parents[2]
 FIRST, LAST = log_of(5000, 1), log_of(9000, 2)
@@ -136,7 +136,17 @@ def test_an_interrupted_fetch_keeps_what_came_and_goes_on(
 
     board.later = stall  # type: ignore[method-assign]
     port = serve(board)
-    command = [sys.executable, "-m", "cli.main", "log", "fetch", "--port", port, "--out", str(tmp_path)]
+    command = [
+        sys.executable,
+        "-m",
+        "neuroflight.cli.main",
+        "log",
+        "fetch",
+        "--port",
+        port,
+        "--out",
+        str(tmp_path),
+    ]
     with subprocess.Popen(command, cwd=ROOT, stderr=subprocess.PIPE, text=True) as fetching:
         assert stalled.wait(20)
         fetching.send_signal(number)

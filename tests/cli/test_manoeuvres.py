@@ -11,14 +11,14 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from cli.main import main
-from sim.analysis.manoeuvre import ManoeuvreFigures
-from sim.analysis.stick_flight import DescentFigures
-from sim.flight.manoeuvres import MANOEUVRES, Manoeuvre, ThrustCurve
-from training.evaluation import manoeuvres, manoeuvres_plot
-from training.evaluation.manoeuvres import Air, Contender
-from training.results_page.page import render
-from training.results_page.stored_results import Stored
+from neuroflight.cli.main import main
+from neuroflight.sim.analysis.manoeuvre import ManoeuvreFigures
+from neuroflight.sim.analysis.stick_flight import DescentFigures
+from neuroflight.sim.flight.manoeuvres import MANOEUVRES, Manoeuvre, ThrustCurve
+from neuroflight.training.evaluation import manoeuvres, manoeuvres_plot
+from neuroflight.training.evaluation.manoeuvres import Air, Contender
+from neuroflight.training.results_page.page import render
+from neuroflight.training.results_page.stored_results import Stored
 
 Capture = pytest.CaptureFixture[str]
 TUNED, PUBLISHED = "pid:tuned", "pid:published"

@@ -12,8 +12,8 @@ from pathlib import Path
 
 import pytest
 
-import cli.training.train
-from cli.main import main
+import neuroflight.cli.training.train
+from neuroflight.cli.main import main
 
 ROOT = Path(__file__).resolve().parents[2]
 Capture = pytest.CaptureFixture[str]
@@ -36,7 +36,7 @@ def command(
     *words: str | Path, stdout: object = subprocess.PIPE, **how: object
 ) -> subprocess.CompletedProcess[str]:
     """A `neuroflight` of its own: limits and standard streams are those of a process."""
-    line = [sys.executable, "-m", "cli.main", *map(str, words)]
+    line = [sys.executable, "-m", "neuroflight.cli.main", *map(str, words)]
     return subprocess.run(  # type: ignore[call-overload, no-any-return]
         line, cwd=ROOT, stdout=stdout, stderr=subprocess.PIPE, text=True, timeout=SLOW, **how
     )
@@ -142,7 +142,7 @@ def test_a_second_training_is_refused_when_the_first_runs(
 ) -> None:
     """The second begins where the first has planned and not yet written anything."""
     words = ["train", "--out", str(tmp_path / "out"), *TINY]
-    train = cli.training.train._train
+    train = neuroflight.cli.training.train._train
     codes: list[int | None] = []
 
     def interrupted_by_another(*args: object) -> object:
@@ -151,7 +151,7 @@ def test_a_second_training_is_refused_when_the_first_runs(
             codes[0] = main(words)
         return train(*args)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(cli.training.train, "_train", interrupted_by_another)
+    monkeypatch.setattr(neuroflight.cli.training.train, "_train", interrupted_by_another)
     assert main(words) == 0
     assert codes == [1]
     error = capsys.readouterr().err

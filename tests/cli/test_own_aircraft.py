@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cli.main import parser
-from sim.aircraft.model import parse_aircraft
-from sim.design.airworthiness import Level, examine
+from neuroflight.cli.main import parser
+from neuroflight.sim.aircraft.model import parse_aircraft
+from neuroflight.sim.design.airworthiness import Level, examine
 from tests.cli.test_readme import PORT, powered
 from tests.cli.test_readme import clone as clone
 from tests.conftest import ROOT
@@ -89,7 +89,7 @@ def test_a_printed_step_calls_commands_that_are_understood(line: str) -> None:
             text=True,
             check=True,
         ).stdout.replace("\\\n", " ")
-        calls = re.findall(r"-m cli\.main (.+)", told)
+        calls = re.findall(r"-m neuroflight\.cli\.main (.+)", told)
     assert calls
     for call in calls:
         parser().parse_args(shlex.split(call))

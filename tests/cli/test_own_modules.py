@@ -15,10 +15,10 @@ import onnx
 import pytest
 from onnx import numpy_helper
 
-from cli.main import main
-from sim.aircraft.model import load_aircraft
+from neuroflight.cli.main import main
+from neuroflight.sim.aircraft.model import load_aircraft
+from neuroflight.toolchain.policy.model import read_policy
 from tests.conftest import ROOT
-from toolchain.policy.model import read_policy
 
 Capture = pytest.CaptureFixture[str]
 
@@ -51,7 +51,7 @@ def typed(line: str, folder: Path) -> str:
     """Run a command as it is printed, in a process of its own; returns what it prints."""
     words = shlex.split(line)
     program = (
-        [sys.executable, "-m", "cli.main", *words[1:]]
+        [sys.executable, "-m", "neuroflight.cli.main", *words[1:]]
         if words[0] == "neuroflight"
         else [sys.executable, *words[1:]]
     )

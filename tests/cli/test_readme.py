@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from cli.main import parser
+from neuroflight.cli.main import parser
 from tests.conftest import ROOT
 
 HEADING, PORT = "From a clone to a flashed board", "/dev/ttyUSB0"
@@ -64,7 +64,7 @@ def test_a_printed_target_calls_commands_that_are_understood(line: str) -> None:
         text=True,
         check=True,
     )
-    calls = re.findall(r"-m cli\.main (.+)", told.stdout)
+    calls = re.findall(r"-m neuroflight\.cli\.main (.+)", told.stdout)
     assert calls
     for call in calls:
         args = parser().parse_args(shlex.split(call))
@@ -108,7 +108,17 @@ def clone(tmp_path: Path) -> Path:
 @contextmanager
 def powered(chip: Path, *options: str) -> Iterator[str]:
     """An emulated board with that chip; the name of its port."""
-    command = [sys.executable, "-m", "cli.main", "board", "--chip", str(chip), "--serial", "pty", *options]
+    command = [
+        sys.executable,
+        "-m",
+        "neuroflight.cli.main",
+        "board",
+        "--chip",
+        str(chip),
+        "--serial",
+        "pty",
+        *options,
+    ]
     with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True) as process:
         try:
             assert process.stdout is not None

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cli.main import main
+from neuroflight.cli.main import main
 
 Capture = pytest.CaptureFixture[str]
 ROWS = 301

@@ -14,13 +14,11 @@ from typing import Any
 
 import pytest
 
-import flash.rom.rescue
-from cli.main import main
-from flash.rom.segments import read_segments
-from sim.board.serial.bridge import TcpEnd
-from tests.firmware.conftest import scripted_blob
-from tests.flash.rom.conftest import BOOT, SLOT_B, Served, flash_with
-from toolchain.contract import (
+import neuroflight.flash.rom.rescue
+from neuroflight.cli.main import main
+from neuroflight.flash.rom.segments import read_segments
+from neuroflight.sim.board.serial.bridge import TcpEnd
+from neuroflight.toolchain.contract import (
     FLASH_BANK_A,
     FLASH_BASE,
     FLASH_BYTES,
@@ -32,7 +30,9 @@ from toolchain.contract import (
     image_checksum,
     image_field_offset,
 )
-from toolchain.policy.blob import pack
+from neuroflight.toolchain.policy.blob import pack
+from tests.firmware.conftest import scripted_blob
+from tests.flash.rom.conftest import BOOT, SLOT_B, Served, flash_with
 
 FULL = bytes(i % 251 + 1 for i in range(FLASH_BYTES))
 LIMIT_S = 60.0  # of a test that hangs
@@ -134,7 +134,7 @@ def test_ctrl_c_says_that_the_image_is_not_whole(
     def stop(*_: Any) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(flash.rom.rescue, "verify", stop)
+    monkeypatch.setattr(neuroflight.flash.rom.rescue, "verify", stop)
     chip = serve(FULL)
     assert "stopped by Ctrl-C before the image was whole" in refusal(capsys, image, "--port", chip.end.name)
 
@@ -182,7 +182,16 @@ def test_a_chip_holds_in_the_next_run_what_was_written_through_its_rom(
     chip = tmp_path / "chip.bin"
     assert main(["board", "--chip", str(chip), "--seconds", "0.01"]) == 1
     assert "the chip is erased where its boot part should be" in capsys.readouterr().err
-    command = [sys.executable, "-m", "cli.main", "board", "--boot0", "--serial=tcp", "--chip", str(chip)]
+    command = [
+        sys.executable,
+        "-m",
+        "neuroflight.cli.main",
+        "board",
+        "--boot0",
+        "--serial=tcp",
+        "--chip",
+        str(chip),
+    ]
     board = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, bufsize=1)
     try:
         assert board.stdout is not None

@@ -9,10 +9,10 @@ from typing import Any
 
 import pytest
 
-from cli.main import main
+from neuroflight.cli.main import main
+from neuroflight.training.results_page.page import render
+from neuroflight.training.results_page.stored_results import Stored
 from tests.conftest import ROOT
-from training.results_page.page import render
-from training.results_page.stored_results import Stored
 
 Capture = pytest.CaptureFixture[str]
 CONTROL_TASK_CYCLES = 22_000  # predicted, of the shipped policy: a tenth of a control period of 1 ms

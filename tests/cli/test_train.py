@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from cli.main import main
-from sim.aircraft.model import FOLDER, load_aircraft
-from training.config.config_file import load_config
+from neuroflight.cli.main import main
+from neuroflight.sim.aircraft.model import FOLDER, load_aircraft
+from neuroflight.training.config.config_file import load_config
 
 Capture = pytest.CaptureFixture[str]
 

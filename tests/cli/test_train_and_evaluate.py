@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from cli.main import main
-from sim.aircraft.model import FOLDER
+from neuroflight.cli.main import main
+from neuroflight.sim.aircraft.model import FOLDER
 
 Capture = pytest.CaptureFixture[str]
 

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cli.main import main
-from sim.aircraft.model import FOLDER, load_aircraft
+from neuroflight.cli.main import main
+from neuroflight.sim.aircraft.model import FOLDER, load_aircraft
 
 NF1 = (FOLDER / "nf1.toml").read_bytes()
 SIGMA = np.array([0.5, 1.0, 2.0])

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cli.main import main
-from sim.aircraft.model import load_aircraft
-from toolchain.contract import GRAVITY
+from neuroflight.cli.main import main
+from neuroflight.sim.aircraft.model import load_aircraft
+from neuroflight.toolchain.contract import GRAVITY
 
 Capture = pytest.CaptureFixture[str]
 MASS, DISTANCE, LENGTH = 0.4, 0.15, 1.0  # [kg], [m], [m]

@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from cli.main import main
-from sim.aircraft.advance import AdvanceRatio
-from sim.aircraft.model import FOLDER, load_aircraft
+from neuroflight.cli.main import main
+from neuroflight.sim.aircraft.advance import AdvanceRatio
+from neuroflight.sim.aircraft.model import FOLDER, load_aircraft
 
 ROWS = [(0.1 * k, 0.14 * (1 - 0.1 * k), 0.07 * (1 - 0.05 * k)) for k in range(11)]
 

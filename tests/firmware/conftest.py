@@ -23,15 +23,15 @@ import numpy as np
 import pytest
 from cffi import FFI
 
-from sim.ports.port import flight_settings
+from neuroflight.sim.ports.port import flight_settings
+from neuroflight.toolchain import contract
+from neuroflight.toolchain.contract import CHANNEL_ARM, CHANNEL_COUNT, CHANNEL_THROTTLE
+from neuroflight.toolchain.errors import BuildError
+from neuroflight.toolchain.files import write_text_if_changed
+from neuroflight.toolchain.policy.blob import PolicyBlob, blob_terms, pack
+from neuroflight.toolchain.rendering.contract_header import render_contract
+from neuroflight.toolchain.rendering.pid_table import render_pid_table
 from tests.conftest import Once
-from toolchain import contract
-from toolchain.contract import CHANNEL_ARM, CHANNEL_COUNT, CHANNEL_THROTTLE
-from toolchain.errors import BuildError
-from toolchain.files import write_text_if_changed
-from toolchain.policy.blob import PolicyBlob, blob_terms, pack
-from toolchain.rendering.contract_header import render_contract
-from toolchain.rendering.pid_table import render_pid_table
 
 ROOT = Path(__file__).resolve().parents[2]
 FIRMWARE = ROOT / "firmware"

@@ -7,7 +7,7 @@ import struct
 
 import numpy as np
 
-from toolchain import contract
+from neuroflight.toolchain import contract
 
 HEADER_BYTES = struct.calcsize(contract.IMAGE_HEADER_FORMAT)
 LEAST_BYTES = contract.IMAGE_HEADER_OFFSET + HEADER_BYTES

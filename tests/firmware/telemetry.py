@@ -7,8 +7,8 @@ import struct
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from flash.msp import Decoder, Direction, Message, Version
-from toolchain.contract import FlightState, Msp
+from neuroflight.flash.msp import Decoder, Direction, Message, Version
+from neuroflight.toolchain.contract import FlightState, Msp
 
 _HEAD = struct.Struct("<HIIBB3f3ff")
 STREAM_HZ = struct.Struct("<H")

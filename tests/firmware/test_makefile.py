@@ -6,8 +6,8 @@ import os
 import subprocess
 from pathlib import Path
 
+from neuroflight.toolchain.files import locked
 from tests.conftest import ROOT
-from toolchain.files import locked
 
 FIRMWARE = ROOT / "firmware"
 

@@ -9,8 +9,8 @@ from typing import Any
 
 import pytest
 
-from flash.client import Client
-from flash.transport import open_transport
+from neuroflight.flash.client import Client
+from neuroflight.flash.transport import open_transport
 from tests.firmware.conftest import Program
 
 GYRO_HZ = 1000

@@ -11,13 +11,13 @@ from typing import Any
 
 import pytest
 
-from cli.main import main
-from flash.calibration import WAIT_S, calibrate
-from flash.client import Client
-from flash.msp import Decoder, Message, encode, error, reply, request
+from neuroflight.cli.main import main
+from neuroflight.flash.calibration import WAIT_S, calibrate
+from neuroflight.flash.client import Client
+from neuroflight.flash.msp import Decoder, Message, encode, error, reply, request
+from neuroflight.toolchain.contract import ArmingReason, Msp
+from neuroflight.toolchain.errors import LinkError
 from tests.flash.test_info import BOOT_SAMPLES, STICKS_DOWN, Host
-from toolchain.contract import ArmingReason, Msp
-from toolchain.errors import LinkError
 
 Lines = Callable[[list[bytes | None]], Any]
 SAFETY = request(Msp.SAFETY)

@@ -8,12 +8,12 @@ from typing import Any
 
 import pytest
 
-from flash.client import Client, NoAnswerError
-from flash.info import read_info
-from flash.msp import Decoder, Direction, Message, Version, encode, error, reply, request
-from flash.transport import open_transport
-from toolchain.contract import Msp, Refusal
-from toolchain.errors import LinkError
+from neuroflight.flash.client import Client, NoAnswerError
+from neuroflight.flash.info import read_info
+from neuroflight.flash.msp import Decoder, Direction, Message, Version, encode, error, reply, request
+from neuroflight.flash.transport import open_transport
+from neuroflight.toolchain.contract import Msp, Refusal
+from neuroflight.toolchain.errors import LinkError
 
 Lines = Callable[[list[bytes | None]], Any]
 

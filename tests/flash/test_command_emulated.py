@@ -7,23 +7,23 @@ from pathlib import Path
 
 import pytest
 
-from flash.channels.layout import read_layout
-from flash.channels.script import parse_script
-from flash.channels.sender import Sender
-from flash.client import Client
-from flash.monitoring.watch import Watch
-from flash.motors.direction import set_direction
-from flash.motors.readiness import read_bench
-from flash.motors.session import MotorTest
-from flash.motors.spin import Spin, spin
-from flash.motors.stop import stop
-from flash.records import safety
-from flash.settings import Settings
-from sim.board.core.context import TIME_HZ
-from sim.board.devices.esc import Frame
-from sim.board.serial.bridge import LineTransport, UartLine
-from sim.board.serial.idle_board import IdleBoard, with_image
-from toolchain.contract import (
+from neuroflight.flash.channels.layout import read_layout
+from neuroflight.flash.channels.script import parse_script
+from neuroflight.flash.channels.sender import Sender
+from neuroflight.flash.client import Client
+from neuroflight.flash.monitoring.watch import Watch
+from neuroflight.flash.motors.direction import set_direction
+from neuroflight.flash.motors.readiness import read_bench
+from neuroflight.flash.motors.session import MotorTest
+from neuroflight.flash.motors.spin import Spin, spin
+from neuroflight.flash.motors.stop import stop
+from neuroflight.flash.records import safety
+from neuroflight.flash.settings import Settings
+from neuroflight.sim.board.core.context import TIME_HZ
+from neuroflight.sim.board.devices.esc import Frame
+from neuroflight.sim.board.serial.bridge import LineTransport, UartLine
+from neuroflight.sim.board.serial.idle_board import IdleBoard, with_image
+from neuroflight.toolchain.contract import (
     ARMING_DELAY_MS,
     DSHOT_MIN,
     DSHOT_SPAN,
@@ -32,7 +32,7 @@ from toolchain.contract import (
     Msp,
     StopCause,
 )
-from toolchain.image.elf import read_flashable
+from neuroflight.toolchain.image.elf import read_flashable
 
 READY_S = 1.5  # after boot: grace and calibration are over
 

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from cli.main import parser
-from flash.channels.script import check_script, parse_script
+from neuroflight.cli.main import parser
+from neuroflight.flash.channels.script import check_script, parse_script
 from tests.flash.channels.test_layout import layout
 
 PAGE = (Path(__file__).resolve().parents[2] / "docs" / "commands.md").read_text()

@@ -14,13 +14,13 @@ import pytest
 import serial
 from yamspy import MSPy
 
-from cli.main import main
-from flash.client import Client
-from flash.info import Info, read_info
-from flash.messages import DECODERS
-from flash.msp import Decoder, Direction, Message, Version, encode
-from flash.transport import open_transport
-from toolchain.contract import (
+from neuroflight.cli.main import main
+from neuroflight.flash.client import Client
+from neuroflight.flash.info import Info, read_info
+from neuroflight.flash.messages import DECODERS
+from neuroflight.flash.msp import Decoder, Direction, Message, Version, encode
+from neuroflight.flash.transport import open_transport
+from neuroflight.toolchain.contract import (
     ARMING_FLAG_COUNT,
     ARMING_FLAGS,
     BOOT_GRACE_MS,

@@ -7,8 +7,8 @@ import struct
 import pytest
 from yamspy import MSPy
 
-from flash import messages, records
-from flash.messages import (
+from neuroflight.flash import messages, records
+from neuroflight.flash.messages import (
     DECODERS,
     Analog,
     ApiVersion,
@@ -21,10 +21,10 @@ from flash.messages import (
     PolicySource,
     RawImu,
 )
-from flash.msp import Direction, Message, Version, encode
-from flash.records import FAULT_REGISTERS, Fault, FaultKind, Faults, Safety, TaskLoad, Tasks
-from flash.requests import SettingInfo
-from toolchain.contract import (
+from neuroflight.flash.msp import Direction, Message, Version, encode
+from neuroflight.flash.records import FAULT_REGISTERS, Fault, FaultKind, Faults, Safety, TaskLoad, Tasks
+from neuroflight.flash.requests import SettingInfo
+from neuroflight.toolchain.contract import (
     LAYOUTS,
     ArmingReason,
     FallbackCause,
@@ -35,7 +35,7 @@ from toolchain.contract import (
     StopCause,
     Task,
 )
-from toolchain.errors import LinkError
+from neuroflight.toolchain.errors import LinkError
 
 BOARD = (
     b"S7X2" + b"\x01\x00" + b"\x02" + b"\x37" + b"\x09MATEKF722" + b"\x08F722-STD" + b"\x04MTKS"

@@ -26,11 +26,11 @@ from typing import Any
 import pytest
 from rich.console import Console
 
-from cli.flash.monitor_view import OLD, view
-from cli.main import main
-from flash.hints import HINTS
-from flash.monitoring.watch import Sight, Watch
-from flash.transport import open_transport
+from neuroflight.cli.flash.monitor_view import OLD, view
+from neuroflight.cli.main import main
+from neuroflight.flash.hints import HINTS
+from neuroflight.flash.monitoring.watch import Sight, Watch
+from neuroflight.flash.transport import open_transport
 from tests.flash.lockstep import Lockstep, lockstep
 
 DRAWN_S = 60.0  # until what a screen of 20 Hz has to show is there, on a busy machine
@@ -145,7 +145,7 @@ class Screen:
     def __init__(self, port: str) -> None:
         self.ours, theirs = pty.openpty()
         fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("4H", 24, 80, 0, 0))
-        command = [sys.executable, "-m", "cli.main", "monitor", "--port", port, "--rate", "20"]
+        command = [sys.executable, "-m", "neuroflight.cli.main", "monitor", "--port", port, "--rate", "20"]
         env = os.environ | {"TERM": "xterm-256color", "COLUMNS": "", "LINES": ""}
         self.before = termios.tcgetattr(theirs)
         self.process = subprocess.Popen(

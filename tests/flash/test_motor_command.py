@@ -13,16 +13,16 @@ from pathlib import Path
 
 import pytest
 
-from cli.flash import motor
-from cli.flash.motor_places import motor_places
-from cli.main import main, parser
-from flash.motors.session import LIMIT_DEFAULT
-from flash.motors.spin import Spin
-from flash.msp import Decoder, Message
-from flash.settings import Settings
+from neuroflight.cli.flash import motor
+from neuroflight.cli.flash.motor_places import motor_places
+from neuroflight.cli.main import main, parser
+from neuroflight.flash.motors.session import LIMIT_DEFAULT
+from neuroflight.flash.motors.spin import Spin
+from neuroflight.flash.msp import Decoder, Message
+from neuroflight.flash.settings import Settings
+from neuroflight.toolchain.contract import MOTOR_TEST_TIMEOUT_MS, Msp
+from neuroflight.toolchain.errors import AircraftError, LinkError
 from tests.flash.lockstep import Lockstep, lockstep
-from toolchain.contract import MOTOR_TEST_TIMEOUT_MS, Msp
-from toolchain.errors import AircraftError, LinkError
 
 LayLine = Callable[..., str]
 
@@ -300,7 +300,7 @@ class Spinning:
         device = lay(bench.port, down=self._down, up=self._up)
         words = ["motor", "spin", "1", "--seconds", "60", "--ramp", "0", "--props-off", "--port", device]
         self.process = subprocess.Popen(
-            [sys.executable, "-m", "cli.main", *words], stderr=subprocess.PIPE, text=True
+            [sys.executable, "-m", "neuroflight.cli.main", *words], stderr=subprocess.PIPE, text=True
         )
         assert self.ready.wait(20), self.process.communicate(timeout=5)
 
@@ -380,7 +380,7 @@ def test_one_line_says_so_when_the_device_is_someone_elses(
     tcp_server: Callable[..., str], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     port = tcp_server(lambda data: b"$GPGGA,123519,4807.038,N,01131.000,E,1,08\r\n")
-    monkeypatch.setattr("flash.motors.session.STOP_TIMEOUT_S", 0.05)
+    monkeypatch.setattr("neuroflight.flash.motors.session.STOP_TIMEOUT_S", 0.05)
     assert main(["motor", "stop", "--port", port]) == 1
     err = capsys.readouterr().err
     assert err.count("\n") == 1 and "bytes that are no MSP" in err

@@ -8,14 +8,14 @@ from pathlib import Path
 
 import pytest
 
-from cli.main import main
-from flash.client import Client
-from flash.msp import Decoder, Direction, Message, encode, error
-from flash.setting_text import value_text
-from flash.settings import Settings
-from flash.transport import open_transport
-from toolchain.contract import SETTINGS, Msp
-from toolchain.errors import LinkError
+from neuroflight.cli.main import main
+from neuroflight.flash.client import Client
+from neuroflight.flash.msp import Decoder, Direction, Message, encode, error
+from neuroflight.flash.setting_text import value_text
+from neuroflight.flash.settings import Settings
+from neuroflight.flash.transport import open_transport
+from neuroflight.toolchain.contract import SETTINGS, Msp
+from neuroflight.toolchain.errors import LinkError
 
 Run = Callable[..., tuple[int, str, str]]
 LayLine = Callable[..., str]

@@ -9,17 +9,25 @@ from typing import Any
 
 import pytest
 
-from cli.main import main
-from flash import restart as restarting
-from flash.client import Client
-from flash.hints import BETAFLIGHT, HINTS, betaflight_reasons
-from flash.hints import FAULTS as FAULT_WORDS
-from flash.msp import Decoder, Message, encode, error, reply
-from flash.records import FAULT_FILE_BYTES, FAULT_REGISTERS, FaultKind
-from flash.restart import restart
-from flash.transport import open_transport
-from toolchain.contract import ArmingReason, FallbackCause, FlightState, GyroHealth, Msp, StopCause, Task
-from toolchain.errors import LinkError
+from neuroflight.cli.main import main
+from neuroflight.flash import restart as restarting
+from neuroflight.flash.client import Client
+from neuroflight.flash.hints import BETAFLIGHT, HINTS, betaflight_reasons
+from neuroflight.flash.hints import FAULTS as FAULT_WORDS
+from neuroflight.flash.msp import Decoder, Message, encode, error, reply
+from neuroflight.flash.records import FAULT_FILE_BYTES, FAULT_REGISTERS, FaultKind
+from neuroflight.flash.restart import restart
+from neuroflight.flash.transport import open_transport
+from neuroflight.toolchain.contract import (
+    ArmingReason,
+    FallbackCause,
+    FlightState,
+    GyroHealth,
+    Msp,
+    StopCause,
+    Task,
+)
+from neuroflight.toolchain.errors import LinkError
 
 Run = Callable[..., tuple[int, str, str]]
 Serve = Callable[..., str]

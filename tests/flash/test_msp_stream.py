@@ -23,13 +23,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cli.main import main
-from flash import stream as streaming
-from flash.client import Client
-from flash.msp import Decoder, Direction, Message, Version, encode, error, reply, request
-from flash.recording import Shape, columns, row, times
-from flash.stream import Sample, Stream, decode_sample
-from flash.transport import open_transport
+from neuroflight.cli.main import main
+from neuroflight.flash import stream as streaming
+from neuroflight.flash.client import Client
+from neuroflight.flash.msp import Decoder, Direction, Message, Version, encode, error, reply, request
+from neuroflight.flash.recording import Shape, columns, row, times
+from neuroflight.flash.stream import Sample, Stream, decode_sample
+from neuroflight.flash.transport import open_transport
+from neuroflight.toolchain.contract import Msp
+from neuroflight.toolchain.errors import LinkError
 from tests.flash.test_info import (
     BOOT_SAMPLES,
     GYRO_RATE_HZ,
@@ -39,8 +41,6 @@ from tests.flash.test_info import (
     THROTTLE_UP,
     Host,
 )
-from toolchain.contract import Msp
-from toolchain.errors import LinkError
 
 Lines = Callable[[list[bytes | None]], Any]
 Serve = Callable[..., str]
@@ -151,7 +151,7 @@ def test_a_terminal_shows_the_newest_sample_in_a_table_that_is_drawn_over(host: 
     ours, theirs = os.openpty()
     fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("4H", 40, 120, 0, 0))
     words = ["msp", "--port", host.port, "stream", "--rate", "100", "--seconds", "0.4"]
-    command = [sys.executable, "-m", "cli.main", *words]
+    command = [sys.executable, "-m", "neuroflight.cli.main", *words]
     shown = b""
     with (
         flying(host, SWITCH_ON),
@@ -189,7 +189,7 @@ def test_what_was_received_is_kept_when_it_is_interrupted(
             seen.set()
         return data
 
-    code = "import sys; from cli.main import main; sys.exit(main(sys.argv[1:]))"
+    code = "import sys; from neuroflight.cli.main import main; sys.exit(main(sys.argv[1:]))"
     words = ["msp", "--port", pty_line(host.port, up=up), "stream", "--rate", "250", "--out", str(out)]
     with (
         flying(host),

@@ -8,13 +8,13 @@ from collections.abc import Callable
 
 import pytest
 
-from flash import messages
-from flash.client import Client, NoAnswerError
-from flash.info import read_info
-from flash.msp import Direction, Message, Version, encode
-from flash.settings import Settings
-from flash.transport import open_transport
-from toolchain.contract import SETTINGS, Msp
+from neuroflight.flash import messages
+from neuroflight.flash.client import Client, NoAnswerError
+from neuroflight.flash.info import read_info
+from neuroflight.flash.msp import Direction, Message, Version, encode
+from neuroflight.flash.settings import Settings
+from neuroflight.flash.transport import open_transport
+from neuroflight.toolchain.contract import SETTINGS, Msp
 
 LayLine = Callable[..., str]
 STRAY = encode(Message(Version.V2, Direction.REPLY, 0x4E41, bytes(range(100))))

@@ -14,24 +14,24 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cli.flash.policy_swap import candidate_of
-from cli.main import main
-from flash.client import Client, RefusedError
-from flash.info import read_info
-from flash.messages import PolicySource
-from flash.msp import Decoder, Message, encode, error, reply
-from flash.policy import swap as swaps
-from flash.policy.slots import Policies, place_of, read_policies
-from flash.policy.swap import Board
-from flash.policy_errors import POLICY_ERRORS, policy_error
-from flash.transport import Transport, open_transport
-from sim.aircraft.model import load_aircraft
+from neuroflight.cli.flash.policy_swap import candidate_of
+from neuroflight.cli.main import main
+from neuroflight.flash.client import Client, RefusedError
+from neuroflight.flash.info import read_info
+from neuroflight.flash.messages import PolicySource
+from neuroflight.flash.msp import Decoder, Message, encode, error, reply
+from neuroflight.flash.policy import swap as swaps
+from neuroflight.flash.policy.slots import Policies, place_of, read_policies
+from neuroflight.flash.policy.swap import Board
+from neuroflight.flash.policy_errors import POLICY_ERRORS, policy_error
+from neuroflight.flash.transport import Transport, open_transport
+from neuroflight.sim.aircraft.model import load_aircraft
+from neuroflight.toolchain.contract import FLASH_BYTES, ArmingReason, FlightState, Msp
+from neuroflight.toolchain.errors import LinkError
+from neuroflight.toolchain.policy.blob import pack, parse
+from neuroflight.toolchain.policy.check_stamp import RULES, stamp_document, stamp_path, write_stamp
 from tests.flash.policies import HostBoard, another_policy, host_board
 from tests.flash.test_noisy_line import FastTransport
-from toolchain.contract import FLASH_BYTES, ArmingReason, FlightState, Msp
-from toolchain.errors import LinkError
-from toolchain.policy.blob import pack, parse
-from toolchain.policy.check_stamp import RULES, stamp_document, stamp_path, write_stamp
 
 ROOT = Path(__file__).resolve().parents[2]
 Run = Callable[..., tuple[int, str, str]]

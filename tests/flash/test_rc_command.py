@@ -12,15 +12,15 @@ from pathlib import Path
 
 import pytest
 
-from cli.flash import rc
-from cli.main import main, parser
-from flash import messages, records
-from flash.channels.gamepad import Gamepad, Mapping
-from flash.msp import Decoder, Message
+from neuroflight.cli.flash import rc
+from neuroflight.cli.main import main, parser
+from neuroflight.flash import messages, records
+from neuroflight.flash.channels.gamepad import Gamepad, Mapping
+from neuroflight.flash.msp import Decoder, Message
+from neuroflight.toolchain.contract import Msp, StopCause
+from neuroflight.toolchain.errors import NeuroflightError
 from tests.flash.lockstep import Lockstep, lockstep
 from tests.flash.virtual_pad import AXES, FULL, Pad
-from toolchain.contract import Msp, StopCause
-from toolchain.errors import NeuroflightError
 
 SCRIPT = "t_s,throttle,aux1\n0,1000,1000\n0.5,1000,2000\n1,1300,\n1.5,,\n"
 
@@ -138,7 +138,7 @@ def test_a_gamepad_flies_and_its_unplugging_disarms(
 
     words = ["rc", "--port", flown.port, "--gamepad", str(plugged.index), "--allow-arm", "--props-off"]
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("flash.channels.gamepad.Gamepad", Held)
+        patch.setattr("neuroflight.flash.channels.gamepad.Gamepad", Held)
         with pytest.raises(NeuroflightError, match=r"the gamepad 'Virtual .*' is gone"):
             rc.carry_out(parser().parse_args(words), rc.Desk(flown.clock, sleep))
     assert capsys.readouterr().out.endswith("the board is disarmed\n")
@@ -173,7 +173,7 @@ def test_it_disarms_when_the_process_is_told_to_end(
         pty_line(flown.port, down=down),
     ]
     with subprocess.Popen(
-        [sys.executable, "-m", "cli.main", *words],
+        [sys.executable, "-m", "neuroflight.cli.main", *words],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,

@@ -7,8 +7,8 @@ from collections.abc import Callable
 
 import pytest
 
-from flash import requests
-from toolchain.contract import Refusal
+from neuroflight.flash import requests
+from neuroflight.toolchain.contract import Refusal
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from flash.setting_text import (
+from neuroflight.flash.setting_text import (
     BY_NAME,
     as_stored,
     default_of,
@@ -20,8 +20,8 @@ from flash.setting_text import (
     shortest,
     value_text,
 )
-from toolchain.contract import MODE_STEPS, SETTING_LEAST, SETTING_TEXT_BYTES, Mode, ModeRange
-from toolchain.errors import LinkError
+from neuroflight.toolchain.contract import MODE_STEPS, SETTING_LEAST, SETTING_TEXT_BYTES, Mode, ModeRange
+from neuroflight.toolchain.errors import LinkError
 
 FLOATS = st.floats(0.0, 4000.0, width=32)
 TEXTS = st.text(st.characters(min_codepoint=32, max_codepoint=126), max_size=SETTING_TEXT_BYTES)

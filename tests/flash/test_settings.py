@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from flash.settings import as_stored, in_order, parse_change
-from toolchain.errors import LinkError
+from neuroflight.flash.settings import as_stored, in_order, parse_change
+from neuroflight.toolchain.errors import LinkError
 
 
 @pytest.mark.parametrize(

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from flash.settings_file import FILE_BYTES_MAX, Line, read_file
-from toolchain.errors import LinkError, NeuroflightError
+from neuroflight.flash.settings_file import FILE_BYTES_MAX, Line, read_file
+from neuroflight.toolchain.errors import LinkError, NeuroflightError
 
 
 @pytest.fixture

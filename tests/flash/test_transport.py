@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from flash.transport import SerialPort, TcpPort, open_transport, parse_port
-from toolchain.errors import LinkError
+from neuroflight.flash.transport import SerialPort, TcpPort, open_transport, parse_port
+from neuroflight.toolchain.errors import LinkError
 
 
 @pytest.fixture

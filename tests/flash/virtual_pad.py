@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from flash.channels.gamepad import NO_SCREEN, Gamepad
+from neuroflight.flash.channels.gamepad import NO_SCREEN, Gamepad
 
 GAME_CONTROLLER = 1  # SDL_JOYSTICK_TYPE_GAMECONTROLLER
 AXES, BUTTONS = 6, 8

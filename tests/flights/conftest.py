@@ -9,16 +9,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sim.aircraft.model import load_aircraft
-from sim.control.pid import aircraft_pid
-from sim.control.pid_table import pid_settings
-from sim.flight.loop import fly
-from sim.flight.scenario import Scenario
-from sim.flight.trace import Trace
-from sim.physics.twin import Twin
-from sim.ports.library import ReferencePort
-from sim.ports.port import FirmwarePort
-from sim.ports.python_controller import ControllerPort
+from neuroflight.sim.aircraft.model import load_aircraft
+from neuroflight.sim.control.pid import aircraft_pid
+from neuroflight.sim.control.pid_table import pid_settings
+from neuroflight.sim.flight.loop import fly
+from neuroflight.sim.flight.scenario import Scenario
+from neuroflight.sim.flight.trace import Trace
+from neuroflight.sim.physics.twin import Twin
+from neuroflight.sim.ports.library import ReferencePort
+from neuroflight.sim.ports.port import FirmwarePort
+from neuroflight.sim.ports.python_controller import ControllerPort
 
 GYRO_RATE_HZ = 4000
 Flown = Callable[..., Trace]

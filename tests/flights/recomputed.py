@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.control.motors import dshot_values, throttle_mix
-from sim.flight.trace import Trace
-from training.evaluation.controllers import ControllerSpec
+from neuroflight.sim.control.motors import dshot_values, throttle_mix
+from neuroflight.sim.flight.trace import Trace
+from neuroflight.training.evaluation.controllers import ControllerSpec
 
 
 def recomputed(trace: Trace, spec: ControllerSpec) -> NDArray[np.uint16]:

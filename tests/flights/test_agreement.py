@@ -13,13 +13,13 @@ import pytest
 import torch
 from numpy.typing import NDArray
 
-from sim.control.observation import Observer
-from sim.flight.scenario import load_scenario
-from sim.flight.trace import Trace
-from sim.ports.library import ReferencePort
-from toolchain.ir.interpreter import evaluate
-from toolchain.passes import optimize
-from toolchain.policy.model import read_policy
+from neuroflight.sim.control.observation import Observer
+from neuroflight.sim.flight.scenario import load_scenario
+from neuroflight.sim.flight.trace import Trace
+from neuroflight.sim.ports.library import ReferencePort
+from neuroflight.toolchain.ir.interpreter import evaluate
+from neuroflight.toolchain.passes import optimize
+from neuroflight.toolchain.policy.model import read_policy
 
 Float32 = NDArray[np.float32]
 TOLERANCE = 1e-6  # absolute

@@ -10,21 +10,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from flash import messages
-from flash.client import Client
-from flash.messages import BatteryLevel, BatteryState
-from sim.aircraft.model import load_aircraft
-from sim.board.core.context import TIME_HZ
-from sim.board.serial.bridge import LineTransport, UartLine
-from sim.flight.loop import fly
-from sim.flight.scenario import Scenario, Segment
-from sim.flight.trace import Trace
-from sim.physics.twin import Twin
-from sim.ports.emulator import EmulatedPort
-from sim.ports.host import HostPort
-from sim.ports.library import ReferencePort
-from sim.ports.port import BatteryPort, FirmwarePort, Sample
-from toolchain.contract import Msp
+from neuroflight.flash import messages
+from neuroflight.flash.client import Client
+from neuroflight.flash.messages import BatteryLevel, BatteryState
+from neuroflight.sim.aircraft.model import load_aircraft
+from neuroflight.sim.board.core.context import TIME_HZ
+from neuroflight.sim.board.serial.bridge import LineTransport, UartLine
+from neuroflight.sim.flight.loop import fly
+from neuroflight.sim.flight.scenario import Scenario, Segment
+from neuroflight.sim.flight.trace import Trace
+from neuroflight.sim.physics.twin import Twin
+from neuroflight.sim.ports.emulator import EmulatedPort
+from neuroflight.sim.ports.host import HostPort
+from neuroflight.sim.ports.library import ReferencePort
+from neuroflight.sim.ports.port import BatteryPort, FirmwarePort, Sample
+from neuroflight.toolchain.contract import Msp
 
 CLIMB = Scenario("climb", (Segment(0.4, throttle=0.5), Segment(1.6, (40.0, -30.0, 20.0), 0.6)))
 STILL = Sample(0.0, np.zeros(3), np.eye(3), np.zeros(3), np.zeros(3), np.array([0.0, 0.0, 9.80665]))

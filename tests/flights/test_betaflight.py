@@ -12,22 +12,22 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cli.main import main
-from sim.aircraft.model import load_aircraft
-from sim.analysis.metrics import figures
-from sim.control.pid import aircraft_pid
-from sim.flight.loop import fly
-from sim.flight.scenario import Scenario, Segment, pulses
-from sim.flight.trace import Trace
-from sim.physics.twin import Twin
-from sim.physics.world import Mount
-from sim.ports.betaflight.build import Betaflight, build_betaflight
-from sim.ports.betaflight.port import IDLE, SETTINGS, BetaflightPort
-from sim.ports.betaflight.process import STEP_NS, BetaflightProcess
-from sim.ports.port import FirmwarePort, Sample
-from sim.ports.python_controller import ControllerPort
-from toolchain.contract import MSP_TCP_PORT
-from toolchain.errors import LinkError
+from neuroflight.cli.main import main
+from neuroflight.sim.aircraft.model import load_aircraft
+from neuroflight.sim.analysis.metrics import figures
+from neuroflight.sim.control.pid import aircraft_pid
+from neuroflight.sim.flight.loop import fly
+from neuroflight.sim.flight.scenario import Scenario, Segment, pulses
+from neuroflight.sim.flight.trace import Trace
+from neuroflight.sim.physics.twin import Twin
+from neuroflight.sim.physics.world import Mount
+from neuroflight.sim.ports.betaflight.build import Betaflight, build_betaflight
+from neuroflight.sim.ports.betaflight.port import IDLE, SETTINGS, BetaflightPort
+from neuroflight.sim.ports.betaflight.process import STEP_NS, BetaflightProcess
+from neuroflight.sim.ports.port import FirmwarePort, Sample
+from neuroflight.sim.ports.python_controller import ControllerPort
+from neuroflight.toolchain.contract import MSP_TCP_PORT
+from neuroflight.toolchain.errors import LinkError
 
 FOLDER = Path(__file__).resolve().parents[2] / "build" / "tests" / "BETAFLIGHT"
 STILL = Sample(0.0, np.zeros(3), np.eye(3), np.zeros(3), np.zeros(3), np.zeros(3))

@@ -15,24 +15,29 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
-from cli.main import main
-from sim.aircraft.model import Aircraft, load_aircraft
-from sim.control import sticks
-from sim.physics.imu import counts
-from sim.physics.twin import Twin
-from sim.ports.betaflight.build import build_betaflight
-from sim.ports.betaflight.fleet import ArmedBetaflight, BetaflightFleet, dshot_of_widths, wire_rates
-from sim.ports.betaflight.port import IDLE, state_packet
-from sim.ports.port import Sample
-from sim.ports.simulator_link import STATE
-from toolchain.contract import GRAVITY
-from toolchain.errors import LinkError
-from training.evaluation.betaflight import BetaflightSpec
-from training.evaluation.controllers import Conditions, load_controller
-from training.evaluation.evaluation import scores
-from training.evaluation.thrust import at_rest
-from training.tasks.flight import FlightTask
-from training.tasks.task import PulseTask, Setpoints
+from neuroflight.cli.main import main
+from neuroflight.sim.aircraft.model import Aircraft, load_aircraft
+from neuroflight.sim.control import sticks
+from neuroflight.sim.physics.imu import counts
+from neuroflight.sim.physics.twin import Twin
+from neuroflight.sim.ports.betaflight.build import build_betaflight
+from neuroflight.sim.ports.betaflight.fleet import (
+    ArmedBetaflight,
+    BetaflightFleet,
+    dshot_of_widths,
+    wire_rates,
+)
+from neuroflight.sim.ports.betaflight.port import IDLE, state_packet
+from neuroflight.sim.ports.port import Sample
+from neuroflight.sim.ports.simulator_link import STATE
+from neuroflight.toolchain.contract import GRAVITY
+from neuroflight.toolchain.errors import LinkError
+from neuroflight.training.evaluation.betaflight import BetaflightSpec
+from neuroflight.training.evaluation.controllers import Conditions, load_controller
+from neuroflight.training.evaluation.evaluation import scores
+from neuroflight.training.evaluation.thrust import at_rest
+from neuroflight.training.tasks.flight import FlightTask
+from neuroflight.training.tasks.task import PulseTask, Setpoints
 
 FOLDER = Path(__file__).resolve().parents[2] / "build" / "tests" / "BETAFLIGHT"
 NF1, HEXA = load_aircraft("nf1"), load_aircraft("hexa")

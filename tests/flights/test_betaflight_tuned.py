@@ -8,16 +8,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cli.main import main
-from sim.aircraft.model import load_aircraft
-from sim.ports.betaflight.build import Betaflight, build_betaflight
-from sim.ports.betaflight.fleet import ArmedBetaflight
-from sim.ports.betaflight.tune import read_tune
-from toolchain.errors import LinkError
-from training.evaluation.betaflight import BetaflightSpec, record_betaflight
-from training.evaluation.evaluation import Flights
-from training.pid_tuning.betaflight_tuning import KNOBS, as_tune, decoded, start
-from training.tasks.task import PulseTask
+from neuroflight.cli.main import main
+from neuroflight.sim.aircraft.model import load_aircraft
+from neuroflight.sim.ports.betaflight.build import Betaflight, build_betaflight
+from neuroflight.sim.ports.betaflight.fleet import ArmedBetaflight
+from neuroflight.sim.ports.betaflight.tune import read_tune
+from neuroflight.toolchain.errors import LinkError
+from neuroflight.training.evaluation.betaflight import BetaflightSpec, record_betaflight
+from neuroflight.training.evaluation.evaluation import Flights
+from neuroflight.training.pid_tuning.betaflight_tuning import KNOBS, as_tune, decoded, start
+from neuroflight.training.tasks.task import PulseTask
 
 FOLDER = Path(__file__).resolve().parents[2] / "build" / "tests" / "BETAFLIGHT"
 NF1 = load_aircraft("nf1")

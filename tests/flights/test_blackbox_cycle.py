@@ -12,18 +12,18 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from cli.main import main
-from cli.sim import fly_ports
-from sim.blackbox.log import read_log
-from sim.flight.trace import load_trace
-from sim.physics.imu import counts
-from sim.ports.emulator import EmulatedPort
-from sim.ports.host import HostPort
-from sim.ports.library import ReferencePort
-from sim.ports.port import Reply, Sample
-from sim.replay.flight import replayable
+from neuroflight.cli.main import main
+from neuroflight.cli.sim import fly_ports
+from neuroflight.sim.blackbox.log import read_log
+from neuroflight.sim.flight.trace import load_trace
+from neuroflight.sim.physics.imu import counts
+from neuroflight.sim.ports.emulator import EmulatedPort
+from neuroflight.sim.ports.host import HostPort
+from neuroflight.sim.ports.library import ReferencePort
+from neuroflight.sim.ports.port import Reply, Sample
+from neuroflight.sim.replay.flight import replayable
+from neuroflight.toolchain.contract import FallbackCause, FlightState
 from tests.peers.orangebox_peer import decoded
-from toolchain.contract import FallbackCause, FlightState
 
 pytest.importorskip("orangebox")
 

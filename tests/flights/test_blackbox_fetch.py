@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from cli.main import main
-from cli.sim import fly_ports
+from neuroflight.cli.main import main
+from neuroflight.cli.sim import fly_ports
 from tests.cli.test_board import Running
 from tests.flights.test_blackbox_cycle import STORY, new_card
 

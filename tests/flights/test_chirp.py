@@ -9,16 +9,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sim.aircraft.model import load_aircraft
-from sim.blackbox.log import read_log
-from sim.flight.loop import fly
-from sim.flight.scenario import Scenario, Segment
-from sim.flight.trace import Trace
-from sim.physics.twin import Twin
-from sim.ports.library import ReferencePort
+from neuroflight.sim.aircraft.model import load_aircraft
+from neuroflight.sim.blackbox.log import read_log
+from neuroflight.sim.flight.loop import fly
+from neuroflight.sim.flight.scenario import Scenario, Segment
+from neuroflight.sim.flight.trace import Trace
+from neuroflight.sim.physics.twin import Twin
+from neuroflight.sim.ports.library import ReferencePort
+from neuroflight.toolchain.contract import AXES, FallbackCause, Mode, ModeRange, StopCause
 from tests.flights.test_plausibility import last_layer, mirrored, unchanged
 from tests.flights.weights import Change, ChangedPort, Weights
-from toolchain.contract import AXES, FallbackCause, Mode, ModeRange, StopCause
 
 GYRO_RATE_HZ = 4000
 SWEEP_S, STILL_S, AT_S = 2.0, 0.3, 1.0

@@ -8,19 +8,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from flash import records
-from flash.client import Client
-from sim.aircraft.model import load_aircraft
-from sim.board.debug.control_timing import missed_deadlines
-from sim.board.debug.variables import read_variables
-from sim.control.pid_table import pid_table
-from sim.flight.scenario import Scenario, Segment, load_scenario
-from sim.flight.trace import Trace
-from sim.ports.emulator import EmulatedPort
-from sim.ports.library import ReferencePort
+from neuroflight.flash import records
+from neuroflight.flash.client import Client
+from neuroflight.sim.aircraft.model import load_aircraft
+from neuroflight.sim.board.debug.control_timing import missed_deadlines
+from neuroflight.sim.board.debug.variables import read_variables
+from neuroflight.sim.control.pid_table import pid_table
+from neuroflight.sim.flight.scenario import Scenario, Segment, load_scenario
+from neuroflight.sim.flight.trace import Trace
+from neuroflight.sim.ports.emulator import EmulatedPort
+from neuroflight.sim.ports.library import ReferencePort
+from neuroflight.toolchain.contract import FallbackCause, Msp, Task
 from tests.conftest import build_beside
 from tests.modelled_policy import FLYING_GAIN, GAIN, SPREAD, modelled_policy
-from toolchain.contract import FallbackCause, Msp, Task
 
 CONTROL_RATE_HZ = 2000
 MAE_DEG_S = 8.0  # of a P controller on a pulse; the aircraft left alone is off by some 20

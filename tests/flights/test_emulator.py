@@ -10,25 +10,25 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from flash.settings import parse_change
-from sim.aircraft.model import load_aircraft
-from sim.board.board import Board
-from sim.board.core.context import TIME_HZ
-from sim.board.debug.variables import pointers_in, read_variables
-from sim.board.matekf722 import GYROS
-from sim.board.peripherals.usart import CRSF as CRSF_FORMAT
-from sim.control import sticks
-from sim.design.figures import hover_throttle
-from sim.flight.scenario import Scenario, Segment, pulses
-from sim.flight.trace import Trace
-from sim.ports.emulator import EmulatedPort
-from sim.ports.host import HostPort
-from sim.ports.library import ReferencePort
-from sim.ports.port import Sample
-from sim.ports.receiver_frames import crsf_frame
+from neuroflight.flash.settings import parse_change
+from neuroflight.sim.aircraft.model import load_aircraft
+from neuroflight.sim.board.board import Board
+from neuroflight.sim.board.core.context import TIME_HZ
+from neuroflight.sim.board.debug.variables import pointers_in, read_variables
+from neuroflight.sim.board.matekf722 import GYROS
+from neuroflight.sim.board.peripherals.usart import CRSF as CRSF_FORMAT
+from neuroflight.sim.control import sticks
+from neuroflight.sim.design.figures import hover_throttle
+from neuroflight.sim.flight.scenario import Scenario, Segment, pulses
+from neuroflight.sim.flight.trace import Trace
+from neuroflight.sim.ports.emulator import EmulatedPort
+from neuroflight.sim.ports.host import HostPort
+from neuroflight.sim.ports.library import ReferencePort
+from neuroflight.sim.ports.port import Sample
+from neuroflight.sim.ports.receiver_frames import crsf_frame
+from neuroflight.toolchain.contract import FLASH_BANK_B
+from neuroflight.toolchain.errors import BuildError, LinkError
 from tests.firmware.board.banks import RUN_WELL, compose, read_build
-from toolchain.contract import FLASH_BANK_B
-from toolchain.errors import BuildError, LinkError
 
 Flown = Callable[..., Trace]
 BUSY = Scenario(

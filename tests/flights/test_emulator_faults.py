@@ -11,17 +11,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from flash import messages, records
-from flash.client import Client
-from sim.board.debug.control_timing import missed_deadlines
-from sim.board.debug.fault_injection import FAULTS, Fault, parse_fault
-from sim.board.debug.variables import read_variables
-from sim.board.devices.esc import SILENT_S
-from sim.board.serial.bridge import LineTransport, UartLine
-from sim.control import sticks
-from sim.ports.emulator import EmulatedPort, Event, PortSnapshot
-from sim.ports.port import Reply, Sample
-from toolchain.contract import (
+from neuroflight.flash import messages, records
+from neuroflight.flash.client import Client
+from neuroflight.sim.board.debug.control_timing import missed_deadlines
+from neuroflight.sim.board.debug.fault_injection import FAULTS, Fault, parse_fault
+from neuroflight.sim.board.debug.variables import read_variables
+from neuroflight.sim.board.devices.esc import SILENT_S
+from neuroflight.sim.board.serial.bridge import LineTransport, UartLine
+from neuroflight.sim.control import sticks
+from neuroflight.sim.ports.emulator import EmulatedPort, Event, PortSnapshot
+from neuroflight.sim.ports.port import Reply, Sample
+from neuroflight.toolchain.contract import (
     ARMING_DELAY_MS,
     DEADLINE_MISSES_MAX,
     GESTURE_MS,
@@ -34,8 +34,8 @@ from toolchain.contract import (
     Msp,
     Task,
 )
-from toolchain.cortex_m7.cycles import CORE_HZ
-from toolchain.errors import LinkError, ScenarioError
+from neuroflight.toolchain.cortex_m7.cycles import CORE_HZ
+from neuroflight.toolchain.errors import LinkError, ScenarioError
 
 RATE = 4000  # of gyro samples
 FRAME, LEAD = 40, 16  # samples between two receiver frames, and from the announcement to the frame

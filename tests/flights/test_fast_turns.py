@@ -8,12 +8,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sim.flight.scenario import Rates, Scenario, Segment
-from sim.flight.trace import Trace
-from sim.ports.emulator import EmulatedPort
-from sim.ports.host import HostPort
-from sim.ports.library import ReferencePort
-from toolchain.contract import GYRO_BAD_MS, GYRO_FULL_SCALE_DEG_S, GYRO_SATURATED_MS, RATE_MAX_DEG_S
+from neuroflight.sim.flight.scenario import Rates, Scenario, Segment
+from neuroflight.sim.flight.trace import Trace
+from neuroflight.sim.ports.emulator import EmulatedPort
+from neuroflight.sim.ports.host import HostPort
+from neuroflight.sim.ports.library import ReferencePort
+from neuroflight.toolchain.contract import (
+    GYRO_BAD_MS,
+    GYRO_FULL_SCALE_DEG_S,
+    GYRO_SATURATED_MS,
+    RATE_MAX_DEG_S,
+)
 
 THROTTLE = 0.5
 MOST = {f"{axis}_max": RATE_MAX_DEG_S for axis in ("roll", "pitch", "yaw")}

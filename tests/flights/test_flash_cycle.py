@@ -8,30 +8,30 @@ from pathlib import Path
 
 import pytest
 
-from cli.flash.policy_swap import candidate_of
-from flash.image.board import read_board
-from flash.image.files import image_for, read_images
-from flash.image.trial import Ending
-from flash.image.update import hash_of
-from flash.info import read_info
-from flash.messages import PolicySource
-from flash.policy import swap as swaps
-from flash.rom import rescue
-from flash.rom.segments import read_segments
-from flash.settings import Settings
-from sim.aircraft.model import load_aircraft
-from sim.board.serial.idle_board import IdleBoard
-from sim.control.pid_table import pid_table
-from sim.flight.scenario import Scenario, Segment
-from sim.flight.trace import Trace
-from sim.ports.emulator import EmulatedPort
-from sim.ports.library import ReferencePort
+from neuroflight.cli.flash.policy_swap import candidate_of
+from neuroflight.flash.image.board import read_board
+from neuroflight.flash.image.files import image_for, read_images
+from neuroflight.flash.image.trial import Ending
+from neuroflight.flash.image.update import hash_of
+from neuroflight.flash.info import read_info
+from neuroflight.flash.messages import PolicySource
+from neuroflight.flash.policy import swap as swaps
+from neuroflight.flash.rom import rescue
+from neuroflight.flash.rom.segments import read_segments
+from neuroflight.flash.settings import Settings
+from neuroflight.sim.aircraft.model import load_aircraft
+from neuroflight.sim.board.serial.idle_board import IdleBoard
+from neuroflight.sim.control.pid_table import pid_table
+from neuroflight.sim.flight.scenario import Scenario, Segment
+from neuroflight.sim.flight.trace import Trace
+from neuroflight.sim.ports.emulator import EmulatedPort
+from neuroflight.sim.ports.library import ReferencePort
+from neuroflight.toolchain.contract import FLASH_BASE, IMAGE_PROBATION_MS, MSP_BAUD_DEFAULT
+from neuroflight.toolchain.image.elf import read_flashable
 from tests.conftest import BUILD, build_beside
 from tests.flash.image.emulated import BAUD, Wired
 from tests.flash.policies import another_policy
 from tests.flash.rom.conftest import Rig
-from toolchain.contract import FLASH_BASE, IMAGE_PROBATION_MS, MSP_BAUD_DEFAULT
-from toolchain.image.elf import read_flashable
 
 IMAGE_S, SWAP_S = 30.0, 5.0  # what an image and a policy may take of the board's time, restarts included
 A, B = range(2)

@@ -8,14 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sim.analysis.metrics import Figures, figures
-from sim.flight.scenario import Scenario, Segment, load_scenario
-from sim.flight.trace import Trace
-from sim.ports.host import HostPort
-from sim.ports.library import ReferencePort
-from sim.ports.python_controller import ControllerPort
-from toolchain.contract import RECEIVER_HOLD_MS, RECEIVER_LOST_MS
-from toolchain.policy.model import read_policy
+from neuroflight.sim.analysis.metrics import Figures, figures
+from neuroflight.sim.flight.scenario import Scenario, Segment, load_scenario
+from neuroflight.sim.flight.trace import Trace
+from neuroflight.sim.ports.host import HostPort
+from neuroflight.sim.ports.library import ReferencePort
+from neuroflight.sim.ports.python_controller import ControllerPort
+from neuroflight.toolchain.contract import RECEIVER_HOLD_MS, RECEIVER_LOST_MS
+from neuroflight.toolchain.policy.model import read_policy
 
 Flown = Callable[..., Trace]
 MAE_MAX_DEG_S = 6.0  # average of the axes, against the true rate

@@ -14,25 +14,25 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from flash import records
-from flash.msp import Decoder, Direction, Event, Message, encode, request
-from flash.settings import parse_change
-from sim.board.board import Board
-from sim.board.core.context import TIME_HZ
-from sim.board.debug.profile import EXCEPTIONS
-from sim.board.peripherals.usart import Format
-from sim.board.serial.bridge import MSP_UART, UartLine
-from sim.flight.scenario import Scenario, Segment
-from sim.flight.trace import Trace
-from sim.ports.emulator import EmulatedPort
-from sim.ports.host import HostPort
-from sim.ports.library import ReferencePort
-from sim.ports.port import Reply, Sample
+from neuroflight.flash import records
+from neuroflight.flash.msp import Decoder, Direction, Event, Message, encode, request
+from neuroflight.flash.settings import parse_change
+from neuroflight.sim.board.board import Board
+from neuroflight.sim.board.core.context import TIME_HZ
+from neuroflight.sim.board.debug.profile import EXCEPTIONS
+from neuroflight.sim.board.peripherals.usart import Format
+from neuroflight.sim.board.serial.bridge import MSP_UART, UartLine
+from neuroflight.sim.flight.scenario import Scenario, Segment
+from neuroflight.sim.flight.trace import Trace
+from neuroflight.sim.ports.emulator import EmulatedPort
+from neuroflight.sim.ports.host import HostPort
+from neuroflight.sim.ports.library import ReferencePort
+from neuroflight.sim.ports.port import Reply, Sample
+from neuroflight.toolchain.contract import FlightState, Msp, Refusal, Task
+from neuroflight.toolchain.ir.interpreter import replay
+from neuroflight.toolchain.policy.model import read_policy
 from tests.firmware.telemetry import Sample as Record
 from tests.firmware.telemetry import gaps, samples
-from toolchain.contract import FlightState, Msp, Refusal, Task
-from toolchain.ir.interpreter import replay
-from toolchain.policy.model import read_policy
 
 Flown = Callable[..., Trace]
 Send = Callable[[int, bytes], None]

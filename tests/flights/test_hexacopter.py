@@ -10,22 +10,22 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cli.main import main
-from sim.aircraft.model import load_aircraft
-from sim.control.pid_table import pid_table
-from sim.flight.loop import fly
-from sim.flight.scenario import Scenario, Segment
-from sim.flight.trace import Trace, load_trace
-from sim.physics.twin import Twin
-from sim.ports.emulator import EmulatedPort
-from sim.ports.host import HostPort
-from sim.ports.library import ReferencePort
+from neuroflight.cli.main import main
+from neuroflight.sim.aircraft.model import load_aircraft
+from neuroflight.sim.control.pid_table import pid_table
+from neuroflight.sim.flight.loop import fly
+from neuroflight.sim.flight.scenario import Scenario, Segment
+from neuroflight.sim.flight.trace import Trace, load_trace
+from neuroflight.sim.physics.twin import Twin
+from neuroflight.sim.ports.emulator import EmulatedPort
+from neuroflight.sim.ports.host import HostPort
+from neuroflight.sim.ports.library import ReferencePort
+from neuroflight.toolchain.contract import DSHOT_MIN
+from neuroflight.toolchain.image.build import TARGETS
+from neuroflight.training.evaluation.controllers import load_controller
 from tests.conftest import BUILD, ROOT, build_beside
 from tests.flights.recomputed import recomputed
 from tests.flights.wiring import reversed_aircraft
-from toolchain.contract import DSHOT_MIN
-from toolchain.image.build import TARGETS
-from training.evaluation.controllers import load_controller
 
 MOTORS = 6
 POLICY = ROOT / "training" / "policies" / "hexa" / "policy.onnx"

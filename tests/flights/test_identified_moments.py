@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sim.aircraft.model import FOLDER, load_aircraft
-from sim.flight.scenario import pulses
-from sim.flight.trace import Trace, save_trace
-from sim.identification.moments import Factors, read_turning, turning_factors
-from sim.ports.library import ReferencePort
+from neuroflight.sim.aircraft.model import FOLDER, load_aircraft
+from neuroflight.sim.flight.scenario import pulses
+from neuroflight.sim.flight.trace import Trace, save_trace
+from neuroflight.sim.identification.moments import Factors, read_turning, turning_factors
+from neuroflight.sim.ports.library import ReferencePort
 
 NF1 = load_aircraft("nf1")
 Flown = Callable[..., Trace]

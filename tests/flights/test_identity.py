@@ -10,21 +10,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sim.aircraft.model import load_aircraft
-from sim.board.board import Board
-from sim.board.core.context import TIME_HZ
-from sim.board.debug.control_timing import ControlMeter, Work
-from sim.board.debug.profile import TaskCount, task_counts
-from sim.flight.loop import fly
-from sim.flight.scenario import Scenario, Segment, load_scenario
-from sim.flight.trace import Trace
-from sim.physics.twin import Twin
-from sim.ports.emulator import EmulatedPort, PortSnapshot
-from sim.ports.host import HostPort
-from sim.ports.library import ReferencePort
-from sim.ports.port import Reply, Sample
-from toolchain.cortex_m7.cycles import Route
-from toolchain.cortex_m7.disassembly import disassemble
+from neuroflight.sim.aircraft.model import load_aircraft
+from neuroflight.sim.board.board import Board
+from neuroflight.sim.board.core.context import TIME_HZ
+from neuroflight.sim.board.debug.control_timing import ControlMeter, Work
+from neuroflight.sim.board.debug.profile import TaskCount, task_counts
+from neuroflight.sim.flight.loop import fly
+from neuroflight.sim.flight.scenario import Scenario, Segment, load_scenario
+from neuroflight.sim.flight.trace import Trace
+from neuroflight.sim.physics.twin import Twin
+from neuroflight.sim.ports.emulator import EmulatedPort, PortSnapshot
+from neuroflight.sim.ports.host import HostPort
+from neuroflight.sim.ports.library import ReferencePort
+from neuroflight.sim.ports.port import Reply, Sample
+from neuroflight.toolchain.cortex_m7.cycles import Route
+from neuroflight.toolchain.cortex_m7.disassembly import disassemble
 
 Flown = Callable[..., Trace]
 MINUTE = load_scenario("pulses", seed=5, count=14)

@@ -8,21 +8,21 @@ from pathlib import Path
 
 import pytest
 
-from flash.client import Client
-from flash.image.board import read_board
-from flash.image.files import Image, ImageFile, Policy
-from flash.image.install import Installation, Installed
-from flash.image.plan import Plan, make_plan
-from flash.image.settings_kept import read_settings
-from flash.image.trial import Ending
-from sim.board.core.context import TIME_HZ
-from sim.board.peripherals.usart import Format
-from sim.board.serial.bridge import LineTransport, UartLine
-from sim.board.serial.idle_board import IdleBoard, configured
+from neuroflight.flash.client import Client
+from neuroflight.flash.image.board import read_board
+from neuroflight.flash.image.files import Image, ImageFile, Policy
+from neuroflight.flash.image.install import Installation, Installed
+from neuroflight.flash.image.plan import Plan, make_plan
+from neuroflight.flash.image.settings_kept import read_settings
+from neuroflight.flash.image.trial import Ending
+from neuroflight.sim.board.core.context import TIME_HZ
+from neuroflight.sim.board.peripherals.usart import Format
+from neuroflight.sim.board.serial.bridge import LineTransport, UartLine
+from neuroflight.sim.board.serial.idle_board import IdleBoard, configured
+from neuroflight.toolchain.contract import FLASH_BANK_B, image_header
 from tests.flash.image.conftest import board_images as board_images
 from tests.flash.image.conftest import board_policy as board_policy
 from tests.flash.image.conftest import policy_of_build, stamped
-from toolchain.contract import FLASH_BANK_B, image_header
 
 pytestmark = pytest.mark.slow
 BAUD = 921_600

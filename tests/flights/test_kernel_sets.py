@@ -11,26 +11,24 @@ import pytest
 from onnx import helper
 from pytest import param
 
-from sim.aircraft.model import load_aircraft
-from sim.control.pid_table import pid_table
-from sim.flight.scenario import Scenario, Segment
-from sim.flight.trace import Trace
-from sim.ports.emulator import EmulatedPort
-from sim.ports.library import ReferencePort
-from tests.conftest import ROOT, build_beside
-from tests.random_networks import Maker, gru, lstm, norm
-from toolchain.codegen.compiler import compile_policy
-from toolchain.contract import (
+from neuroflight.sim.aircraft.model import load_aircraft
+from neuroflight.sim.control.pid_table import pid_table
+from neuroflight.sim.flight.scenario import Scenario, Segment
+from neuroflight.sim.flight.trace import Trace
+from neuroflight.sim.ports.emulator import EmulatedPort
+from neuroflight.sim.ports.library import ReferencePort
+from neuroflight.toolchain.codegen.compiler import compile_policy
+from neuroflight.toolchain.contract import (
     ITCM,
     OBSERVATION_COUNT_MAX,
     POLICY_MEMORY_COUNT_MAX,
     POLICY_WEIGHT_COUNT_MAX,
 )
-from toolchain.image.build import TARGETS
-from toolchain.image.elf import read_image
-from toolchain.ir.network import OBSERVATION, Network
-from toolchain.ir.onnx_export import to_model
-from toolchain.ir.operations import (
+from neuroflight.toolchain.image.build import TARGETS
+from neuroflight.toolchain.image.elf import read_image
+from neuroflight.toolchain.ir.network import OBSERVATION, Network
+from neuroflight.toolchain.ir.onnx_export import to_model
+from neuroflight.toolchain.ir.operations import (
     Add,
     Affine,
     Clip,
@@ -50,7 +48,9 @@ from toolchain.ir.operations import (
     Softsign,
     Tanh,
 )
-from toolchain.policy.model import parse_policy, read_policy
+from neuroflight.toolchain.policy.model import parse_policy, read_policy
+from tests.conftest import ROOT, build_beside
+from tests.random_networks import Maker, gru, lstm, norm
 
 TEMPLATE = ROOT / "toolchain" / "rendering" / "templates" / "policy_kernels.c.j2"
 ANY_FLIGHT = {"plausibility_detection": 0, "crash_detection": 0, "runaway_detection": 0}

@@ -7,13 +7,13 @@ from pathlib import Path
 
 import pytest
 
-from sim.control.controller import PolicyController
-from sim.flight.scenario import Scenario, Segment, load_scenario
-from sim.flight.trace import Trace, load_trace, save_trace
-from sim.ports.host import HostPort
-from sim.ports.library import ReferencePort
-from sim.ports.python_controller import ControllerPort
-from toolchain.policy.model import read_policy
+from neuroflight.sim.control.controller import PolicyController
+from neuroflight.sim.flight.scenario import Scenario, Segment, load_scenario
+from neuroflight.sim.flight.trace import Trace, load_trace, save_trace
+from neuroflight.sim.ports.host import HostPort
+from neuroflight.sim.ports.library import ReferencePort
+from neuroflight.sim.ports.python_controller import ControllerPort
+from neuroflight.toolchain.policy.model import read_policy
 
 Flown = Callable[..., Trace]
 BUSY = Scenario(

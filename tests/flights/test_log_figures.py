@@ -8,16 +8,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cli.main import main
-from sim.aircraft.model import load_aircraft
-from sim.blackbox.flight import Part, log_trace
-from sim.blackbox.log import read_log
-from sim.flight.loop import fly
-from sim.flight.scenario import load_scenario
-from sim.flight.trace import save_trace
-from sim.physics.twin import Twin
-from sim.ports.library import ReferencePort
-from sim.ports.port import Reply, Sample, twin_settings
+from neuroflight.cli.main import main
+from neuroflight.sim.aircraft.model import load_aircraft
+from neuroflight.sim.blackbox.flight import Part, log_trace
+from neuroflight.sim.blackbox.log import read_log
+from neuroflight.sim.flight.loop import fly
+from neuroflight.sim.flight.scenario import load_scenario
+from neuroflight.sim.flight.trace import save_trace
+from neuroflight.sim.physics.twin import Twin
+from neuroflight.sim.ports.library import ReferencePort
+from neuroflight.sim.ports.port import Reply, Sample, twin_settings
 
 GYRO_HZ = 4000
 

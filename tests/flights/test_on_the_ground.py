@@ -11,20 +11,20 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from flash import records
-from flash.client import Client
-from sim.aircraft.model import Aircraft, load_aircraft
-from sim.flight.loop import fly
-from sim.flight.scenario import Scenario, Segment
-from sim.flight.trace import Trace
-from sim.physics.twin import Twin
-from sim.physics.world import Mount
-from sim.ports.library import ReferencePort
+from neuroflight.flash import records
+from neuroflight.flash.client import Client
+from neuroflight.sim.aircraft.model import Aircraft, load_aircraft
+from neuroflight.sim.flight.loop import fly
+from neuroflight.sim.flight.scenario import Scenario, Segment
+from neuroflight.sim.flight.trace import Trace
+from neuroflight.sim.physics.twin import Twin
+from neuroflight.sim.physics.world import Mount
+from neuroflight.sim.ports.library import ReferencePort
+from neuroflight.toolchain.contract import FallbackCause as Fallback
+from neuroflight.toolchain.contract import Msp, StopCause
 from tests.flights.test_plausibility import mirrored, swapped
 from tests.flights.weights import Change, ChangedPort
 from tests.flights.wiring import drifting
-from toolchain.contract import FallbackCause as Fallback
-from toolchain.contract import Msp, StopCause
 
 GYRO_RATE_HZ = 4000
 BOTH = pytest.mark.parametrize("pid", [False, True], ids=["policy", "pid"])

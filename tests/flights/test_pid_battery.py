@@ -11,15 +11,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sim.aircraft.model import Aircraft, load_aircraft
-from sim.analysis.metrics import Figures, figures
-from sim.control.pid_table import pid_settings
-from sim.flight.loop import fly
-from sim.flight.scenario import load_scenario
-from sim.flight.trace import Trace
-from sim.physics.twin import Twin
-from sim.ports.library import ReferencePort
-from sim.ports.port import Reply, Sample
+from neuroflight.sim.aircraft.model import Aircraft, load_aircraft
+from neuroflight.sim.analysis.metrics import Figures, figures
+from neuroflight.sim.control.pid_table import pid_settings
+from neuroflight.sim.flight.loop import fly
+from neuroflight.sim.flight.scenario import load_scenario
+from neuroflight.sim.flight.trace import Trace
+from neuroflight.sim.physics.twin import Twin
+from neuroflight.sim.ports.library import ReferencePort
+from neuroflight.sim.ports.port import Reply, Sample
 
 NF1 = load_aircraft("nf1")
 IDLE = pid_settings(NF1).idle

@@ -14,21 +14,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sim.aircraft.model import Aircraft, load_aircraft
-from sim.flight.loop import fly
-from sim.flight.scenario import Scenario, Segment
-from sim.flight.trace import Trace
-from sim.physics.twin import Twin
-from sim.physics.world import Mount
-from sim.ports.emulator import EmulatedPort
-from sim.ports.host import HostPort
-from sim.ports.library import ReferencePort
-from sim.ports.port import FirmwarePort
-from sim.ports.python_controller import ControllerPort
+from neuroflight.sim.aircraft.model import Aircraft, load_aircraft
+from neuroflight.sim.flight.loop import fly
+from neuroflight.sim.flight.scenario import Scenario, Segment
+from neuroflight.sim.flight.trace import Trace
+from neuroflight.sim.physics.twin import Twin
+from neuroflight.sim.physics.world import Mount
+from neuroflight.sim.ports.emulator import EmulatedPort
+from neuroflight.sim.ports.host import HostPort
+from neuroflight.sim.ports.library import ReferencePort
+from neuroflight.sim.ports.port import FirmwarePort
+from neuroflight.sim.ports.python_controller import ControllerPort
+from neuroflight.training.evaluation.controllers import load_controller
+from neuroflight.training.evaluation.evaluation import record
 from tests.flights.recomputed import recomputed
 from tests.given_task import Given
-from training.evaluation.controllers import load_controller
-from training.evaluation.evaluation import record
 
 Flown = Callable[..., Trace]
 NF1 = load_aircraft("nf1")

@@ -11,20 +11,20 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from flash import messages, records
-from flash.client import Client
-from sim.aircraft.model import Aircraft, load_aircraft
-from sim.flight.loop import fly
-from sim.flight.scenario import Scenario, Segment, pulses
-from sim.flight.trace import Trace
-from sim.physics.twin import Twin
-from sim.physics.world import Mount
-from sim.ports.emulator import EmulatedPort
-from sim.ports.host import HostPort
-from sim.ports.library import ReferencePort
-from sim.ports.port import Sample
+from neuroflight.flash import messages, records
+from neuroflight.flash.client import Client
+from neuroflight.sim.aircraft.model import Aircraft, load_aircraft
+from neuroflight.sim.flight.loop import fly
+from neuroflight.sim.flight.scenario import Scenario, Segment, pulses
+from neuroflight.sim.flight.trace import Trace
+from neuroflight.sim.physics.twin import Twin
+from neuroflight.sim.physics.world import Mount
+from neuroflight.sim.ports.emulator import EmulatedPort
+from neuroflight.sim.ports.host import HostPort
+from neuroflight.sim.ports.library import ReferencePort
+from neuroflight.sim.ports.port import Sample
+from neuroflight.toolchain.contract import AXES, GRAVITY, FlightState, Msp, StopCause
 from tests.flights.wiring import on_turned_board, reversed_aircraft
-from toolchain.contract import AXES, GRAVITY, FlightState, Msp, StopCause
 
 GYRO_RATE_HZ = 4000
 Flown = Callable[..., Trace]

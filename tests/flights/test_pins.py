@@ -10,25 +10,25 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from flash import requests
-from flash.client import Client
-from flash.hints import brown_out
-from flash.messages import arming_reasons
-from flash.overview import read_overview
-from flash.records import safety
-from sim.aircraft.model import load_aircraft
-from sim.board.board import Board
-from sim.board.devices.gyro_chip import ICM20602, MPU6500, GyroKind
-from sim.board.devices.gyro_mount import accel_counts
-from sim.board.matekf722 import FULL_VOLTS, GYRO, GYROS
-from sim.board.peripherals.option_bytes import OptionBytes
-from sim.board.serial.bridge import LineTransport, UartLine
-from sim.board.serial.idle_board import configured
-from sim.control import sticks
-from sim.ports.emulator import EmulatedPort, PortSnapshot
-from sim.ports.port import Sample
-from toolchain.contract import ARMING_DELAY_MS, GRAVITY, MOTOR_TEST_MAGIC, Msp
-from toolchain.image.elf import read_flashable
+from neuroflight.flash import requests
+from neuroflight.flash.client import Client
+from neuroflight.flash.hints import brown_out
+from neuroflight.flash.messages import arming_reasons
+from neuroflight.flash.overview import read_overview
+from neuroflight.flash.records import safety
+from neuroflight.sim.aircraft.model import load_aircraft
+from neuroflight.sim.board.board import Board
+from neuroflight.sim.board.devices.gyro_chip import ICM20602, MPU6500, GyroKind
+from neuroflight.sim.board.devices.gyro_mount import accel_counts
+from neuroflight.sim.board.matekf722 import FULL_VOLTS, GYRO, GYROS
+from neuroflight.sim.board.peripherals.option_bytes import OptionBytes
+from neuroflight.sim.board.serial.bridge import LineTransport, UartLine
+from neuroflight.sim.board.serial.idle_board import configured
+from neuroflight.sim.control import sticks
+from neuroflight.sim.ports.emulator import EmulatedPort, PortSnapshot
+from neuroflight.sim.ports.port import Sample
+from neuroflight.toolchain.contract import ARMING_DELAY_MS, GRAVITY, MOTOR_TEST_MAGIC, Msp
+from neuroflight.toolchain.image.elf import read_flashable
 
 MOTORS = 4
 LEVEL = np.array([0.0, 0.0, GRAVITY])

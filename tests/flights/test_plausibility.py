@@ -11,18 +11,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from flash import records
-from flash.client import Client
-from sim.aircraft.model import load_aircraft
-from sim.flight.loop import fly
-from sim.flight.scenario import Scenario, Segment, load_scenario, pulses
-from sim.flight.trace import Trace
-from sim.physics.twin import Twin
-from sim.physics.variation import Variation
-from sim.ports.library import ReferencePort
-from tests.flights.weights import Change, ChangedPort, Weights, shipped
-from tests.flights.wiring import drifting
-from toolchain.contract import (
+from neuroflight.flash import records
+from neuroflight.flash.client import Client
+from neuroflight.sim.aircraft.model import load_aircraft
+from neuroflight.sim.flight.loop import fly
+from neuroflight.sim.flight.scenario import Scenario, Segment, load_scenario, pulses
+from neuroflight.sim.flight.trace import Trace
+from neuroflight.sim.physics.twin import Twin
+from neuroflight.sim.physics.variation import Variation
+from neuroflight.sim.ports.library import ReferencePort
+from neuroflight.toolchain.contract import (
     OSCILLATION_MOTORS,
     OSCILLATION_MOTORS_BY_ERROR,
     RECEIVER_HOLD_MS,
@@ -32,8 +30,10 @@ from toolchain.contract import (
     Msp,
     StopCause,
 )
-from toolchain.contract.observation import Width
-from training.evaluation.robustness import EXTREMES
+from neuroflight.toolchain.contract.observation import Width
+from neuroflight.training.evaluation.robustness import EXTREMES
+from tests.flights.weights import Change, ChangedPort, Weights, shipped
+from tests.flights.wiring import drifting
 
 GYRO_RATE_HZ = 4000
 TRAINED_DELAY_S = 0.0055  # the longest in the recipe of the shipped policy

@@ -8,17 +8,17 @@ from pathlib import Path
 
 import pytest
 
-from cli.flash.policy_swap import candidate_of
-from flash.client import Client
-from flash.policy import swap as swaps
-from sim.aircraft.model import load_aircraft
-from sim.board.core.context import TIME_HZ
-from sim.board.serial.idle_board import IdleBoard
-from sim.control.pid_table import pid_table
-from sim.flight.scenario import Scenario, Segment
-from sim.flight.trace import Trace
-from sim.ports.emulator import EmulatedPort
-from sim.ports.library import ReferencePort
+from neuroflight.cli.flash.policy_swap import candidate_of
+from neuroflight.flash.client import Client
+from neuroflight.flash.policy import swap as swaps
+from neuroflight.sim.aircraft.model import load_aircraft
+from neuroflight.sim.board.core.context import TIME_HZ
+from neuroflight.sim.board.serial.idle_board import IdleBoard
+from neuroflight.sim.control.pid_table import pid_table
+from neuroflight.sim.flight.scenario import Scenario, Segment
+from neuroflight.sim.flight.trace import Trace
+from neuroflight.sim.ports.emulator import EmulatedPort
+from neuroflight.sim.ports.library import ReferencePort
 from tests.conftest import BUILD, build_beside
 from tests.flash.policies import another_policy
 

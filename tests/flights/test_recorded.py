@@ -5,12 +5,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sim.flight.scenario import Scenario, Segment
-from sim.flight.trace import save_trace
-from sim.ports.library import ReferencePort
-from sim.recorded.files import load_flight
+from neuroflight.sim.flight.scenario import Scenario, Segment
+from neuroflight.sim.flight.trace import save_trace
+from neuroflight.sim.ports.library import ReferencePort
+from neuroflight.sim.recorded.files import load_flight
+from neuroflight.toolchain.errors import ScenarioError
 from tests.flights.conftest import Flown
-from toolchain.errors import ScenarioError
 
 # Changes that come faster than SBUS can send them, and throttle from the first segment on.
 SCENARIO = Scenario(

@@ -10,15 +10,15 @@ from pathlib import Path
 
 import pytest
 
-from flash.msp import encode, request
-from sim.board.board import Board
-from sim.board.core.context import TIME_HZ
-from sim.board.devices.esc import Frame
-from sim.board.devices.gyro_chip import ICM20689, MPU6500, GyroKind
-from sim.board.peripherals.usart import Format
-from sim.board.serial.bridge import MSP_UART, LineTransport, UartLine
-from toolchain.contract import FLASH_BASE, FLASH_BYTES, FLASH_FAULT_RECORD, MSP_BAUD_DEFAULT, Msp
-from toolchain.image.elf import read_flashable
+from neuroflight.flash.msp import encode, request
+from neuroflight.sim.board.board import Board
+from neuroflight.sim.board.core.context import TIME_HZ
+from neuroflight.sim.board.devices.esc import Frame
+from neuroflight.sim.board.devices.gyro_chip import ICM20689, MPU6500, GyroKind
+from neuroflight.sim.board.peripherals.usart import Format
+from neuroflight.sim.board.serial.bridge import MSP_UART, LineTransport, UartLine
+from neuroflight.toolchain.contract import FLASH_BASE, FLASH_BYTES, FLASH_FAULT_RECORD, MSP_BAUD_DEFAULT, Msp
+from neuroflight.toolchain.image.elf import read_flashable
 
 BOUND_S = 0.02  # from a reset to the first frame of each motor
 PAUSE_S = 0.012  # between two frames of a motor, up to the second in which flash may be written

@@ -10,18 +10,18 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from cli.main import main
-from sim.aircraft.model import load_aircraft
-from sim.control.controller import PolicyController
-from sim.flight.scenario import Scenario, Segment
-from sim.flight.trace import Trace
-from sim.ports.host import HostPort
-from sim.ports.library import ReferencePort
-from sim.ports.python_controller import ControllerPort
+from neuroflight.cli.main import main
+from neuroflight.sim.aircraft.model import load_aircraft
+from neuroflight.sim.control.controller import PolicyController
+from neuroflight.sim.flight.scenario import Scenario, Segment
+from neuroflight.sim.flight.trace import Trace
+from neuroflight.sim.ports.host import HostPort
+from neuroflight.sim.ports.library import ReferencePort
+from neuroflight.sim.ports.python_controller import ControllerPort
+from neuroflight.toolchain.contract import observation_blocks, observation_count
+from neuroflight.toolchain.policy.freeze import to_onnx
+from neuroflight.toolchain.policy.model import read_policy
 from tests.conftest import build_beside
-from toolchain.contract import observation_blocks, observation_count
-from toolchain.policy.freeze import to_onnx
-from toolchain.policy.model import read_policy
 
 Flown = Callable[..., Trace]
 ROOT = Path(__file__).resolve().parents[2]

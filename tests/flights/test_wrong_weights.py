@@ -10,17 +10,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from flash import messages
-from flash.client import Client
-from sim.aircraft.model import load_aircraft
-from sim.flight.loop import fly
-from sim.flight.scenario import Scenario, Segment
-from sim.flight.trace import Trace
-from sim.physics.twin import Twin
-from sim.ports.library import Reference, ReferencePort
+from neuroflight.flash import messages
+from neuroflight.flash.client import Client
+from neuroflight.sim.aircraft.model import load_aircraft
+from neuroflight.sim.flight.loop import fly
+from neuroflight.sim.flight.scenario import Scenario, Segment
+from neuroflight.sim.flight.trace import Trace
+from neuroflight.sim.physics.twin import Twin
+from neuroflight.sim.ports.library import Reference, ReferencePort
+from neuroflight.toolchain.contract import FallbackCause, FlightState, Msp, StopCause
+from neuroflight.toolchain.ir.activation_tables import TANH
 from tests.flights.weights import Change, ChangedPort, Weights, shipped_table
-from toolchain.contract import FallbackCause, FlightState, Msp, StopCause
-from toolchain.ir.activation_tables import TANH
 
 GYRO_RATE_HZ = 4000
 CHECK_S = 1.0  # in which the whole table has been compared with flash

@@ -11,13 +11,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from flash import records
-from flash.client import Client
-from sim.ports.library import ReferencePort
-from sim.ports.port import Reply, Sample
-from toolchain.codegen.compiler import CompiledPolicy, compile_policy
-from toolchain.contract import FLASH_BYTES, Msp
-from toolchain.policy.model import read_policy
+from neuroflight.flash import records
+from neuroflight.flash.client import Client
+from neuroflight.sim.ports.library import ReferencePort
+from neuroflight.sim.ports.port import Reply, Sample
+from neuroflight.toolchain.codegen.compiler import CompiledPolicy, compile_policy
+from neuroflight.toolchain.contract import FLASH_BYTES, Msp
+from neuroflight.toolchain.policy.model import read_policy
 
 SHIPPED = Path(__file__).parents[2] / "training" / "policies" / "nf1" / "policy.onnx"
 Weights = NDArray[np.float32]

@@ -9,8 +9,8 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.aircraft.model import Aircraft, load_aircraft
-from sim.ports.port import FirmwarePort, Reply, Sample
+from neuroflight.sim.aircraft.model import Aircraft, load_aircraft
+from neuroflight.sim.ports.port import FirmwarePort, Reply, Sample
 
 Port = TypeVar("Port", bound=FirmwarePort)
 AIRCRAFT = Path(__file__).parents[2] / "sim" / "aircraft"

@@ -8,15 +8,15 @@ from pathlib import Path
 
 import numpy as np
 
-from sim.aircraft.model import load_aircraft
-from sim.flight.loop import fly
-from sim.flight.scenario import load_scenario
-from sim.flight.trace import Trace
-from sim.physics.twin import Twin
-from sim.ports.betaflight.build import build_betaflight
-from sim.ports.betaflight.port import BetaflightPort, aircraft_settings
-from sim.ports.betaflight.process import STEP_NS, BetaflightProcess
-from sim.ports.simulator_link import LOOPBACK
+from neuroflight.sim.aircraft.model import load_aircraft
+from neuroflight.sim.flight.loop import fly
+from neuroflight.sim.flight.scenario import load_scenario
+from neuroflight.sim.flight.trace import Trace
+from neuroflight.sim.physics.twin import Twin
+from neuroflight.sim.ports.betaflight.build import build_betaflight
+from neuroflight.sim.ports.betaflight.port import BetaflightPort, aircraft_settings
+from neuroflight.sim.ports.betaflight.process import STEP_NS, BetaflightProcess
+from neuroflight.sim.ports.simulator_link import LOOPBACK
 from tests.peers.conftest import BETAFLIGHT
 
 VIRTUAL = "set blackbox_device = VIRTUAL"

@@ -11,12 +11,12 @@ from typing import Any
 import pytest
 import serial
 
-from sim.ports.betaflight.build import build_betaflight
-from sim.ports.betaflight.process import STEP_NS, BetaflightProcess
+from neuroflight.sim.ports.betaflight.build import build_betaflight
+from neuroflight.sim.ports.betaflight.process import STEP_NS, BetaflightProcess
+from neuroflight.toolchain.contract import MSP_TCP_PORT
 from tests.cli.test_board import Running
 from tests.firmware.conftest import Program
 from tests.peers.yamspy_client import WAIT_S
-from toolchain.contract import MSP_TCP_PORT
 
 BETAFLIGHT = Path(__file__).resolve().parents[2] / "build" / "tests" / "BETAFLIGHT"
 BOOT_SAMPLES = 4200  # at 1 kHz: the delay before arming, and some more

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from neuroflight.toolchain.files import locked
 from tests.conftest import BUILD
-from toolchain.files import locked
 
 VERSION = "0.5.0"
 SHA256 = "a13d003a1caf13d84a422de1ca36fa0ad682e41a195ee207354c08fa5f451761"

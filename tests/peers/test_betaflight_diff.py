@@ -12,11 +12,11 @@ from pathlib import Path
 
 import pytest
 
-from cli.main import main
-from flash.client import Client
-from flash.transport import Transport, open_transport
+from neuroflight.cli.main import main
+from neuroflight.flash.client import Client
+from neuroflight.flash.transport import Transport, open_transport
+from neuroflight.toolchain.contract import Mode, Msp
 from tests.firmware.conftest import Program
-from toolchain.contract import Mode, Msp
 
 CRAFT = 2  # a kind of GET_TEXT and SET_TEXT; SITL does not print the pilot's
 RATES_TYPES = {0: "BETAFLIGHT", 3: "ACTUAL"}

@@ -9,16 +9,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cli.main import main
-from sim.aircraft.model import load_aircraft
-from sim.blackbox.firmware import Maker
-from sim.blackbox.log import read_log
-from sim.blackbox.units import channels
-from sim.flight.loop import fly
-from sim.flight.trace import Trace
-from sim.physics.twin import Twin
-from sim.ports.library import ReferencePort
-from sim.recorded.files import load_flight
+from neuroflight.cli.main import main
+from neuroflight.sim.aircraft.model import load_aircraft
+from neuroflight.sim.blackbox.firmware import Maker
+from neuroflight.sim.blackbox.log import read_log
+from neuroflight.sim.blackbox.units import channels
+from neuroflight.sim.flight.loop import fly
+from neuroflight.sim.flight.trace import Trace
+from neuroflight.sim.physics.twin import Twin
+from neuroflight.sim.ports.library import ReferencePort
+from neuroflight.sim.recorded.files import load_flight
 from tests.peers.betaflight_logs import VIRTUAL, flown, flown_over_serial, save
 from tests.peers.orangebox_peer import decoded
 

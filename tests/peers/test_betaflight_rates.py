@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sim.blackbox.firmware import firmware
-from sim.blackbox.log import read_log
-from sim.blackbox.rates import Style, readings
-from sim.blackbox.sticks import is_stick
-from sim.blackbox.units import channels
+from neuroflight.sim.blackbox.firmware import firmware
+from neuroflight.sim.blackbox.log import read_log
+from neuroflight.sim.blackbox.rates import Style, readings
+from neuroflight.sim.blackbox.sticks import is_stick
+from neuroflight.sim.blackbox.units import channels
 from tests.peers.betaflight_logs import VIRTUAL, flown, save
 
 FULL_RATE = ("set blackbox_sample_rate = 1/1", "set blackbox_high_resolution = ON", "set rc_smoothing = OFF")

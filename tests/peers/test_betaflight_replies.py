@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-from flash.client import Client, RefusedError
-from flash.transport import open_transport
+from neuroflight.flash.client import Client, RefusedError
+from neuroflight.flash.transport import open_transport
+from neuroflight.toolchain.contract import CONFIGURATIONS, Msp
 from tests.firmware.conftest import Program
-from toolchain.contract import CONFIGURATIONS, Msp
 
 # Of these the length is that of a text or a list of what there is: channels, motors, meters, ports, modes.
 OF_THEIR_OWN_LENGTH = {Msp.CURRENT_METER_CONFIG, Msp.VOLTAGE_METER_CONFIG, Msp.GYRO_SENSOR}

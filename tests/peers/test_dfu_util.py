@@ -9,8 +9,8 @@ import shutil
 import subprocess
 from pathlib import Path
 
-from toolchain.contract import FLASH_BANK_A, FLASH_BASE
-from toolchain.image.dfu import Loaded, dfu_file, loaded_parts
+from neuroflight.toolchain.contract import FLASH_BANK_A, FLASH_BASE
+from neuroflight.toolchain.image.dfu import Loaded, dfu_file, loaded_parts
 
 NO_DEVICE = 74  # dfu-util's exit code: it has read the file and found no device
 

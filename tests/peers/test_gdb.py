@@ -12,14 +12,14 @@ from pathlib import Path
 
 import pytest
 
-from flash.client import Client
-from flash.transport import open_transport
-from sim.board.core.engine import Engine
-from sim.board.debug.gdb import GdbServer
+from neuroflight.flash.client import Client
+from neuroflight.flash.transport import open_transport
+from neuroflight.sim.board.core.engine import Engine
+from neuroflight.sim.board.debug.gdb import GdbServer
+from neuroflight.toolchain.contract import FLASH_BASE, Msp
 from tests.cli.test_board import Running
 from tests.conftest import ROOT
 from tests.sim.board.programs import Program, compile_program  # noqa: F401 - a fixture
-from toolchain.contract import FLASH_BASE, Msp
 
 LIMIT_S = 60.0  # of a test that hangs
 FLYING = """
@@ -159,7 +159,7 @@ def test_the_session_of_the_page_goes_as_it_says(board_image: Path) -> None:
     command = [
         sys.executable,
         "-m",
-        "cli.main",
+        "neuroflight.cli.main",
         "fly",
         "--on",
         "emulator",

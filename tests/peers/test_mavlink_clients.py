@@ -23,12 +23,12 @@ from typing import Any
 
 import pytest
 
-from flash.mavlink.parameter_names import parameter_name
-from flash.mavlink.parameters import FLOAT32_WHOLE_MAX
+from neuroflight.flash.mavlink.parameter_names import parameter_name
+from neuroflight.flash.mavlink.parameters import FLOAT32_WHOLE_MAX
+from neuroflight.toolchain.contract import RECEIVER_LOST_MS, SETTINGS, Mode, ModeRange
 from tests.flash.logs.log_model import log_board, log_of
 from tests.flash.mavlink.conftest import LOOPBACK, Lockstep, MakeLockstep, lockstep  # noqa: F401 - a fixture
 from tests.flash.mavlink.test_logs import LineWithLogs
-from toolchain.contract import RECEIVER_LOST_MS, SETTINGS, Mode, ModeRange
 
 FOLDER = Path(__file__).parent
 INSTALL_SECONDS_MAX, RUN_SECONDS_MAX = 900, 100

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from sim.board.devices.sd_card import SdCard
+from neuroflight.sim.board.devices.sd_card import SdCard
 from tests.sim.board.devices.host import Host, pattern
 
 BLOCKS = 64  # of the file

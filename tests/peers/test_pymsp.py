@@ -9,10 +9,10 @@ from typing import Any
 import pytest
 from pymsp import MSPStreamProcessor, MSPv1, MSPv2
 
-from flash import messages
-from flash.msp import Decoder, Direction, Message, Version, encode
+from neuroflight.flash import messages
+from neuroflight.flash.msp import Decoder, Direction, Message, Version, encode
+from neuroflight.toolchain.contract import Msp
 from tests.peers.yamspy_client import WAIT_S, readers
-from toolchain.contract import Msp
 
 V1_MAX = 254
 # What does not change while nobody flies, whatever the time.

@@ -9,11 +9,11 @@ from pathlib import Path
 
 import pytest
 
-from cli.main import main
-from flash.rom.segments import Segment, read_segments
-from sim.board.serial.bridge import PtyEnd
+from neuroflight.cli.main import main
+from neuroflight.flash.rom.segments import Segment, read_segments
+from neuroflight.sim.board.serial.bridge import PtyEnd
+from neuroflight.toolchain.contract import FLASH_BANK_A, FLASH_BASE, FLASH_BYTES, Msp
 from tests.flash.rom.conftest import BANK, BOOT, Served, flash_with
-from toolchain.contract import FLASH_BANK_A, FLASH_BASE, FLASH_BYTES, Msp
 
 LIMIT_S = 120.0  # of a test that hangs
 FULL = bytes(i % 251 + 1 for i in range(FLASH_BYTES))

@@ -17,11 +17,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cli.main import main
+from neuroflight.cli.main import main
+from neuroflight.toolchain.ir.interpreter import replay
+from neuroflight.toolchain.policy.model import read_policy
 from tests.conftest import ROOT
 from tests.peers.trainer_policies import POLICIES
-from toolchain.ir.interpreter import replay
-from toolchain.policy.model import read_policy
 
 PAGE = ROOT / "docs" / "policies.md"
 PROGRAM = Path(__file__).with_name("trainer_policies.py")

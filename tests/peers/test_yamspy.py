@@ -8,13 +8,13 @@ from typing import Any
 import pytest
 from yamspy import MSPy
 
-from flash import messages, requests
-from flash.client import Client
-from flash.transport import open_transport
+from neuroflight.flash import messages, requests
+from neuroflight.flash.client import Client
+from neuroflight.flash.transport import open_transport
+from neuroflight.toolchain.contract import SETTINGS, Msp
 from tests.firmware.conftest import Program
 from tests.peers.conftest import tcp_line
 from tests.peers.yamspy_client import ask, hear, new_peer, readers
-from toolchain.contract import SETTINGS, Msp
 
 ANSWERED = 55  # of yamspy's readers, by Betaflight's SITL 4.6.0
 RECEIVER_CRSF, RECEIVER_MSP = 1, 2  # choices of the setting receiver_protocol

@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from sim import compiled
-from sim.compiled import Source
-from toolchain.errors import BuildError
+from neuroflight.sim import compiled
+from neuroflight.sim.compiled import Source
+from neuroflight.toolchain.errors import BuildError
 
 
 @pytest.fixture

@@ -15,11 +15,11 @@ import pytest
 from numpy.typing import ArrayLike, NDArray
 from onnx import TensorProto, helper, numpy_helper
 
-from toolchain.codegen.compiler import CompiledPolicy, compile_policy
-from toolchain.codegen.emit import ARITHMETIC
-from toolchain.cortex_m7.arm_policy import COMPILER, CORE, ArmPolicy, build_policy_elf
-from toolchain.cortex_m7.emulator import load_program
-from toolchain.policy.model import parse_policy
+from neuroflight.toolchain.codegen.compiler import CompiledPolicy, compile_policy
+from neuroflight.toolchain.codegen.emit import ARITHMETIC
+from neuroflight.toolchain.cortex_m7.arm_policy import COMPILER, CORE, ArmPolicy, build_policy_elf
+from neuroflight.toolchain.cortex_m7.emulator import load_program
+from neuroflight.toolchain.policy.model import parse_policy
 
 Float32 = NDArray[np.float32]
 

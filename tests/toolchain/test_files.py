@@ -11,13 +11,13 @@ from pathlib import Path
 
 import pytest
 
-from toolchain import files
-from toolchain.errors import InUseError
+from neuroflight.toolchain import files
+from neuroflight.toolchain.errors import InUseError
 
 KILLED = """
 import os, signal, sys
 from pathlib import Path
-from toolchain.files import claimed
+from neuroflight.toolchain.files import claimed
 with claimed(Path(sys.argv[1]), "run"):
     os.kill(os.getpid(), signal.SIGKILL)
 """

@@ -13,13 +13,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cli.main import main
+from neuroflight.cli.main import main
+from neuroflight.toolchain.errors import TrainingError
+from neuroflight.training.config.config_file import load_config
+from neuroflight.training.plugins import REGISTRIES, load_plugin, plugins_of
+from neuroflight.training.tasks.registry import TASKS
+from neuroflight.training.tasks.reward import REWARDS, Transition
 from tests.conftest import ROOT
-from toolchain.errors import TrainingError
-from training.config.config_file import load_config
-from training.plugins import REGISTRIES, load_plugin, plugins_of
-from training.tasks.registry import TASKS
-from training.tasks.reward import REWARDS, Transition
 
 Capture = pytest.CaptureFixture[str]
 Write = Callable[..., tuple[Path, str]]  # parts of a file to its path, and the name in it
@@ -30,8 +30,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from training.plugins import register
-from training.tasks.limits import check_limits
+from neuroflight.training.plugins import register
+from neuroflight.training.tasks.limits import check_limits
 """
 REWARD = """
 @register
@@ -132,7 +132,7 @@ def test_a_run_stores_its_files_and_asks_for_the_same(write: Write, tmp_path: Pa
     anew = ["train", "--config", str(run / "training.json"), "--out", str(tmp_path / "anew")]
     freeze = ["freeze", str(run / "checkpoint.pt"), "--out", str(frozen)]
     commands = [anew, again, [*again, *own], freeze]
-    program = f"from cli.main import main; print([main(words) for words in {commands!r}])"
+    program = f"from neuroflight.cli.main import main; print([main(words) for words in {commands!r}])"
     done = subprocess.run(
         [sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=True
     )  # another process: here the file has been run

@@ -6,14 +6,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from toolchain.codegen.emit import Emission, emit
-from toolchain.codegen.plan import Plan, lower
-from toolchain.codegen.selftest import selftest_vectors
-from toolchain.errors import PolicyError
-from toolchain.ir.network import Network
-from toolchain.passes import Saving, optimize
-from toolchain.policy.blob import PolicyBlob, blob_terms, filters_hash
-from toolchain.policy.model import PolicyModel
+from neuroflight.toolchain.codegen.emit import Emission, emit
+from neuroflight.toolchain.codegen.plan import Plan, lower
+from neuroflight.toolchain.codegen.selftest import selftest_vectors
+from neuroflight.toolchain.errors import PolicyError
+from neuroflight.toolchain.ir.network import Network
+from neuroflight.toolchain.passes import Saving, optimize
+from neuroflight.toolchain.policy.blob import PolicyBlob, blob_terms, filters_hash
+from neuroflight.toolchain.policy.model import PolicyModel
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,13 +11,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from toolchain.codegen.kernel_calls import Call, Place
-from toolchain.codegen.plan import Plan
-from toolchain.ir.float32 import Float32
-from toolchain.policy.blob import PolicyBlob, header_values, model_values, pack
-from toolchain.policy.model import PolicyModel
-from toolchain.rendering.contract_header import blob_header_fields
-from toolchain.rendering.jinja import render
+from neuroflight.toolchain.codegen.kernel_calls import Call, Place
+from neuroflight.toolchain.codegen.plan import Plan
+from neuroflight.toolchain.ir.float32 import Float32
+from neuroflight.toolchain.policy.blob import PolicyBlob, header_values, model_values, pack
+from neuroflight.toolchain.policy.model import PolicyModel
+from neuroflight.toolchain.rendering.contract_header import blob_header_fields
+from neuroflight.toolchain.rendering.jinja import render
 
 # What the C's arithmetic asks of a compiler: a product is fused with a sum only where the code says so.
 ARITHMETIC = ("-std=c11", "-ffp-contract=off", "-fno-math-errno")

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from toolchain.codegen.compiler import CompiledPolicy, compile_network
-from toolchain.ir.network import OBSERVATION, Network
-from toolchain.ir.operations import (
+from neuroflight.toolchain.codegen.compiler import CompiledPolicy, compile_network
+from neuroflight.toolchain.ir.network import OBSERVATION, Network
+from neuroflight.toolchain.ir.operations import (
     Affine,
     Clip,
     Elu,
@@ -17,9 +17,9 @@ from toolchain.ir.operations import (
     Operation,
     Slice,
 )
-from toolchain.passes import Size, operations, optimize, size, weight_bytes
-from toolchain.passes.equivalence import Equivalence, check_equivalence
-from toolchain.policy.model import PolicyModel
+from neuroflight.toolchain.passes import Size, operations, optimize, size, weight_bytes
+from neuroflight.toolchain.passes.equivalence import Equivalence, check_equivalence
+from neuroflight.toolchain.policy.model import PolicyModel
 
 FLOAT = 4  # bytes
 

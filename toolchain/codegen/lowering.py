@@ -8,14 +8,14 @@ from typing import assert_never
 
 import numpy as np
 
-from toolchain.codegen.kernel_calls import BLOCK, Call, Place
-from toolchain.codegen.scratch_allocation import PendingCall
-from toolchain.codegen.weight_table import block_part, lanes_part, padded_gates
-from toolchain.ir.activation_tables import ERF, EXPM1, SOFTPLUS, TANH, ActivationTable
-from toolchain.ir.float32 import Float32
-from toolchain.ir.lanes import LANES, padded
-from toolchain.ir.network import Network, Node
-from toolchain.ir.operations import (
+from neuroflight.toolchain.codegen.kernel_calls import BLOCK, Call, Place
+from neuroflight.toolchain.codegen.scratch_allocation import PendingCall
+from neuroflight.toolchain.codegen.weight_table import block_part, lanes_part, padded_gates
+from neuroflight.toolchain.ir.activation_tables import ERF, EXPM1, SOFTPLUS, TANH, ActivationTable
+from neuroflight.toolchain.ir.float32 import Float32
+from neuroflight.toolchain.ir.lanes import LANES, padded
+from neuroflight.toolchain.ir.network import Network, Node
+from neuroflight.toolchain.ir.operations import (
     Add,
     Affine,
     Clip,

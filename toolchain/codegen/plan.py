@@ -19,13 +19,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from toolchain.codegen.kernel_calls import Call
-from toolchain.codegen.lowering import Lowering
-from toolchain.codegen.scratch_allocation import place_buffers
-from toolchain.ir.activation_tables import ActivationTable
-from toolchain.ir.float32 import Float32
-from toolchain.ir.network import Network
-from toolchain.policy.model import PolicyModel
+from neuroflight.toolchain.codegen.kernel_calls import Call
+from neuroflight.toolchain.codegen.lowering import Lowering
+from neuroflight.toolchain.codegen.scratch_allocation import place_buffers
+from neuroflight.toolchain.ir.activation_tables import ActivationTable
+from neuroflight.toolchain.ir.float32 import Float32
+from neuroflight.toolchain.ir.network import Network
+from neuroflight.toolchain.policy.model import PolicyModel
 
 
 @dataclass(frozen=True, eq=False)

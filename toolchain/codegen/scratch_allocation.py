@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from toolchain.codegen.kernel_calls import Call, Place
+from neuroflight.toolchain.codegen.kernel_calls import Call, Place
 
 
 @dataclass(frozen=True)

@@ -6,10 +6,10 @@ import hashlib
 
 import numpy as np
 
-from toolchain.contract import SELFTEST_COUNT
-from toolchain.ir.float32 import Float32
-from toolchain.ir.interpreter import replay
-from toolchain.ir.network import Network
+from neuroflight.toolchain.contract import SELFTEST_COUNT
+from neuroflight.toolchain.ir.float32 import Float32
+from neuroflight.toolchain.ir.interpreter import replay
+from neuroflight.toolchain.ir.network import Network
 
 # Every value of one observation: zero, the smallest magnitudes of float32, rates beyond a gyro's range, and
 # far beyond; random ones of growing scale follow. All actions are numbers: their bits may be compared.

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from toolchain.ir.float32 import Float32
-from toolchain.ir.lanes import padded
+from neuroflight.toolchain.ir.float32 import Float32
+from neuroflight.toolchain.ir.lanes import padded
 
 
 def lanes_part(values: Float32 | NDArray[np.float64]) -> Float32:

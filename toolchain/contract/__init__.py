@@ -5,20 +5,20 @@ imports below; Python rooms import them from this package. Depends on nothing.
 """
 
 # ruff: noqa: F403, I001
-from toolchain.contract.frame_time_sensors import *
-from toolchain.contract.receiver import *
-from toolchain.contract.safety import *
-from toolchain.contract.motors import *
-from toolchain.contract.simulator_link import *
-from toolchain.contract.observation import *
-from toolchain.contract.policy_format import *
-from toolchain.contract.image_format import *
-from toolchain.contract.msp import *
-from toolchain.contract.modes import *
-from toolchain.contract.chirp import *
-from toolchain.contract.blackbox import *
-from toolchain.contract.settings import *
-from toolchain.contract.msp_layouts import *
-from toolchain.contract.msp_configuration import *
-from toolchain.contract.msp_messages import *
-from toolchain.contract.memory_map import *
+from neuroflight.toolchain.contract.frame_time_sensors import *
+from neuroflight.toolchain.contract.receiver import *
+from neuroflight.toolchain.contract.safety import *
+from neuroflight.toolchain.contract.motors import *
+from neuroflight.toolchain.contract.simulator_link import *
+from neuroflight.toolchain.contract.observation import *
+from neuroflight.toolchain.contract.policy_format import *
+from neuroflight.toolchain.contract.image_format import *
+from neuroflight.toolchain.contract.msp import *
+from neuroflight.toolchain.contract.modes import *
+from neuroflight.toolchain.contract.chirp import *
+from neuroflight.toolchain.contract.blackbox import *
+from neuroflight.toolchain.contract.settings import *
+from neuroflight.toolchain.contract.msp_layouts import *
+from neuroflight.toolchain.contract.msp_configuration import *
+from neuroflight.toolchain.contract.msp_messages import *
+from neuroflight.toolchain.contract.memory_map import *

@@ -12,7 +12,7 @@ import struct
 import zlib
 from dataclasses import dataclass
 
-from toolchain.contract.policy_format import IMAGE_BUILD_BYTES, HeaderField, PolicyHeader
+from neuroflight.toolchain.contract.policy_format import IMAGE_BUILD_BYTES, HeaderField, PolicyHeader
 
 __all__ = [
     "IMAGE_BOARD_BYTES",

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import IntEnum
 
-from toolchain.contract.receiver import CHANNEL_AUX1, CHANNEL_COUNT
+from neuroflight.toolchain.contract.receiver import CHANNEL_AUX1, CHANNEL_COUNT
 
 AUX_COUNT = CHANNEL_COUNT - CHANNEL_AUX1  # channels behind the four sticks
 MODE_SLOT_COUNT = 20  # ranges that can be set, as many as the ecosystem's

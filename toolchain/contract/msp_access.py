@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import Enum
 
-from toolchain.contract.msp import Msp, Refusal
-from toolchain.contract.msp_configuration import CONFIGURATIONS
-from toolchain.contract.settings import AT_ONCE
+from neuroflight.toolchain.contract.msp import Msp, Refusal
+from neuroflight.toolchain.contract.msp_configuration import CONFIGURATIONS
+from neuroflight.toolchain.contract.settings import AT_ONCE
 
 __all__ = ["Access", "MspWhen", "access_of", "acknowledge_access"]
 

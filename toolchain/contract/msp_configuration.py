@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from toolchain.contract.frame_time_sensors import AXES
-from toolchain.contract.msp import Msp
-from toolchain.contract.msp_layouts import (
+from neuroflight.toolchain.contract.frame_time_sensors import AXES
+from neuroflight.toolchain.contract.msp import Msp
+from neuroflight.toolchain.contract.msp_layouts import (
     Configuration,
     MspSource,
     bound,
@@ -20,8 +20,8 @@ from toolchain.contract.msp_layouts import (
     unused,
     zeros,
 )
-from toolchain.contract.msp_tuning import TUNING
-from toolchain.contract.receiver import (
+from neuroflight.toolchain.contract.msp_tuning import TUNING
+from neuroflight.toolchain.contract.receiver import (
     CHANNEL_MID_US,
     CHANNEL_MIN_US,
     CHANNEL_VALID_MAX_US,
@@ -29,7 +29,7 @@ from toolchain.contract.receiver import (
     STICK_HIGH_US,
     THROTTLE_LOW_US,
 )
-from toolchain.contract.safety import CALIBRATION_MOTION_DEG_S, CALIBRATION_MS
+from neuroflight.toolchain.contract.safety import CALIBRATION_MOTION_DEG_S, CALIBRATION_MS
 
 __all__ = ["CONFIGURATIONS"]
 METER_ADC = 1  # where battery voltage and current come from: pins of the processor

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import Enum, IntEnum
 
-from toolchain.contract.msp import Msp
+from neuroflight.toolchain.contract.msp import Msp
 
 __all__ = [
     "Bound",

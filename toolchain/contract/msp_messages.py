@@ -5,12 +5,12 @@ Those of the ecosystem are as at API 1.47; those from 0x4E00 on are this project
 
 from __future__ import annotations
 
-from toolchain.contract.frame_time_sensors import MOTOR_COUNT_MAX
-from toolchain.contract.modes import MODE_SLOT_COUNT
-from toolchain.contract.motors import MOTOR_BENCH_MAGIC, MOTOR_TEST_MAGIC
-from toolchain.contract.msp import MSP_ADJUSTMENT_SLOTS, MSP_POLICY_NONE, Msp
-from toolchain.contract.msp_configuration import CONFIGURATIONS
-from toolchain.contract.msp_layouts import (
+from neuroflight.toolchain.contract.frame_time_sensors import MOTOR_COUNT_MAX
+from neuroflight.toolchain.contract.modes import MODE_SLOT_COUNT
+from neuroflight.toolchain.contract.motors import MOTOR_BENCH_MAGIC, MOTOR_TEST_MAGIC
+from neuroflight.toolchain.contract.msp import MSP_ADJUSTMENT_SLOTS, MSP_POLICY_NONE, Msp
+from neuroflight.toolchain.contract.msp_configuration import CONFIGURATIONS
+from neuroflight.toolchain.contract.msp_layouts import (
     Direction,
     MspField,
     MspGroup,
@@ -20,9 +20,9 @@ from toolchain.contract.msp_layouts import (
     reply,
     request,
 )
-from toolchain.contract.msp_own import OWN_LAYOUTS
-from toolchain.contract.receiver import CHANNEL_COUNT
-from toolchain.contract.settings import SETTING_TEXT_BYTES
+from neuroflight.toolchain.contract.msp_own import OWN_LAYOUTS
+from neuroflight.toolchain.contract.receiver import CHANNEL_COUNT
+from neuroflight.toolchain.contract.settings import SETTING_TEXT_BYTES
 
 __all__ = ["LAYOUTS", "layout_of"]
 _US = "us"

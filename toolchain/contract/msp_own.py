@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import struct
 
-from toolchain.contract.blackbox import LOG_ERASE_MAGIC, LOG_NAME_BYTES
-from toolchain.contract.image_format import IMAGE_BUILD_BYTES, IMAGE_FIELDS, IMAGE_HEADER_FORMAT
-from toolchain.contract.msp import MSP_STREAM_RATE_MAX_HZ, Msp
-from toolchain.contract.msp_layouts import MspField, MspGroup, number, reply, request
-from toolchain.contract.policy_format import SHA256_BYTES
-from toolchain.contract.settings import SETTING_TEXT_BYTES
+from neuroflight.toolchain.contract.blackbox import LOG_ERASE_MAGIC, LOG_NAME_BYTES
+from neuroflight.toolchain.contract.image_format import IMAGE_BUILD_BYTES, IMAGE_FIELDS, IMAGE_HEADER_FORMAT
+from neuroflight.toolchain.contract.msp import MSP_STREAM_RATE_MAX_HZ, Msp
+from neuroflight.toolchain.contract.msp_layouts import MspField, MspGroup, number, reply, request
+from neuroflight.toolchain.contract.policy_format import SHA256_BYTES
+from neuroflight.toolchain.contract.settings import SETTING_TEXT_BYTES
 
 __all__ = ["OWN_LAYOUTS"]
 _FAULT_REGISTERS = "r0 to r3, r12, lr, pc, psr, cfsr, hfsr, mmfar, bfar, sp"

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from toolchain.contract.frame_time_sensors import AXES
-from toolchain.contract.msp import Msp
-from toolchain.contract.msp_layouts import (
+from neuroflight.toolchain.contract.frame_time_sensors import AXES
+from neuroflight.toolchain.contract.msp import Msp
+from neuroflight.toolchain.contract.msp_layouts import (
     MspField,
     MspSource,
     bound,
@@ -17,7 +17,7 @@ from toolchain.contract.msp_layouts import (
     unused,
     zeros,
 )
-from toolchain.contract.receiver import RATE_MAX_DEG_S
+from neuroflight.toolchain.contract.receiver import RATE_MAX_DEG_S
 
 __all__ = ["TUNING"]
 MULTIPLIER_OFF = 100  # of a slider that does nothing, %

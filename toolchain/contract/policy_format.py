@@ -6,8 +6,8 @@ import struct
 import zlib
 from dataclasses import dataclass
 
-from toolchain.contract.frame_time_sensors import MOTOR_COUNT_MAX
-from toolchain.contract.observation import OBSERVATION_TERMS_MAX
+from neuroflight.toolchain.contract.frame_time_sensors import MOTOR_COUNT_MAX
+from neuroflight.toolchain.contract.observation import OBSERVATION_TERMS_MAX
 
 # --- policy.onnx: its metadata_props ---------------------------------------------------------
 POLICY_FORMAT_VERSION = "1"

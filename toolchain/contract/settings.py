@@ -6,15 +6,21 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from enum import IntEnum
 
-from toolchain.contract.blackbox import LOG_BAUD_DEFAULT, LOG_BAUDS, LOG_DIVIDERS, LogDevice, LogGroup
-from toolchain.contract.chirp import CHIRP_RATE_PART
-from toolchain.contract.frame_time_sensors import (
+from neuroflight.toolchain.contract.blackbox import (
+    LOG_BAUD_DEFAULT,
+    LOG_BAUDS,
+    LOG_DIVIDERS,
+    LogDevice,
+    LogGroup,
+)
+from neuroflight.toolchain.contract.chirp import CHIRP_RATE_PART
+from neuroflight.toolchain.contract.frame_time_sensors import (
     AXES,
     GYRO_EDGE_RATE_HZ,
     GYRO_RATE_DEFAULT_HZ,
     MOTOR_COUNT_MAX,
 )
-from toolchain.contract.modes import (
+from neuroflight.toolchain.contract.modes import (
     MODE_LOW_US,
     MODE_SLOT_COUNT,
     MODE_STEP_US,
@@ -23,8 +29,8 @@ from toolchain.contract.modes import (
     Mode,
     ModeRange,
 )
-from toolchain.contract.msp import MSP_BAUD_DEFAULT, MSP_BAUDS
-from toolchain.contract.receiver import (
+from neuroflight.toolchain.contract.msp import MSP_BAUD_DEFAULT, MSP_BAUDS
+from neuroflight.toolchain.contract.receiver import (
     CHANNEL_AUX1,
     CHANNEL_MAPPED_COUNT,
     CHANNEL_PITCH,
@@ -33,7 +39,7 @@ from toolchain.contract.receiver import (
     CHANNEL_YAW,
     RATE_MAX_DEG_S,
 )
-from toolchain.contract.safety import (
+from neuroflight.toolchain.contract.safety import (
     ARMING_DELAY_MS,
     BOOT_GRACE_MS,
     GYRO_BAD_MS,

@@ -11,12 +11,12 @@ from pathlib import Path
 import numpy as np
 from elftools.elf.elffile import ELFFile
 
-from toolchain.codegen.emit import ARITHMETIC, Emission
-from toolchain.contract import DTCM, POLICY_WEIGHT_COUNT_MAX, Region
-from toolchain.cortex_m7.emulator import CortexM7, Program
-from toolchain.errors import BuildError
-from toolchain.files import write_text
-from toolchain.ir.float32 import Float32
+from neuroflight.toolchain.codegen.emit import ARITHMETIC, Emission
+from neuroflight.toolchain.contract import DTCM, POLICY_WEIGHT_COUNT_MAX, Region
+from neuroflight.toolchain.cortex_m7.emulator import CortexM7, Program
+from neuroflight.toolchain.errors import BuildError
+from neuroflight.toolchain.files import write_text
+from neuroflight.toolchain.ir.float32 import Float32
 
 COMPILER = "arm-none-eabi-gcc"
 PACKAGE = "gcc-arm-none-eabi"  # the system's package that brings it

@@ -12,9 +12,9 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
-from toolchain.cortex_m7.disassembly import Instruction
-from toolchain.cortex_m7.llvm_mca import PricingError, block_cycles, pricer_version
-from toolchain.errors import BuildError
+from neuroflight.toolchain.cortex_m7.disassembly import Instruction
+from neuroflight.toolchain.cortex_m7.llvm_mca import PricingError, block_cycles, pricer_version
+from neuroflight.toolchain.errors import BuildError
 
 CORE_HZ = 216_000_000  # of the MATEKF722: firmware/hal/stm32f7/core/clock.h
 # llvm-mca knows memory without a wait. A register of a peripheral lies behind bridges, the slower of them at

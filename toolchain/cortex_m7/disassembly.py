@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from toolchain.errors import BuildError
+from neuroflight.toolchain.errors import BuildError
 
 DISASSEMBLER = "arm-none-eabi-objdump"
 PACKAGE = "binutils-arm-none-eabi"  # the system's package that brings it

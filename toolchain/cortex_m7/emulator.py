@@ -54,9 +54,9 @@ from unicorn.arm_const import (
     UC_CPU_ARM_CORTEX_M7,
 )
 
-from toolchain.contract import Region
-from toolchain.errors import BuildError, NeuroflightError
-from toolchain.files import file_size
+from neuroflight.toolchain.contract import Region
+from neuroflight.toolchain.errors import BuildError, NeuroflightError
+from neuroflight.toolchain.files import file_size
 
 ELF_BYTES_MAX = 64 << 20
 XPSR_THUMB = 1 << 24

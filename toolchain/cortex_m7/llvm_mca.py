@@ -21,8 +21,8 @@ import subprocess
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from toolchain.cortex_m7.disassembly import Instruction
-from toolchain.errors import BuildError
+from neuroflight.toolchain.cortex_m7.disassembly import Instruction
+from neuroflight.toolchain.errors import BuildError
 
 PRICER = "llvm-mca"
 PACKAGE = "llvm"  # the system's package that brings it

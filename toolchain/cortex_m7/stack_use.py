@@ -20,8 +20,8 @@ from pathlib import Path
 from elftools.elf.elffile import ELFFile
 from elftools.elf.sections import SymbolTableSection
 
-from toolchain.cortex_m7.disassembly import Instruction, disassemble
-from toolchain.errors import BuildError
+from neuroflight.toolchain.cortex_m7.disassembly import Instruction, disassemble
+from neuroflight.toolchain.errors import BuildError
 
 # What the core pushes before a handler: 8 words, the FPU's 18, and a word to align them (ARMv7-M B1.5.7).
 EXCEPTION_BYTES = 108

@@ -8,12 +8,17 @@ from pathlib import Path
 
 import numpy as np
 
-from toolchain.codegen.compiler import CompiledPolicy
-from toolchain.cortex_m7.arm_policy import ArmPolicy, build_policy_elf, compiler_version, state_bytes
-from toolchain.cortex_m7.cycles import CORE_HZ, Route, RouteCost, price_routes, route_of
-from toolchain.cortex_m7.disassembly import disassemble
-from toolchain.cortex_m7.emulator import CortexM7, load_program
-from toolchain.ir.float32 import Float32
+from neuroflight.toolchain.codegen.compiler import CompiledPolicy
+from neuroflight.toolchain.cortex_m7.arm_policy import (
+    ArmPolicy,
+    build_policy_elf,
+    compiler_version,
+    state_bytes,
+)
+from neuroflight.toolchain.cortex_m7.cycles import CORE_HZ, Route, RouteCost, price_routes, route_of
+from neuroflight.toolchain.cortex_m7.disassembly import disassemble
+from neuroflight.toolchain.cortex_m7.emulator import CortexM7, load_program
+from neuroflight.toolchain.ir.float32 import Float32
 
 STACK_ROUTES = 100  # whose stack is measured
 ONE_OF = 3  # observations in so many are of unit scale; as many of any scale, as many hold an extreme value

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import struct
 
-from toolchain.contract import (
+from neuroflight.toolchain.contract import (
     FLASH_BANK_A,
     FLASH_BASE,
     IMAGE_HEADER_OFFSET,

@@ -22,17 +22,17 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from toolchain import contract
-from toolchain.codegen.compiler import CompiledPolicy, compile_policy
-from toolchain.cortex_m7.arm_policy import ArmPolicy
-from toolchain.cortex_m7.emulator import load_program
-from toolchain.cortex_m7.stack_use import StackError, StackUse, stack_use
-from toolchain.cortex_m7.timing import Cost, mixed_observations, step_cost
-from toolchain.errors import BuildError, PolicyError
-from toolchain.files import locked, replacing, write_text, write_text_if_changed
-from toolchain.image.elf import FLASH, Image, image_budgets, memory_use, read_image
-from toolchain.image.fit import check_memories, policy_code, split
-from toolchain.image.report import (
+from neuroflight.toolchain import contract
+from neuroflight.toolchain.codegen.compiler import CompiledPolicy, compile_policy
+from neuroflight.toolchain.cortex_m7.arm_policy import ArmPolicy
+from neuroflight.toolchain.cortex_m7.emulator import load_program
+from neuroflight.toolchain.cortex_m7.stack_use import StackError, StackUse, stack_use
+from neuroflight.toolchain.cortex_m7.timing import Cost, mixed_observations, step_cost
+from neuroflight.toolchain.errors import BuildError, PolicyError
+from neuroflight.toolchain.files import locked, replacing, write_text, write_text_if_changed
+from neuroflight.toolchain.image.elf import FLASH, Image, image_budgets, memory_use, read_image
+from neuroflight.toolchain.image.fit import check_memories, policy_code, split
+from neuroflight.toolchain.image.report import (
     AircraftFacts,
     BuildReport,
     ImageSize,
@@ -42,10 +42,10 @@ from toolchain.image.report import (
     Stage,
     bank_images,
 )
-from toolchain.policy.check_stamp import Stamp
-from toolchain.policy.model import PolicyModel, read_policy
-from toolchain.rendering.contract_header import render_contract
-from toolchain.rendering.pid_table import PidTable, render_pid_table
+from neuroflight.toolchain.policy.check_stamp import Stamp
+from neuroflight.toolchain.policy.model import PolicyModel, read_policy
+from neuroflight.toolchain.rendering.contract_header import render_contract
+from neuroflight.toolchain.rendering.pid_table import PidTable, render_pid_table
 
 TARGETS_FOLDER = Path(__file__).resolve().parents[2] / "firmware" / "targets"
 BOARD_MEMORY = (contract.ITCM, contract.DTCM, contract.SRAM1, contract.SRAM2, FLASH)

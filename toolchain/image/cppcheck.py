@@ -1,4 +1,6 @@
-"""Runs cppcheck over the firmware's C, a policy's included: `python -m toolchain.image.cppcheck POLICY.onnx`.
+"""Runs cppcheck over the firmware's C, a policy's included.
+
+    python -m neuroflight.toolchain.image.cppcheck POLICY.onnx
 
 What it may not say stands in firmware/cppcheck.txt, with the reason for each.
 """
@@ -12,11 +14,11 @@ import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
-from toolchain.codegen.compiler import compile_policy
-from toolchain.errors import BuildError, NeuroflightError
-from toolchain.files import write_text
-from toolchain.policy.model import read_policy
-from toolchain.rendering.contract_header import render_contract
+from neuroflight.toolchain.codegen.compiler import compile_policy
+from neuroflight.toolchain.errors import BuildError, NeuroflightError
+from neuroflight.toolchain.files import write_text
+from neuroflight.toolchain.policy.model import read_policy
+from neuroflight.toolchain.rendering.contract_header import render_contract
 
 FIRMWARE = Path(__file__).resolve().parents[2] / "firmware"
 ANALYSER = "cppcheck"

@@ -1,4 +1,6 @@
-"""DfuSe files (ST UM0391), for USB DFU through the chip's ROM: `python -m toolchain.image.dfu ELF DFU`.
+"""DfuSe files (ST UM0391), for USB DFU through the chip's ROM.
+
+    python -m neuroflight.toolchain.image.dfu ELF DFU
 
 A file is a prefix, one target with an element for each segment, and the suffix of USB DFU 1.1 with its CRC.
 dfu-util and ST's own tools erase only sectors that an element touches, so that settings stay.
@@ -19,8 +21,8 @@ from typing import Protocol
 from elftools.common.exceptions import ELFError
 from elftools.elf.elffile import ELFFile
 
-from toolchain.errors import BuildError, NeuroflightError
-from toolchain.files import write_bytes
+from neuroflight.toolchain.errors import BuildError, NeuroflightError
+from neuroflight.toolchain.files import write_bytes
 
 VENDOR_ID, PRODUCT_ID = 0x0483, 0xDF11  # STMicroelectronics, device in DFU mode
 DEVICE_VERSION = 0xFFFF  # any

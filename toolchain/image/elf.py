@@ -11,7 +11,7 @@ from elftools.elf.constants import SH_FLAGS
 from elftools.elf.elffile import ELFFile
 from elftools.elf.sections import ARMAttributesSection, SymbolTableSection
 
-from toolchain.contract import (
+from neuroflight.toolchain.contract import (
     DTCM,
     FLASH_BANK_A,
     FLASH_BASE,
@@ -25,8 +25,8 @@ from toolchain.contract import (
     SRAM2,
     Region,
 )
-from toolchain.errors import BuildError
-from toolchain.files import file_size
+from neuroflight.toolchain.errors import BuildError
+from neuroflight.toolchain.files import file_size
 
 FLASH = Region("flash", FLASH_BASE, FLASH_BYTES)
 # As the linker script has them, which leaves the null page out.

@@ -5,7 +5,7 @@ consists of. Functions of the policy that find no room in its part of ITCM run f
 more slowly.
 Make calls this module for the linker's list of the others:
 
-    python -m toolchain.image.fit policy.o policy.ld
+    python -m neuroflight.toolchain.image.fit policy.o policy.ld
 """
 
 from __future__ import annotations
@@ -14,10 +14,10 @@ import sys
 from collections.abc import Iterable
 from pathlib import Path
 
-from toolchain import contract
-from toolchain.codegen.plan import Plan
-from toolchain.errors import BuildError, PolicyError
-from toolchain.image.elf import Section, read_image
+from neuroflight.toolchain import contract
+from neuroflight.toolchain.codegen.plan import Plan
+from neuroflight.toolchain.errors import BuildError, PolicyError
+from neuroflight.toolchain.image.elf import Section, read_image
 
 POLICY_ITCM_BYTES = 2816  # image.ld: POLICY_ITCM
 POLICY_CALLS_MAX, CALL_BYTES = 800, 32  # of kernels in a step; code that one takes in policy_step, about

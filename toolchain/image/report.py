@@ -9,13 +9,13 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from toolchain.contract import FLASH_BANKS, IDLE_MAX, Mix, image_header
-from toolchain.cortex_m7.cycles import CORE_HZ
-from toolchain.cortex_m7.stack_use import StackUse
-from toolchain.errors import BuildError, PolicyError
-from toolchain.files import file_size
-from toolchain.image.elf import MemoryUse, Section
-from toolchain.policy.check_stamp import Stamp, parse_stamp
+from neuroflight.toolchain.contract import FLASH_BANKS, IDLE_MAX, Mix, image_header
+from neuroflight.toolchain.cortex_m7.cycles import CORE_HZ
+from neuroflight.toolchain.cortex_m7.stack_use import StackUse
+from neuroflight.toolchain.errors import BuildError, PolicyError
+from neuroflight.toolchain.files import file_size
+from neuroflight.toolchain.image.elf import MemoryUse, Section
+from neuroflight.toolchain.policy.check_stamp import Stamp, parse_stamp
 
 if TYPE_CHECKING:
     from rich.console import Console

@@ -1,4 +1,6 @@
-"""Writes into a linked image what only the whole of it tells: `python -m toolchain.image.stamp ELF`.
+"""Writes into a linked image what only the whole of it tells.
+
+    python -m neuroflight.toolchain.image.stamp ELF
 
 The header (toolchain/contract/image_format.py) gets the bank that the image lies in, the number of its
 build and the CRC-32. The number is made of bank A's content and of the policy that comes with it in a slot,
@@ -18,7 +20,7 @@ from pathlib import Path
 from elftools.common.exceptions import ELFError
 from elftools.elf.elffile import ELFFile
 
-from toolchain.contract import (
+from neuroflight.toolchain.contract import (
     FLASH_BANKS,
     FLASH_POLICY_SLOTS,
     IMAGE_BUILD_BYTES,
@@ -28,7 +30,7 @@ from toolchain.contract import (
     image_field_offset,
     image_header,
 )
-from toolchain.errors import BuildError, NeuroflightError
+from neuroflight.toolchain.errors import BuildError, NeuroflightError
 
 
 @dataclass(frozen=True)

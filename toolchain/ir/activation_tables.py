@@ -31,7 +31,7 @@ from pathlib import Path
 
 import numpy as np
 
-from toolchain.ir.float32 import Float32, fma
+from neuroflight.toolchain.ir.float32 import Float32, fma
 
 
 @dataclass(frozen=True, eq=False)

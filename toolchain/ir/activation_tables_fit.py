@@ -1,4 +1,6 @@
-"""Fits activations by tables; `python -m toolchain.ir.activation_tables_fit` writes activation_tables.json.
+"""Fits activations by tables and writes them to activation_tables.json.
+
+    python -m neuroflight.toolchain.ir.activation_tables_fit
 
 The tables are part of every policy's bytes, so nothing here may differ from machine to machine. Reference
 values and fits are in `decimal` (its exp is correctly rounded), the search uses float32 and float64
@@ -23,8 +25,8 @@ from pathlib import Path
 
 import numpy as np
 
-from toolchain.files import write_text
-from toolchain.ir.float32 import Float32
+from neuroflight.toolchain.files import write_text
+from neuroflight.toolchain.ir.float32 import Float32
 
 PATH = Path(__file__).with_name("activation_tables.json")
 PI = Decimal("3.14159265358979323846264338327950288419716939937510582097494459")

@@ -12,10 +12,10 @@ from typing import Any, assert_never
 
 import numpy as np
 
-from toolchain.ir.float32 import Float32
-from toolchain.ir.float64_functions import Float64, erf, softplus
-from toolchain.ir.network import Network
-from toolchain.ir.operations import (
+from neuroflight.toolchain.ir.float32 import Float32
+from neuroflight.toolchain.ir.float64_functions import Float64, erf, softplus
+from neuroflight.toolchain.ir.network import Network
+from neuroflight.toolchain.ir.operations import (
     Add,
     Affine,
     Clip,

@@ -13,11 +13,11 @@ from typing import assert_never
 
 import numpy as np
 
-from toolchain.ir.activation_tables import ERF, EXPM1, SOFTPLUS, TANH, apply
-from toolchain.ir.float32 import Float32, fma
-from toolchain.ir.lanes import LANES
-from toolchain.ir.network import Network
-from toolchain.ir.operations import (
+from neuroflight.toolchain.ir.activation_tables import ERF, EXPM1, SOFTPLUS, TANH, apply
+from neuroflight.toolchain.ir.float32 import Float32, fma
+from neuroflight.toolchain.ir.lanes import LANES
+from neuroflight.toolchain.ir.network import Network
+from neuroflight.toolchain.ir.operations import (
     Add,
     Affine,
     Clip,

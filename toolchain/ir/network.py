@@ -10,7 +10,7 @@ from typing import Any, assert_never
 import numpy as np
 from numpy.typing import NDArray
 
-from toolchain.ir.operations import (
+from neuroflight.toolchain.ir.operations import (
     Activation,
     Add,
     Affine,

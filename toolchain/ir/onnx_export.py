@@ -13,9 +13,9 @@ import onnx
 from numpy.typing import ArrayLike, DTypeLike
 from onnx import helper, numpy_helper
 
-from toolchain.contract import POLICY_INPUT, POLICY_OUTPUT
-from toolchain.ir.network import Network, Node
-from toolchain.ir.operations import (
+from neuroflight.toolchain.contract import POLICY_INPUT, POLICY_OUTPUT
+from neuroflight.toolchain.ir.network import Network, Node
+from neuroflight.toolchain.ir.operations import (
     Add,
     Affine,
     Clip,

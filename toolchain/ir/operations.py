@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from toolchain.ir.float32 import Float32
+from neuroflight.toolchain.ir.float32 import Float32
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,8 +10,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, assert_never
 
-from toolchain.ir.network import Network, arrays, multiply_adds
-from toolchain.ir.operations import (
+from neuroflight.toolchain.ir.network import Network, arrays, multiply_adds
+from neuroflight.toolchain.ir.operations import (
     Add,
     Affine,
     Clip,
@@ -36,14 +36,14 @@ from toolchain.ir.operations import (
     Softsign,
     Tanh,
 )
-from toolchain.passes.affine import fold_affine, lower_sigmoid, merge_affine, move_affine, rounded
-from toolchain.passes.bounds import drop_bounds, fold_constants
-from toolchain.passes.matrices import merge_linear
-from toolchain.passes.shape import drop_identities, share_equal, simplify_slices
-from toolchain.passes.unread import drop_unread
+from neuroflight.toolchain.passes.affine import fold_affine, lower_sigmoid, merge_affine, move_affine, rounded
+from neuroflight.toolchain.passes.bounds import drop_bounds, fold_constants
+from neuroflight.toolchain.passes.matrices import merge_linear
+from neuroflight.toolchain.passes.shape import drop_identities, share_equal, simplify_slices
+from neuroflight.toolchain.passes.unread import drop_unread
 
 if TYPE_CHECKING:
-    from toolchain.passes.equivalence import Equivalence
+    from neuroflight.toolchain.passes.equivalence import Equivalence
 
 FLOAT_BYTES = 4
 
@@ -156,7 +156,7 @@ def _add(old: Saving | None, name: str, before: Network, after: Network, prove: 
     less, now = size(before), size(after)
     proof = None if old is None else old.proof
     if prove:
-        from toolchain.passes.equivalence import check_equivalence
+        from neuroflight.toolchain.passes.equivalence import check_equivalence
 
         fresh = check_equivalence(before, after, name)
         proof = fresh if proof is None else proof.worst(fresh)

@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from toolchain.errors import PolicyError
-from toolchain.ir.float32 import Float32
-from toolchain.ir.network import Network, Node
-from toolchain.ir.operations import (
+from neuroflight.toolchain.errors import PolicyError
+from neuroflight.toolchain.ir.float32 import Float32
+from neuroflight.toolchain.ir.network import Network, Node
+from neuroflight.toolchain.ir.operations import (
     Affine,
     Concat,
     Gru,
@@ -25,7 +25,7 @@ from toolchain.ir.operations import (
     Slice,
     Tanh,
 )
-from toolchain.passes.rewrite import Draft, absorbed, rewrite
+from neuroflight.toolchain.passes.rewrite import Draft, absorbed, rewrite
 
 
 def merge_affine(network: Network) -> Network:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from toolchain.ir.intervals import clip_bounds, value_intervals
-from toolchain.ir.network import Network, Node
-from toolchain.ir.operations import Clip, Elu, LeakyRelu, Relu
-from toolchain.passes.affine import input_matrix, with_input
-from toolchain.passes.rewrite import Draft, rewrite
+from neuroflight.toolchain.ir.intervals import clip_bounds, value_intervals
+from neuroflight.toolchain.ir.network import Network, Node
+from neuroflight.toolchain.ir.operations import Clip, Elu, LeakyRelu, Relu
+from neuroflight.toolchain.passes.affine import input_matrix, with_input
+from neuroflight.toolchain.passes.rewrite import Draft, rewrite
 
 
 def drop_bounds(network: Network) -> Network:

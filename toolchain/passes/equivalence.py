@@ -14,11 +14,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from toolchain.contract import POLICY_INPUT, POLICY_OUTPUT
-from toolchain.ir.float32 import Float32
-from toolchain.ir.float64_reference import reference
-from toolchain.ir.network import Network
-from toolchain.ir.onnx_export import NEW_STATE, STATE, to_model
+from neuroflight.toolchain.contract import POLICY_INPUT, POLICY_OUTPUT
+from neuroflight.toolchain.ir.float32 import Float32
+from neuroflight.toolchain.ir.float64_reference import reference
+from neuroflight.toolchain.ir.network import Network
+from neuroflight.toolchain.ir.onnx_export import NEW_STATE, STATE, to_model
 
 BOUND = 1e-6  # of an action, for observations of at most 1
 ROUNDING = 16  # times what rounding does to one of the two may separate them

@@ -6,10 +6,10 @@ from itertools import pairwise
 
 import numpy as np
 
-from toolchain.ir.network import Network, Node
-from toolchain.ir.operations import Add, Concat, Gru, Linear, Lstm
-from toolchain.passes.affine import input_matrix, rounded, with_input
-from toolchain.passes.rewrite import Draft, rewrite
+from neuroflight.toolchain.ir.network import Network, Node
+from neuroflight.toolchain.ir.operations import Add, Concat, Gru, Linear, Lstm
+from neuroflight.toolchain.passes.affine import input_matrix, rounded, with_input
+from neuroflight.toolchain.passes.rewrite import Draft, rewrite
 
 
 def merge_linear(network: Network) -> Network:

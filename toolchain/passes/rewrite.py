@@ -6,8 +6,8 @@ from collections import defaultdict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
-from toolchain.ir.network import OBSERVATION, Network, Node, output_width, sweep, use_counts
-from toolchain.ir.operations import Affine, Concat, Gru, Linear, Lstm, Operation, Slice
+from neuroflight.toolchain.ir.network import OBSERVATION, Network, Node, output_width, sweep, use_counts
+from neuroflight.toolchain.ir.operations import Affine, Concat, Gru, Linear, Lstm, Operation, Slice
 
 
 @dataclass

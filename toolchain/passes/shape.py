@@ -7,8 +7,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from toolchain.ir.network import Network, Node
-from toolchain.ir.operations import (
+from neuroflight.toolchain.ir.network import Network, Node
+from neuroflight.toolchain.ir.operations import (
     Add,
     Affine,
     Clip,
@@ -19,7 +19,7 @@ from toolchain.ir.operations import (
     Operation,
     Slice,
 )
-from toolchain.passes.rewrite import Draft, rewrite
+from neuroflight.toolchain.passes.rewrite import Draft, rewrite
 
 
 def share_equal(network: Network) -> Network:

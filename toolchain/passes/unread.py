@@ -8,8 +8,8 @@ from typing import assert_never
 import numpy as np
 from numpy.typing import NDArray
 
-from toolchain.ir.network import OBSERVATION, Network, Node, sweep
-from toolchain.ir.operations import (
+from neuroflight.toolchain.ir.network import OBSERVATION, Network, Node, sweep
+from neuroflight.toolchain.ir.operations import (
     Affine,
     Concat,
     Elementwise,

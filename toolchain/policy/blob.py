@@ -15,12 +15,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from toolchain import contract
-from toolchain.contract import Mix, ObservationBlock, ObservationTerm
-from toolchain.errors import PolicyError
-from toolchain.ir.float32 import Float32
-from toolchain.policy.model import AIRCRAFT_NAME, SHA256
-from toolchain.policy.model_constants import ModelConstants
+from neuroflight.toolchain import contract
+from neuroflight.toolchain.contract import Mix, ObservationBlock, ObservationTerm
+from neuroflight.toolchain.errors import PolicyError
+from neuroflight.toolchain.ir.float32 import Float32
+from neuroflight.toolchain.policy.model import AIRCRAFT_NAME, SHA256
+from neuroflight.toolchain.policy.model_constants import ModelConstants
 
 HEADER = struct.Struct(contract.POLICY_BLOB_HEADER_FORMAT)
 CRC = struct.Struct("<I")

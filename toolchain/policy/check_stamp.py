@@ -15,8 +15,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from toolchain.errors import PolicyError
-from toolchain.files import file_size, write_text
+from neuroflight.toolchain.errors import PolicyError
+from neuroflight.toolchain.files import file_size, write_text
 
 RULES = 2  # of training/fitness: counted up with every change of its bars or of what is flown
 FORMAT = "neuroflight policy check"

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import onnx
 from onnx import TensorProto
 
-from toolchain.errors import PolicyError
-from toolchain.policy.foreign_model import listed
-from toolchain.reader.values import WIDTH_MAX, Row, Unread, Value, shown
+from neuroflight.toolchain.errors import PolicyError
+from neuroflight.toolchain.policy.foreign_model import listed
+from neuroflight.toolchain.reader.values import WIDTH_MAX, Row, Unread, Value, shown
 
 ACTIONS = (  # names that exporters give the action beside a critic or a standard deviation
     "act",

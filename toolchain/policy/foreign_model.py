@@ -9,10 +9,10 @@ import numpy as np
 import onnx
 from onnx import helper, numpy_helper
 
-from toolchain.errors import PolicyError
-from toolchain.reader.checks import FILE_NODES_MAX, OPSET_MIN, opset
-from toolchain.reader.constants import TYPES
-from toolchain.reader.values import STANDARD_DOMAINS, WIDTH_MAX, label, shown
+from neuroflight.toolchain.errors import PolicyError
+from neuroflight.toolchain.reader.checks import FILE_NODES_MAX, OPSET_MIN, opset
+from neuroflight.toolchain.reader.constants import TYPES
+from neuroflight.toolchain.reader.values import STANDARD_DOMAINS, WIDTH_MAX, label, shown
 
 WORDS_MAX = 160  # characters of what onnx says
 FUNCTIONS_DEPTH_MAX = 32  # of functions that call functions

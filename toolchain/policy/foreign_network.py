@@ -10,16 +10,25 @@ from dataclasses import dataclass
 import numpy as np
 import onnx
 
-from toolchain.contract import POLICY_INPUT, POLICY_OUTPUT
-from toolchain.errors import PolicyError
-from toolchain.ir.network import OBSERVATION, Network, Node, sweep
-from toolchain.ir.operations import Concat, Lstm, Recurrent, Slice
-from toolchain.policy.foreign_ends import Ends, computed, find_action, find_states, input_shapes
-from toolchain.policy.foreign_model import keep_outputs, listed
-from toolchain.reader.cells import Cell, find_cells
-from toolchain.reader.graph import read_nodes
-from toolchain.reader.recurrent import GATE_OPEN
-from toolchain.reader.values import MULTIPLY_ADDS_MAX, Builder, Row, Unread, Value, label, printable, shown
+from neuroflight.toolchain.contract import POLICY_INPUT, POLICY_OUTPUT
+from neuroflight.toolchain.errors import PolicyError
+from neuroflight.toolchain.ir.network import OBSERVATION, Network, Node, sweep
+from neuroflight.toolchain.ir.operations import Concat, Lstm, Recurrent, Slice
+from neuroflight.toolchain.policy.foreign_ends import Ends, computed, find_action, find_states, input_shapes
+from neuroflight.toolchain.policy.foreign_model import keep_outputs, listed
+from neuroflight.toolchain.reader.cells import Cell, find_cells
+from neuroflight.toolchain.reader.graph import read_nodes
+from neuroflight.toolchain.reader.recurrent import GATE_OPEN
+from neuroflight.toolchain.reader.values import (
+    MULTIPLY_ADDS_MAX,
+    Builder,
+    Row,
+    Unread,
+    Value,
+    label,
+    printable,
+    shown,
+)
 
 CRITICS = 8  # times a policy's size limit: all outputs are read before the action is known
 

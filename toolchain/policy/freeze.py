@@ -19,10 +19,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from toolchain import contract
-from toolchain.errors import PolicyError
-from toolchain.policy.freeze_memory import KINDS, Memory
-from toolchain.policy.plain_checkpoint import ANOTHER_TRAINER, load_plain
+from neuroflight.toolchain import contract
+from neuroflight.toolchain.errors import PolicyError
+from neuroflight.toolchain.policy.freeze_memory import KINDS, Memory
+from neuroflight.toolchain.policy.plain_checkpoint import ANOTHER_TRAINER, load_plain
 
 OPSET, IR_VERSION = 17, 8  # old enough for every runtime in use, new enough for every operator here
 ACTIVATIONS = {"tanh": "Tanh", "relu": "Relu"}
@@ -68,7 +68,7 @@ def freeze(checkpoint: Path, out: Path, *, fold: bool = True) -> None:
 
     fold: as of `to_onnx`.
     """
-    from toolchain.files import write_bytes
+    from neuroflight.toolchain.files import write_bytes
 
     config, state, progress = load_checkpoint(checkpoint)
     try:
@@ -122,7 +122,7 @@ def to_onnx(
     import onnx
     from onnx import TensorProto, helper, numpy_helper
 
-    from toolchain.policy.model import parse_policy
+    from neuroflight.toolchain.policy.model import parse_policy
 
     frozen = _frozen_config(config)
     inputs = len(frozen.observation_scale)

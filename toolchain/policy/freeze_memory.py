@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from toolchain.errors import PolicyError
+from neuroflight.toolchain.errors import PolicyError
 
 Matrix = NDArray[np.float64]
 # Where ONNX has the gates of torch's rows: update, reset, new; input, output, forget, cell.

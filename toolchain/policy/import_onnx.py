@@ -13,22 +13,22 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from toolchain import contract
-from toolchain.errors import PolicyError
-from toolchain.files import file_size, write_bytes
-from toolchain.policy.file_kind import foreign_kind
-from toolchain.policy.model import PolicyModel, parse_model, parse_policy, read_file
-from toolchain.policy.model_constants import ModelConstants
-from toolchain.reader.checks import check_parts
-from toolchain.reader.external import embed_weights
+from neuroflight.toolchain import contract
+from neuroflight.toolchain.errors import PolicyError
+from neuroflight.toolchain.files import file_size, write_bytes
+from neuroflight.toolchain.policy.file_kind import foreign_kind
+from neuroflight.toolchain.policy.model import PolicyModel, parse_model, parse_policy, read_file
+from neuroflight.toolchain.policy.model_constants import ModelConstants
+from neuroflight.toolchain.reader.checks import check_parts
+from neuroflight.toolchain.reader.external import embed_weights
 
 if TYPE_CHECKING:
     import onnx
 
-    from toolchain.policy.foreign_network import Adopted
+    from neuroflight.toolchain.policy.foreign_network import Adopted
 
     Proof = Callable[[bytes, Adopted], str]  # of the model's bytes; raises PolicyError where they differ
-    from toolchain.policy.output_map import OutputRange
+    from neuroflight.toolchain.policy.output_map import OutputRange
 
 CHECKPOINT_STARTS = (b"PK", b"\x80")  # torch's zip archive and the pickle it wrote before
 
@@ -136,9 +136,9 @@ def imported_model(
     prove: Proof | None = None,
 ) -> tuple[bytes, Sequence[str]]:
     """The bytes of the policy, and what was changed. Raises PolicyError where it cannot be read back."""
-    from toolchain.ir.onnx_export import to_model
-    from toolchain.policy.foreign_ends import Ends
-    from toolchain.policy.foreign_model import (
+    from neuroflight.toolchain.ir.onnx_export import to_model
+    from neuroflight.toolchain.policy.foreign_ends import Ends
+    from neuroflight.toolchain.policy.foreign_model import (
         convert_opset,
         fix_inputs,
         give_shapes,
@@ -146,10 +146,10 @@ def imported_model(
         keep_outputs,
         lower_scalers,
     )
-    from toolchain.policy.foreign_network import read_foreign
-    from toolchain.policy.output_map import clip_output, map_output
-    from toolchain.reader.checks import check_model
-    from toolchain.reader.output_range import UnboundedError, bounded
+    from neuroflight.toolchain.policy.foreign_network import read_foreign
+    from neuroflight.toolchain.policy.output_map import clip_output, map_output
+    from neuroflight.toolchain.reader.checks import check_model
+    from neuroflight.toolchain.reader.output_range import UnboundedError, bounded
 
     model, changes = parse_model(data), list[str]()
     check_parts(model, functions=True)
@@ -202,7 +202,7 @@ def _float64(model: onnx.ModelProto) -> str:
     """Describe what a model has in float64; "" if nothing."""
     from onnx import TensorProto
 
-    from toolchain.policy.foreign_model import listed
+    from neuroflight.toolchain.policy.foreign_model import listed
 
     names = [v.name for v in model.graph.input if v.type.tensor_type.elem_type == TensorProto.DOUBLE]
     names += [tensor.name for tensor in model.graph.initializer if tensor.data_type == TensorProto.DOUBLE]

@@ -13,13 +13,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
-from toolchain import contract
-from toolchain.contract import Mix, ObservationTerm
-from toolchain.errors import PolicyError
-from toolchain.files import file_size
-from toolchain.ir.network import Network
-from toolchain.policy.file_kind import foreign_kind
-from toolchain.policy.model_constants import ModelConstants
+from neuroflight.toolchain import contract
+from neuroflight.toolchain.contract import Mix, ObservationTerm
+from neuroflight.toolchain.errors import PolicyError
+from neuroflight.toolchain.files import file_size
+from neuroflight.toolchain.ir.network import Network
+from neuroflight.toolchain.policy.file_kind import foreign_kind
+from neuroflight.toolchain.policy.model_constants import ModelConstants
 
 if TYPE_CHECKING:
     import onnx
@@ -98,7 +98,7 @@ def read_file(path: Path) -> bytes:
 
 def parse_policy(data: bytes) -> PolicyModel:
     """The policy in the bytes of an ONNX file. Raises PolicyError, one line, without the file's name."""
-    from toolchain.reader.graph import read_network
+    from neuroflight.toolchain.reader.graph import read_network
 
     model = parse_model(data)
     metadata = {entry.key: entry.value for entry in model.metadata_props if isinstance(entry.key, str)}

@@ -13,7 +13,7 @@ from dataclasses import asdict, dataclass, fields
 
 import numpy as np
 
-from toolchain import contract
+from neuroflight.toolchain import contract
 
 Rows = tuple[tuple[float, ...], tuple[float, ...], tuple[float, ...]]
 UNLIMITED = contract.MODEL_NUMBER_MAX  # [rad/s], of a rotor whose speed may change by anything in a step

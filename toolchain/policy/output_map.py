@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from toolchain.errors import PolicyError
-from toolchain.ir.float64_reference import reference
-from toolchain.ir.network import Network, Node
-from toolchain.ir.operations import Affine, Clip
-from toolchain.reader.output_range import meant_range, shown_range
+from neuroflight.toolchain.errors import PolicyError
+from neuroflight.toolchain.ir.float64_reference import reference
+from neuroflight.toolchain.ir.network import Network, Node
+from neuroflight.toolchain.ir.operations import Affine, Clip
+from neuroflight.toolchain.reader.output_range import meant_range, shown_range
 
 SAMPLES = 400  # observations of unit scale, on which the Clip's effect is counted
 HELD = 0.05  # share of outputs at the Clip's limits above which freeze warns

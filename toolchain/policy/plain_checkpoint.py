@@ -21,10 +21,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from toolchain import contract
-from toolchain.errors import PolicyError
-from toolchain.files import file_size
-from toolchain.policy.file_kind import TORCH_EXPORT, foreign_kind
+from neuroflight.toolchain import contract
+from neuroflight.toolchain.errors import PolicyError
+from neuroflight.toolchain.files import file_size
+from neuroflight.toolchain.policy.file_kind import TORCH_EXPORT, foreign_kind
 
 ANOTHER_TRAINER = f"if it is of another trainer, {TORCH_EXPORT}"
 ENTRIES_MAX = 4096  # of the archive: a storage each; a training has some dozens

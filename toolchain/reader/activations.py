@@ -18,7 +18,7 @@ import math
 
 import numpy as np
 
-from toolchain.ir.operations import (
+from neuroflight.toolchain.ir.operations import (
     Add,
     Clip,
     Elu,
@@ -33,8 +33,8 @@ from toolchain.ir.operations import (
     Softplus,
     Tanh,
 )
-from toolchain.reader.arithmetic import constant_row, mapped
-from toolchain.reader.values import Builder, Call, Row, joint_shape
+from neuroflight.toolchain.reader.arithmetic import constant_row, mapped
+from neuroflight.toolchain.reader.values import Builder, Call, Row, joint_shape
 
 GELU_CUBE = 0.044715  # of GELU's tanh form, in ONNX as in torch and JAX
 # ONNX's defaults, the float32 nearest to Klambauer et al.'s numbers.

@@ -7,9 +7,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from toolchain.ir.operations import Add, Affine, Clip, Linear, Multiply, Sigmoid, Silu, Tanh
-from toolchain.reader.constants import CONSTANT_STATE
-from toolchain.reader.values import Array, Builder, Call, Row, joint_shape
+from neuroflight.toolchain.ir.operations import Add, Affine, Clip, Linear, Multiply, Sigmoid, Silu, Tanh
+from neuroflight.toolchain.reader.constants import CONSTANT_STATE
+from neuroflight.toolchain.reader.values import Array, Builder, Call, Row, joint_shape
 
 Float64 = NDArray[np.float64]
 

@@ -19,8 +19,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from toolchain.ir.network import Node
-from toolchain.ir.operations import (
+from neuroflight.toolchain.ir.network import Node
+from neuroflight.toolchain.ir.operations import (
     Add,
     Affine,
     Concat,
@@ -33,7 +33,7 @@ from toolchain.ir.operations import (
     Slice,
     Tanh,
 )
-from toolchain.reader.recurrent import GATE_OPEN, plain_cell
+from neuroflight.toolchain.reader.recurrent import GATE_OPEN, plain_cell
 
 TERMS_MAX = 16  # of a polynomial; a cell's new state has three
 STEPS_MAX = 400  # in one cell's search; each may be a level of recursion, an LSTM takes some 60

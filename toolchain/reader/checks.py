@@ -7,12 +7,12 @@ from collections.abc import Iterator, Set
 import onnx
 from onnx import TensorProto
 
-from toolchain.contract import POLICY_INPUT, POLICY_OUTPUT
-from toolchain.errors import PolicyError
-from toolchain.reader.constants import TYPES
-from toolchain.reader.operators import COMPUTING
-from toolchain.reader.origin import check_origin
-from toolchain.reader.values import NODES_MAX, STANDARD_DOMAINS, label, shown
+from neuroflight.toolchain.contract import POLICY_INPUT, POLICY_OUTPUT
+from neuroflight.toolchain.errors import PolicyError
+from neuroflight.toolchain.reader.constants import TYPES
+from neuroflight.toolchain.reader.operators import COMPUTING
+from neuroflight.toolchain.reader.origin import check_origin
+from neuroflight.toolchain.reader.values import NODES_MAX, STANDARD_DOMAINS, label, shown
 
 OPSET_MIN = 13  # the oldest that torch still writes; since then axes and bounds are inputs
 FILE_NODES_MAX = 4 * NODES_MAX  # constants and shapes included

@@ -7,9 +7,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from toolchain.ir.operations import Add, Affine, Operation, Select, Softplus
-from toolchain.reader.arithmetic import constant_row, mapped
-from toolchain.reader.values import Array, Builder, Call, Condition, Row, Value, joint_shape
+from neuroflight.toolchain.ir.operations import Add, Affine, Operation, Select, Softplus
+from neuroflight.toolchain.reader.arithmetic import constant_row, mapped
+from neuroflight.toolchain.reader.values import Array, Builder, Call, Condition, Row, Value, joint_shape
 
 # Above it log(1 + e^x) rounds to x: the difference e^-16 is 1 / 9 of a float32's last place at 16.
 SOFTPLUS_STRAIGHT = 16.0

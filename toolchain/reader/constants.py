@@ -14,8 +14,8 @@ import numpy as np
 import onnx
 from onnx import TensorProto, numpy_helper
 
-from toolchain.errors import PolicyError
-from toolchain.reader.values import Array, Call, Row, Unread
+from neuroflight.toolchain.errors import PolicyError
+from neuroflight.toolchain.reader.values import Array, Call, Row, Unread
 
 ELEMENTS_MAX = 1 << 18  # of a folded constant: more than a policy has weights
 TYPES: dict[int, type[np.generic]] = {

@@ -8,8 +8,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from toolchain.reader.arithmetic import linear
-from toolchain.reader.values import Builder, Call, Row
+from neuroflight.toolchain.reader.arithmetic import linear
+from neuroflight.toolchain.reader.values import Builder, Call, Row
 
 PADDED_MAX = 1 << 16  # values with the zeros around them, which also bounds the kernel
 

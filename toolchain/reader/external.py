@@ -8,10 +8,10 @@ from pathlib import Path
 import onnx
 from onnx import TensorProto
 
-from toolchain.contract import POLICY_FILE_BYTES_MAX
-from toolchain.errors import PolicyError
-from toolchain.files import file_size
-from toolchain.reader.values import shown
+from neuroflight.toolchain.contract import POLICY_FILE_BYTES_MAX
+from neuroflight.toolchain.errors import PolicyError
+from neuroflight.toolchain.files import file_size
+from neuroflight.toolchain.reader.values import shown
 
 
 def embed_weights(model: onnx.ModelProto, folder: Path) -> list[str]:

@@ -9,15 +9,21 @@ import numpy as np
 import onnx
 from onnx import TensorProto, helper, numpy_helper
 
-from toolchain.contract import POLICY_INPUT, POLICY_OUTPUT
-from toolchain.errors import PolicyError
-from toolchain.ir.network import Network, Node
-from toolchain.reader.checks import action_width, check_model, observation_width, opset, unsupported
-from toolchain.reader.constants import array, fold
-from toolchain.reader.operators import KNOWN, OPERATORS
-from toolchain.reader.output_range import bounded
-from toolchain.reader.patterns import STARTS, computed, read_pattern
-from toolchain.reader.values import (
+from neuroflight.toolchain.contract import POLICY_INPUT, POLICY_OUTPUT
+from neuroflight.toolchain.errors import PolicyError
+from neuroflight.toolchain.ir.network import Network, Node
+from neuroflight.toolchain.reader.checks import (
+    action_width,
+    check_model,
+    observation_width,
+    opset,
+    unsupported,
+)
+from neuroflight.toolchain.reader.constants import array, fold
+from neuroflight.toolchain.reader.operators import KNOWN, OPERATORS
+from neuroflight.toolchain.reader.output_range import bounded
+from neuroflight.toolchain.reader.patterns import STARTS, computed, read_pattern
+from neuroflight.toolchain.reader.values import (
     WIDTH_MAX,
     Builder,
     Call,

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from onnx import TensorProto
 
-from toolchain.ir.operations import (
+from neuroflight.toolchain.ir.operations import (
     Add,
     Clip,
     Concat,
@@ -27,7 +27,7 @@ from toolchain.ir.operations import (
     Softsign,
     Tanh,
 )
-from toolchain.reader.activations import (
+from neuroflight.toolchain.reader.activations import (
     read_celu,
     read_gelu,
     read_hard_sigmoid,
@@ -40,7 +40,7 @@ from toolchain.reader.activations import (
     read_swish,
     read_thresholded,
 )
-from toolchain.reader.arithmetic import (
+from neuroflight.toolchain.reader.arithmetic import (
     constant_row,
     mapped,
     read_arithmetic,
@@ -50,12 +50,21 @@ from toolchain.reader.arithmetic import (
     read_reduction,
     read_sum,
 )
-from toolchain.reader.conditions import CONDITIONS, read_mask, read_where
-from toolchain.reader.constants import FOLDED, MOVES, apply
-from toolchain.reader.convolution import read_conv
-from toolchain.reader.patterns import ONLY_INSIDE, STARTS
-from toolchain.reader.recurrent import read_gru, read_lstm, read_rnn
-from toolchain.reader.values import WIDTH_MAX, Builder, Call, Condition, Row, Unread, Value, joint_shape
+from neuroflight.toolchain.reader.conditions import CONDITIONS, read_mask, read_where
+from neuroflight.toolchain.reader.constants import FOLDED, MOVES, apply
+from neuroflight.toolchain.reader.convolution import read_conv
+from neuroflight.toolchain.reader.patterns import ONLY_INSIDE, STARTS
+from neuroflight.toolchain.reader.recurrent import read_gru, read_lstm, read_rnn
+from neuroflight.toolchain.reader.values import (
+    WIDTH_MAX,
+    Builder,
+    Call,
+    Condition,
+    Row,
+    Unread,
+    Value,
+    joint_shape,
+)
 
 Reader = Callable[[Builder, Call], Value | tuple[Value, ...]]
 

@@ -8,8 +8,8 @@ from collections.abc import Iterator
 import onnx
 from onnx import TensorProto
 
-from toolchain.errors import PolicyError
-from toolchain.reader.values import STANDARD_DOMAINS, label, shown
+from neuroflight.toolchain.errors import PolicyError
+from neuroflight.toolchain.reader.values import STANDARD_DOMAINS, label, shown
 
 QUANTIZED = re.compile(
     r".*Quantize.*|QLinear.*|QGemm|QAttention|.*Integer(ToFloat)?|.*NBits|.*BnB4|(Bipolar|Int)?Quant"

@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import math
 
-from toolchain.errors import PolicyError
-from toolchain.ir.intervals import value_intervals
-from toolchain.ir.network import Network, Node
-from toolchain.ir.operations import Clip, Operation
+from neuroflight.toolchain.errors import PolicyError
+from neuroflight.toolchain.ir.intervals import value_intervals
+from neuroflight.toolchain.ir.network import Network, Node
+from neuroflight.toolchain.ir.operations import Clip, Operation
 
 
 class UnboundedError(PolicyError):

@@ -16,9 +16,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from toolchain.ir.operations import LayerNorm, Multiply, Norm, RmsNorm, Select, Softsign
-from toolchain.reader.arithmetic import Float64, linear, mapped, reduced_axes
-from toolchain.reader.values import Array, Builder, Call, Part, Row, Value
+from neuroflight.toolchain.ir.operations import LayerNorm, Multiply, Norm, RmsNorm, Select, Softsign
+from neuroflight.toolchain.reader.arithmetic import Float64, linear, mapped, reduced_axes
+from neuroflight.toolchain.reader.values import Array, Builder, Call, Part, Row, Value
 
 ABSOLUTE, ABSOLUTE_AND_ONE = "|x|", "1 + |x|"
 MEAN, DISTANCE, SQUARE, VARIANCE = "the mean", "x - mean", "(x - mean)^2", "the variance"

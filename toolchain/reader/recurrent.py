@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from toolchain.ir.float32 import Float32
-from toolchain.ir.operations import (
+from neuroflight.toolchain.ir.float32 import Float32
+from neuroflight.toolchain.ir.operations import (
     Add,
     Affine,
     Gru,
@@ -25,7 +25,7 @@ from toolchain.ir.operations import (
     Slice,
     Tanh,
 )
-from toolchain.reader.values import Builder, Call, Row, Unread, Value, shown
+from neuroflight.toolchain.reader.values import Builder, Call, Row, Unread, Value, shown
 
 SEQUENCE_LENGTHS, INITIAL_H, INITIAL_C, PEEPHOLES = 4, 5, 6, 7  # places of inputs
 STATES = {INITIAL_H: "h", INITIAL_C: "c"}

@@ -15,10 +15,10 @@ import numpy as np
 import onnx
 from numpy.typing import NDArray
 
-from toolchain.errors import PolicyError
-from toolchain.ir.float32 import Float32
-from toolchain.ir.network import Node, multiply_adds, output_width
-from toolchain.ir.operations import Concat, Operation, Slice
+from neuroflight.toolchain.errors import PolicyError
+from neuroflight.toolchain.ir.float32 import Float32
+from neuroflight.toolchain.ir.network import Node, multiply_adds, output_width
+from neuroflight.toolchain.ir.operations import Concat, Operation, Slice
 
 NODES_MAX = 1024  # a policy has some tens
 WIDTH_MAX = 4096

@@ -1,4 +1,6 @@
-"""Renders the contract as the C header nf_contract.h: `python -m toolchain.rendering.contract_header FILE`.
+"""Renders the contract as the C header nf_contract.h.
+
+    python -m neuroflight.toolchain.rendering.contract_header FILE
 
 Every public constant of the contract becomes `NF_<NAME>`: integers as they are, floats with an f
 suffix, strings quoted, tuples as initializers with a `_COUNT`, memory regions as `_ADDRESS` and `_SIZE`
@@ -16,9 +18,9 @@ from enum import IntEnum
 from functools import cache
 from pathlib import Path
 
-from toolchain import contract
-from toolchain.rendering.jinja import render
-from toolchain.rendering.msp_fields import render_configurations
+from neuroflight.toolchain import contract
+from neuroflight.toolchain.rendering.jinja import render
+from neuroflight.toolchain.rendering.msp_fields import render_configurations
 
 # What only Python speaks: the metadata of an ONNX file, a torch checkpoint, names for printing, where
 # switches are by default.
@@ -245,6 +247,6 @@ def _enumeration(name: str, prefix: str, source: type[IntEnum], names: str = "")
 
 
 if __name__ == "__main__":
-    from toolchain.files import write_text
+    from neuroflight.toolchain.files import write_text
 
     write_text(Path(sys.argv[1]), render_contract())

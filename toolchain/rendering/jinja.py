@@ -10,7 +10,7 @@ import jinja2
 @cache
 def _environment() -> jinja2.Environment:
     return jinja2.Environment(
-        loader=jinja2.PackageLoader("toolchain.rendering"),
+        loader=jinja2.PackageLoader("neuroflight.toolchain.rendering"),
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,

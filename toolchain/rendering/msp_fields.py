@@ -9,8 +9,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from toolchain import contract
-from toolchain.contract import Bound, MspField, MspHow, MspLayout
+from neuroflight.toolchain import contract
+from neuroflight.toolchain.contract import Bound, MspField, MspHow, MspLayout
 
 WIDTHS = {
     "u8": "1, 0",

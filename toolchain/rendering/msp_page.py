@@ -1,4 +1,4 @@
-"""Renders the contract's messages as docs/msp.md: `python -m toolchain.rendering.msp_page FILE`.
+"""Renders the contract's messages as docs/msp.md: `python -m neuroflight.toolchain.rendering.msp_page FILE`.
 
 The prose stands in templates/msp_page.md.j2; the commands of the command line are read from the firmware's
 table.
@@ -10,7 +10,7 @@ import re
 import sys
 from pathlib import Path
 
-from toolchain.contract import (
+from neuroflight.toolchain.contract import (
     ARMING_FLAG_FAILSAFE,
     ARMING_FLAG_SWITCH,
     ARMING_FLAGS,
@@ -39,9 +39,9 @@ from toolchain.contract import (
     StopCause,
     Task,
 )
-from toolchain.contract.msp_access import Access, MspWhen, access_of, acknowledge_access
-from toolchain.files import write_text
-from toolchain.rendering.jinja import render
+from neuroflight.toolchain.contract.msp_access import Access, MspWhen, access_of, acknowledge_access
+from neuroflight.toolchain.files import write_text
+from neuroflight.toolchain.rendering.jinja import render
 
 PROSE = "msp_page.md.j2"
 COMMANDS = Path(__file__).resolve().parents[2] / "firmware" / "src" / "command_line" / "command.c"

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from toolchain.contract import Mix
-from toolchain.rendering.jinja import render
+from neuroflight.toolchain.contract import Mix
+from neuroflight.toolchain.rendering.jinja import render
 
 SCALE = 1e-3  # motor fraction of one unit of the sum in deg/s; Koch 2019, ch. 5, after Betaflight's mixer
 INTEGRAL_OUTPUT_MAX = 1.0  # motor fraction that the integral alone may ask for

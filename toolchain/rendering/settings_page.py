@@ -1,4 +1,6 @@
-"""Renders the contract's SETTINGS as docs/settings.md: `python -m toolchain.rendering.settings_page FILE`.
+"""Renders the contract's SETTINGS as docs/settings.md.
+
+    python -m neuroflight.toolchain.rendering.settings_page FILE
 
 The prose stands in templates/settings_page.md.j2.
 """
@@ -8,9 +10,9 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from toolchain.contract import SETTINGS, ModeRange, Setting
-from toolchain.files import write_text
-from toolchain.rendering.jinja import render
+from neuroflight.toolchain.contract import SETTINGS, ModeRange, Setting
+from neuroflight.toolchain.files import write_text
+from neuroflight.toolchain.rendering.jinja import render
 
 PROSE = "settings_page.md.j2"
 

@@ -10,8 +10,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from toolchain.errors import PolicyError
-from toolchain.policy.freeze import load_checkpoint
+from neuroflight.toolchain.errors import PolicyError
+from neuroflight.toolchain.policy.freeze import load_checkpoint
 
 Float32 = NDArray[np.float32]
 State = Mapping[str, NDArray[Any]]

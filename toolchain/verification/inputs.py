@@ -11,7 +11,7 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from toolchain.ir.float32 import Float32
+from neuroflight.toolchain.ir.float32 import Float32
 
 GYRO_RANGE = 35.0  # rad/s: 2000 deg/s
 SCALES = {"unit": 1.0, "gyro range": GYRO_RANGE, "1e3": 1e3, "1e6": 1e6}  # of normally distributed values

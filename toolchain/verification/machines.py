@@ -18,15 +18,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from toolchain.codegen.compiler import CompiledPolicy
-from toolchain.codegen.emit import ARITHMETIC
-from toolchain.contract import POLICY_INPUT, POLICY_OUTPUT, SELFTEST_COUNT
-from toolchain.errors import BuildError, PolicyError
-from toolchain.files import write_text
-from toolchain.ir.float32 import Float32
-from toolchain.ir.interpreter import advance, clear_state, evaluate
-from toolchain.ir.network import Network
-from toolchain.rendering.jinja import render
+from neuroflight.toolchain.codegen.compiler import CompiledPolicy
+from neuroflight.toolchain.codegen.emit import ARITHMETIC
+from neuroflight.toolchain.contract import POLICY_INPUT, POLICY_OUTPUT, SELFTEST_COUNT
+from neuroflight.toolchain.errors import BuildError, PolicyError
+from neuroflight.toolchain.files import write_text
+from neuroflight.toolchain.ir.float32 import Float32
+from neuroflight.toolchain.ir.interpreter import advance, clear_state, evaluate
+from neuroflight.toolchain.ir.network import Network
+from neuroflight.toolchain.rendering.jinja import render
 
 if TYPE_CHECKING:
     import onnx
@@ -121,7 +121,7 @@ def _expose_state(model: onnx.ModelProto) -> list[tuple[str, str, int]]:
 
 def open_torch(checkpoint: Path, inputs: int, outputs: int) -> Machine:
     """The actor as training had it, before anything was folded: scaling, layers, output map, clip."""
-    from toolchain.verification.actor import read_actor
+    from neuroflight.toolchain.verification.actor import read_actor
 
     actions = read_actor(checkpoint)
     try:
@@ -222,8 +222,8 @@ def _sanitizer_report(lines: Sequence[str]) -> str | None:
 def open_arm(policy: CompiledPolicy, directory: Path) -> Machine:
     """policy.c with the firmware's flags, executed instruction by instruction on an emulated Cortex-M7."""
     try:
-        from toolchain.cortex_m7.arm_policy import COMPILER, ArmPolicy, build_policy_elf
-        from toolchain.cortex_m7.emulator import FaultError, load_program
+        from neuroflight.toolchain.cortex_m7.arm_policy import COMPILER, ArmPolicy, build_policy_elf
+        from neuroflight.toolchain.cortex_m7.emulator import FaultError, load_program
     except ImportError as error:
         raise NotRunError(f"{error.name} is not installed; run: pip install unicorn") from error
     if shutil.which(COMPILER) is None:

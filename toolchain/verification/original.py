@@ -10,15 +10,15 @@ import onnx
 from numpy.typing import NDArray
 from onnx import TensorProto
 
-from toolchain.errors import PolicyError
-from toolchain.ir.float32 import Float32
-from toolchain.ir.interpreter import advance, clear_state
-from toolchain.ir.network import Network, Node
-from toolchain.ir.operations import Clip
-from toolchain.policy.foreign_model import inline_functions, keep_outputs
-from toolchain.policy.foreign_network import Adopted
-from toolchain.policy.model import parse_model
-from toolchain.verification.machines import first_line
+from neuroflight.toolchain.errors import PolicyError
+from neuroflight.toolchain.ir.float32 import Float32
+from neuroflight.toolchain.ir.interpreter import advance, clear_state
+from neuroflight.toolchain.ir.network import Network, Node
+from neuroflight.toolchain.ir.operations import Clip
+from neuroflight.toolchain.policy.foreign_model import inline_functions, keep_outputs
+from neuroflight.toolchain.policy.foreign_network import Adopted
+from neuroflight.toolchain.policy.model import parse_model
+from neuroflight.toolchain.verification.machines import first_line
 
 STEPS = 300  # with a random observation of unit size each
 APART_MAX = 1e-4  # relative to the largest action, at least 1: a hundred times the effect of rounding

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from toolchain.ir.float32 import Float32
-from toolchain.ir.float64_functions import Float64
-from toolchain.ir.float64_reference import disturbed, reference
-from toolchain.ir.network import Network
-from toolchain.verification.inputs import Inputs
+from neuroflight.toolchain.ir.float32 import Float32
+from neuroflight.toolchain.ir.float64_functions import Float64
+from neuroflight.toolchain.ir.float64_reference import disturbed, reference
+from neuroflight.toolchain.ir.network import Network
+from neuroflight.toolchain.verification.inputs import Inputs
 
 TOLERANCE = 1e-6  # of an action, whatever the observation
 ROUNDING = 12.0  # how many times what disturbing the network does to an action may rounding do to it

@@ -23,13 +23,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from toolchain.codegen.compiler import CompiledPolicy
-from toolchain.ir.float32 import Float32
-from toolchain.ir.interpreter import replay
-from toolchain.ir.network import Network
-from toolchain.ir.operations import Clip
-from toolchain.verification.inputs import Inputs
-from toolchain.verification.machines import (
+from neuroflight.toolchain.codegen.compiler import CompiledPolicy
+from neuroflight.toolchain.ir.float32 import Float32
+from neuroflight.toolchain.ir.interpreter import replay
+from neuroflight.toolchain.ir.network import Network
+from neuroflight.toolchain.ir.operations import Clip
+from neuroflight.toolchain.verification.inputs import Inputs
+from neuroflight.toolchain.verification.machines import (
     Machine,
     MachineError,
     NotRunError,
@@ -39,7 +39,7 @@ from toolchain.verification.machines import (
     open_onnxruntime,
     open_torch,
 )
-from toolchain.verification.tolerance import Figures, Standard, distance, figures, standard
+from neuroflight.toolchain.verification.tolerance import Figures, Standard, distance, figures, standard
 
 Progress = Callable[[str, int, int], None]  # machine, groups done, groups in all
 

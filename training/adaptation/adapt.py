@@ -6,19 +6,19 @@ import shutil
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from sim.aircraft.model import Aircraft
-from sim.analysis.confidence import Mean, paired
-from sim.analysis.holding import DRIFT_S
-from toolchain.errors import TrainingError
-from training.config.config_file import load_config
-from training.config.pathwise_config import PathwiseConfig
-from training.config.training_config import TrainingConfig
-from training.evaluation.comparison import values
-from training.evaluation.controllers import Conditions, load_controller
-from training.evaluation.evaluation import Scores, mean_over, scores
-from training.runs.checkpoint import Learned, load_learned
-from training.runs.train import CHECKPOINT, POLICY, RECORD, Callback, train
-from training.tasks.flight import HOVER_THROTTLE, FlightTask
+from neuroflight.sim.aircraft.model import Aircraft
+from neuroflight.sim.analysis.confidence import Mean, paired
+from neuroflight.sim.analysis.holding import DRIFT_S
+from neuroflight.toolchain.errors import TrainingError
+from neuroflight.training.config.config_file import load_config
+from neuroflight.training.config.pathwise_config import PathwiseConfig
+from neuroflight.training.config.training_config import TrainingConfig
+from neuroflight.training.evaluation.comparison import values
+from neuroflight.training.evaluation.controllers import Conditions, load_controller
+from neuroflight.training.evaluation.evaluation import Scores, mean_over, scores
+from neuroflight.training.runs.checkpoint import Learned, load_learned
+from neuroflight.training.runs.train import CHECKPOINT, POLICY, RECORD, Callback, train
+from neuroflight.training.tasks.flight import HOVER_THROTTLE, FlightTask
 
 LEARNING_RATE = 5e-4  # a tenth of a fresh run's: the policy flies already
 WARM_UP = 20

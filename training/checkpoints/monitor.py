@@ -12,20 +12,20 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.aircraft.model import Aircraft
-from sim.analysis.holding import DRIFT_S
-from sim.analysis.metrics import effort, tracking
-from toolchain.ir.interpreter import advance, clear_state
-from toolchain.passes import optimize
-from toolchain.policy.freeze import to_onnx
-from toolchain.policy.model import parse_policy
-from training.checkpoints.metrics import CheckpointMetrics, Spread
-from training.config.algorithms import PpoConfig
-from training.config.randomization import Randomization
-from training.config.training_config import TrainingConfig
-from training.envs.simulation import AttitudeSimulation
-from training.tasks.flight import FlightTask
-from training.tasks.task import ContinuousTask, EnvelopeTask, EpisodicTask, PulseTask
+from neuroflight.sim.aircraft.model import Aircraft
+from neuroflight.sim.analysis.holding import DRIFT_S
+from neuroflight.sim.analysis.metrics import effort, tracking
+from neuroflight.toolchain.ir.interpreter import advance, clear_state
+from neuroflight.toolchain.passes import optimize
+from neuroflight.toolchain.policy.freeze import to_onnx
+from neuroflight.toolchain.policy.model import parse_policy
+from neuroflight.training.checkpoints.metrics import CheckpointMetrics, Spread
+from neuroflight.training.config.algorithms import PpoConfig
+from neuroflight.training.config.randomization import Randomization
+from neuroflight.training.config.training_config import TrainingConfig
+from neuroflight.training.envs.simulation import AttitudeSimulation
+from neuroflight.training.tasks.flight import FlightTask
+from neuroflight.training.tasks.task import ContinuousTask, EnvelopeTask, EpisodicTask, PulseTask
 
 EPISODES = 5
 SEED = 1_000_003  # of the monitor's episodes; results are measured on others

@@ -13,10 +13,10 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator, NullLocator
 
-from sim.plotting import FLIGHT_COLOURS, INK, MOTOR_COLOURS, dress, plain_numbers, titled_figure
-from toolchain.errors import TrainingError
-from toolchain.files import file_size
-from training.checkpoints.metrics import CheckpointMetrics
+from neuroflight.sim.plotting import FLIGHT_COLOURS, INK, MOTOR_COLOURS, dress, plain_numbers, titled_figure
+from neuroflight.toolchain.errors import TrainingError
+from neuroflight.toolchain.files import file_size
+from neuroflight.training.checkpoints.metrics import CheckpointMetrics
 
 FILE_BYTES_MAX = 4 << 20
 STEPS = ((1_000_000, "million control steps"), (1_000, "thousand control steps"), (1, "control steps"))

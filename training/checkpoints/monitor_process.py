@@ -14,15 +14,15 @@ from contextlib import contextmanager
 from multiprocessing.connection import Connection
 from typing import TYPE_CHECKING, Any
 
-from toolchain.errors import NeuroflightError, TrainingError
+from neuroflight.toolchain.errors import NeuroflightError, TrainingError
 
 if TYPE_CHECKING:
     import torch
 
-    from sim.aircraft.model import Aircraft
-    from training.checkpoints.metrics import CheckpointMetrics
-    from training.checkpoints.monitor import Weights
-    from training.config.training_config import TrainingConfig
+    from neuroflight.sim.aircraft.model import Aircraft
+    from neuroflight.training.checkpoints.metrics import CheckpointMetrics
+    from neuroflight.training.checkpoints.monitor import Weights
+    from neuroflight.training.config.training_config import TrainingConfig
 
 
 class Monitor:
@@ -49,7 +49,7 @@ class Monitor:
         """Have a policy flown. Raises PolicyError on weights that make no policy."""
         weights: Weights = {name: tensor.detach().cpu().numpy() for name, tensor in policy.items()}
         if not self._apart:
-            from training.checkpoints.monitor import fly
+            from neuroflight.training.checkpoints.monitor import fly
 
             self._ready.append(fly(self._aircraft, self._config, steps, weights))
             return
@@ -101,7 +101,7 @@ def _work(link: Connection) -> None:
     os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
     try:
         aircraft, config = link.recv()
-        from training.checkpoints.monitor import fly
+        from neuroflight.training.checkpoints.monitor import fly
 
         while True:
             steps, weights = link.recv()

@@ -7,8 +7,8 @@ mean change does; within the limits it is 1. Of equals the earlier is taken.
 
 from __future__ import annotations
 
-from training.checkpoints.metrics import CheckpointMetrics
-from training.config.selection import SelectionLimits
+from neuroflight.training.checkpoints.metrics import CheckpointMetrics
+from neuroflight.training.config.selection import SelectionLimits
 
 
 def rule(limits: SelectionLimits) -> str:

@@ -7,8 +7,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import ClassVar, Protocol
 
-from sim.physics.world import COUNT_MAX
-from training.config.pathwise_config import PathwiseConfig
+from neuroflight.sim.physics.world import COUNT_MAX
+from neuroflight.training.config.pathwise_config import PathwiseConfig
 
 REPEATS_MAX = 10_000  # of what an update repeats: more would not end within a day
 LEG_MAX = 1_000_000  # of what a segment repeats

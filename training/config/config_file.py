@@ -16,13 +16,13 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from sim.strict_toml import shown
-from toolchain.contract import MOTOR_COUNT_MAX
-from toolchain.errors import TrainingError
-from toolchain.files import file_size
-from training.config.config_table import NAME, ConfigReader
-from training.config.training_config import TrainingConfig
-from training.plugins import check_recorded
+from neuroflight.sim.strict_toml import shown
+from neuroflight.toolchain.contract import MOTOR_COUNT_MAX
+from neuroflight.toolchain.errors import TrainingError
+from neuroflight.toolchain.files import file_size
+from neuroflight.training.config.config_table import NAME, ConfigReader
+from neuroflight.training.config.training_config import TrainingConfig
+from neuroflight.training.plugins import check_recorded
 
 FOLDER = Path(__file__).parents[1] / "recipes"
 FILE_BYTES_MAX = 1 << 20

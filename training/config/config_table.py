@@ -13,12 +13,12 @@ from dataclasses import MISSING, dataclass, is_dataclass
 from types import NoneType, UnionType
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
-from sim.strict_toml import TEXT_MAX, shown
-from toolchain.errors import TrainingError
-from training.config.algorithms import ALGORITHMS, Algorithm
-from training.tasks.registry import TASKS
-from training.tasks.reward import REWARDS, Reward
-from training.tasks.task import Task
+from neuroflight.sim.strict_toml import TEXT_MAX, shown
+from neuroflight.toolchain.errors import TrainingError
+from neuroflight.training.config.algorithms import ALGORITHMS, Algorithm
+from neuroflight.training.tasks.registry import TASKS
+from neuroflight.training.tasks.reward import REWARDS, Reward
+from neuroflight.training.tasks.task import Task
 
 Kind = TypeVar("Kind")
 NONE = "none"  # how TOML, which has no null, says None

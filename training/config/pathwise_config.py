@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import ClassVar
 
-from sim.physics.world import COUNT_MAX
+from neuroflight.sim.physics.world import COUNT_MAX
 
 BATCH_STEPS_MAX = 6_000_000  # control steps of an update
 BLOCK = 16  # aircraft that are flown side by side

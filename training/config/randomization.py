@@ -9,7 +9,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.physics.variation import Variation
+from neuroflight.sim.physics.variation import Variation
 
 Range = tuple[float, float]
 SAME: Range = (1.0, 1.0)

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.aircraft.mass import Vector
-from sim.aircraft.model import Aircraft
-from sim.control.estimator import model_constants
-from sim.physics.world import Mount
-from sim.strict_toml import shown
-from toolchain.contract import (
+from neuroflight.sim.aircraft.mass import Vector
+from neuroflight.sim.aircraft.model import Aircraft
+from neuroflight.sim.control.estimator import model_constants
+from neuroflight.sim.physics.world import Mount
+from neuroflight.sim.strict_toml import shown
+from neuroflight.toolchain.contract import (
     CONTROL_RATES_HZ,
     POLICY_FILTER_MEAN,
     Mix,
@@ -24,16 +24,16 @@ from toolchain.contract import (
     needs_model,
     observation_blocks,
 )
-from toolchain.errors import AircraftError, TrainingError
-from toolchain.policy.model_constants import ModelConstants
-from training.config.algorithms import ENDS_IN_TANH, Algorithm, PpoConfig
-from training.config.pathwise_config import PathwiseConfig
-from training.config.randomization import SAME, Randomization
-from training.config.selection import SelectionLimits
-from training.config.throttle import moving_throttle
-from training.plugins import plugins_of
-from training.tasks.reward import Reward, TrackingReward
-from training.tasks.task import PulseTask, Task
+from neuroflight.toolchain.errors import AircraftError, TrainingError
+from neuroflight.toolchain.policy.model_constants import ModelConstants
+from neuroflight.training.config.algorithms import ENDS_IN_TANH, Algorithm, PpoConfig
+from neuroflight.training.config.pathwise_config import PathwiseConfig
+from neuroflight.training.config.randomization import SAME, Randomization
+from neuroflight.training.config.selection import SelectionLimits
+from neuroflight.training.config.throttle import moving_throttle
+from neuroflight.training.plugins import plugins_of
+from neuroflight.training.tasks.reward import Reward, TrackingReward
+from neuroflight.training.tasks.task import PulseTask, Task
 
 # Factors that bring raw observation values to about unit size; freezing folds them into the first layer.
 # Errors of interest are up to some hundred deg/s (3 rad/s); the gyro's noise makes a delta of

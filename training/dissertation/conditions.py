@@ -9,8 +9,8 @@ from fnmatch import fnmatchcase
 from functools import cache
 from pathlib import Path
 
-from sim.strict_toml import StrictTable
-from toolchain.errors import NeuroflightError
+from neuroflight.sim.strict_toml import StrictTable
+from neuroflight.toolchain.errors import NeuroflightError
 
 FILE = Path(__file__).with_name("conditions.toml")
 EXPERIMENTS_MAX, ROWS_MAX = 100, 20

@@ -10,9 +10,9 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from sim.strict_toml import StrictTable, shown
-from toolchain.errors import NeuroflightError
-from toolchain.files import file_size
+from neuroflight.sim.strict_toml import StrictTable, shown
+from neuroflight.toolchain.errors import NeuroflightError
+from neuroflight.toolchain.files import file_size
 
 FILE = Path(__file__).with_name("quotes.toml")
 FILE_BYTES_MAX = 1 << 20

@@ -13,9 +13,9 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from sim.control.observation import limits
-from training.envs.setup import Setup
-from training.envs.simulation import AttitudeSimulation, StepResult
+from neuroflight.sim.control.observation import limits
+from neuroflight.training.envs.setup import Setup
+from neuroflight.training.envs.simulation import AttitudeSimulation, StepResult
 
 Floats = NDArray[np.float32]
 FRAME_PIXELS = 400  # of a picture's side
@@ -92,7 +92,7 @@ class AttitudeBatch:
 
     def frames(self, index: Sequence[int]) -> list[NDArray[np.uint8]]:
         """Draw pictures (H, W, 3), red, green, blue, of the aircraft of `index`."""
-        from sim.viewing.pictures import pose_picture
+        from neuroflight.sim.viewing.pictures import pose_picture
 
         simulation = self.simulation
         rotation, motors = simulation.rotation, simulation.motors

@@ -9,14 +9,14 @@ from typing import Any
 
 import torch
 
-from sim.control.estimator import model_constants
-from toolchain.contract import needs_model
-from toolchain.errors import PolicyError, TrainingError
-from toolchain.policy.import_onnx import PolicyClaims, import_onnx
-from toolchain.policy.model import PolicyModel
-from toolchain.verification.original import compare
-from training.envs.batch import AttitudeBatch
-from training.envs.setup import Setup
+from neuroflight.sim.control.estimator import model_constants
+from neuroflight.toolchain.contract import needs_model
+from neuroflight.toolchain.errors import PolicyError, TrainingError
+from neuroflight.toolchain.policy.import_onnx import PolicyClaims, import_onnx
+from neuroflight.toolchain.policy.model import PolicyModel
+from neuroflight.toolchain.verification.original import compare
+from neuroflight.training.envs.batch import AttitudeBatch
+from neuroflight.training.envs.setup import Setup
 
 
 class Fractions(torch.nn.Module):

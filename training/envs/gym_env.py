@@ -9,8 +9,8 @@ import numpy as np
 from gymnasium.utils import EzPickle
 from numpy.typing import NDArray
 
-from training.envs.batch import METADATA, AttitudeBatch, check_render_mode
-from training.envs.setup import make_setup
+from neuroflight.training.envs.batch import METADATA, AttitudeBatch, check_render_mode
+from neuroflight.training.envs.setup import make_setup
 
 
 class AttitudeEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]], EzPickle):

@@ -10,9 +10,9 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from toolchain.errors import TrainingError
-from training.envs.batch import METADATA, AttitudeBatch, check_render_mode
-from training.envs.setup import make_setup
+from neuroflight.toolchain.errors import TrainingError
+from neuroflight.training.envs.batch import METADATA, AttitudeBatch, check_render_mode
+from neuroflight.training.envs.setup import make_setup
 
 Floats = NDArray[np.float32]
 Flags = NDArray[np.bool_]

@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices
 
-from sim.aircraft.model import Aircraft
-from training.config.training_config import TrainingConfig
-from training.envs.batch import AttitudeBatch, check_render_mode
-from training.envs.setup import Setup, make_setup
-from training.envs.simulation import StepResult
+from neuroflight.sim.aircraft.model import Aircraft
+from neuroflight.training.config.training_config import TrainingConfig
+from neuroflight.training.envs.batch import AttitudeBatch, check_render_mode
+from neuroflight.training.envs.setup import Setup, make_setup
+from neuroflight.training.envs.simulation import StepResult
 
 # SB3 clips the outputs of a policy without bounds to the action space, which must be finite. This limit is
 # beyond the outputs of any network in use: the simulation clips, so that the reward can see by how much.

@@ -7,14 +7,14 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
-from sim.aircraft.model import Aircraft, load_aircraft
-from toolchain.contract import Mix
-from training.config.algorithms import PpoConfig
-from training.config.config_file import load_config
-from training.config.config_table import ConfigReader
-from training.config.pathwise_config import PathwiseConfig
-from training.config.training_config import TrainingConfig, WorldConfig
-from training.tasks.reward import TrackingReward
+from neuroflight.sim.aircraft.model import Aircraft, load_aircraft
+from neuroflight.toolchain.contract import Mix
+from neuroflight.training.config.algorithms import PpoConfig
+from neuroflight.training.config.config_file import load_config
+from neuroflight.training.config.config_table import ConfigReader
+from neuroflight.training.config.pathwise_config import PathwiseConfig
+from neuroflight.training.config.training_config import TrainingConfig, WorldConfig
+from neuroflight.training.tasks.reward import TrackingReward
 
 RECIPE = "gymnasium"  # what `config` is unless given
 REWARD_SCALE = 0.01  # 1 - the discount of 0.99 that learners begin with: a value is then a mean reward

@@ -10,19 +10,19 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.aircraft.model import Aircraft
-from sim.control.estimator import model_constants
-from sim.control.gyro_mean import GyroMean, samples_per_step
-from sim.control.motors import dshot_values, motor_fractions, throttle_mix
-from sim.control.observation import Observer
-from sim.physics.imu import quantised_rate
-from sim.physics.twin import Twin
-from sim.physics.variation import Variation
-from sim.physics.world import Mount
-from toolchain.contract import check_observation, needs_model
-from toolchain.errors import TrainingError
-from training.config.training_config import TrainingConfig
-from training.tasks.reward import Transition
+from neuroflight.sim.aircraft.model import Aircraft
+from neuroflight.sim.control.estimator import model_constants
+from neuroflight.sim.control.gyro_mean import GyroMean, samples_per_step
+from neuroflight.sim.control.motors import dshot_values, motor_fractions, throttle_mix
+from neuroflight.sim.control.observation import Observer
+from neuroflight.sim.physics.imu import quantised_rate
+from neuroflight.sim.physics.twin import Twin
+from neuroflight.sim.physics.variation import Variation
+from neuroflight.sim.physics.world import Mount
+from neuroflight.toolchain.contract import check_observation, needs_model
+from neuroflight.toolchain.errors import TrainingError
+from neuroflight.training.config.training_config import TrainingConfig
+from neuroflight.training.tasks.reward import Transition
 
 
 @dataclass(frozen=True)

@@ -19,18 +19,18 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.aircraft.model import Aircraft
-from sim.control import sticks
-from sim.physics.imu import counts
-from sim.physics.twin import Twin
-from sim.physics.variation import Variation
-from sim.physics.world import Mount
-from sim.ports.betaflight.build import VERSION
-from sim.ports.betaflight.fleet import ArmedBetaflight, BetaflightFleet
-from sim.ports.betaflight.port import IDLE, ROW_RATE_HZ
-from sim.ports.betaflight.tune import Tune
-from training.evaluation.evaluation import Event, Flights, Rows, drawn
-from training.tasks.task import Task
+from neuroflight.sim.aircraft.model import Aircraft
+from neuroflight.sim.control import sticks
+from neuroflight.sim.physics.imu import counts
+from neuroflight.sim.physics.twin import Twin
+from neuroflight.sim.physics.variation import Variation
+from neuroflight.sim.physics.world import Mount
+from neuroflight.sim.ports.betaflight.build import VERSION
+from neuroflight.sim.ports.betaflight.fleet import ArmedBetaflight, BetaflightFleet
+from neuroflight.sim.ports.betaflight.port import IDLE, ROW_RATE_HZ
+from neuroflight.sim.ports.betaflight.tune import Tune
+from neuroflight.training.evaluation.evaluation import Event, Flights, Rows, drawn
+from neuroflight.training.tasks.task import Task
 
 BETAFLIGHT = "betaflight"
 

@@ -13,12 +13,12 @@ from dataclasses import asdict, dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.analysis.confidence import Mean, mean_of, paired, share_of
-from sim.analysis.holding import settled
-from sim.analysis.response import Hold, large, mean_figures, progress, together
-from training.evaluation.controllers import Conditions, Contender
-from training.evaluation.evaluation import Evaluation, Flights, Scores, interval, summary
-from training.evaluation.floor import scored
+from neuroflight.sim.analysis.confidence import Mean, mean_of, paired, share_of
+from neuroflight.sim.analysis.holding import settled
+from neuroflight.sim.analysis.response import Hold, large, mean_figures, progress, together
+from neuroflight.training.evaluation.controllers import Conditions, Contender
+from neuroflight.training.evaluation.evaluation import Evaluation, Flights, Scores, interval, summary
+from neuroflight.training.evaluation.floor import scored
 
 Array = NDArray[np.float64]
 CHUNK = 128  # episodes whose errors are computed at a time

@@ -9,12 +9,12 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullLocator
 
-from sim.analysis.response import BAND
-from sim.analysis.spectrum_plot import Line, draw_spectra
-from sim.plotting import INK, MOTOR_COLOURS, SHADE, dress, plain_numbers, titled_figure
-from toolchain.contract import AXES
-from training.evaluation.comparison import Entry
-from training.evaluation.thrust import Transparency
+from neuroflight.sim.analysis.response import BAND
+from neuroflight.sim.analysis.spectrum_plot import Line, draw_spectra
+from neuroflight.sim.plotting import INK, MOTOR_COLOURS, SHADE, dress, plain_numbers, titled_figure
+from neuroflight.toolchain.contract import AXES
+from neuroflight.training.evaluation.comparison import Entry
+from neuroflight.training.evaluation.thrust import Transparency
 
 ERROR_MIN_DEG_S = 0.1  # lower end of the error axis
 EXAMPLES_MAX = 3  # entries whose first command is drawn

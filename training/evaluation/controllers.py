@@ -10,28 +10,28 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.aircraft.identity import other_aircraft_note
-from sim.aircraft.model import Aircraft
-from sim.control.controller import Controller, PolicyController
-from sim.control.pid import aircraft_pid
-from sim.control.pid_table import pid_settings
-from sim.physics.variation import Variation
-from sim.physics.world import Mount
-from toolchain.contract import Mix
-from toolchain.errors import PolicyError
-from toolchain.policy.label import policy_label
-from toolchain.policy.model import read_policy
-from training.evaluation.betaflight import BetaflightSpec, record_betaflight
-from training.evaluation.evaluation import Event, Flights, record
-from training.evaluation.users_controller import (
+from neuroflight.sim.aircraft.identity import other_aircraft_note
+from neuroflight.sim.aircraft.model import Aircraft
+from neuroflight.sim.control.controller import Controller, PolicyController
+from neuroflight.sim.control.pid import aircraft_pid
+from neuroflight.sim.control.pid_table import pid_settings
+from neuroflight.sim.physics.variation import Variation
+from neuroflight.sim.physics.world import Mount
+from neuroflight.toolchain.contract import Mix
+from neuroflight.toolchain.errors import PolicyError
+from neuroflight.toolchain.policy.label import policy_label
+from neuroflight.toolchain.policy.model import read_policy
+from neuroflight.training.evaluation.betaflight import BetaflightSpec, record_betaflight
+from neuroflight.training.evaluation.evaluation import Event, Flights, record
+from neuroflight.training.evaluation.users_controller import (
     UsersController,
     is_users_controller,
     load_users_controller,
     users_label,
 )
-from training.tasks.pieces import RecordedPieces
-from training.tasks.sticks import OnSticks
-from training.tasks.task import Task
+from neuroflight.training.tasks.pieces import RecordedPieces
+from neuroflight.training.tasks.sticks import OnSticks
+from neuroflight.training.tasks.task import Task
 
 PID = "pid"
 OTHER_AIRCRAFT = "other_aircraft"  # in the facts of a policy that flies another's twin: the line that says so

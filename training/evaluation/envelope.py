@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from training.evaluation.comparison import Entry
+from neuroflight.training.evaluation.comparison import Entry
 
 Array = NDArray[np.float64]
 EDGES_DEG_S = (0.0, 200.0, 400.0, 600.0, 800.0, 1000.0, 2000.0)  # of the magnitude of a command

@@ -11,9 +11,9 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 from mpl_toolkits.mplot3d import Axes3D
 
-from sim.plotting import INK, MOTOR_COLOURS, dress, dress_cube, titled_figure
-from training.evaluation.comparison import Entry
-from training.evaluation.envelope import EDGES_DEG_S, Envelope, by_magnitude, envelope
+from neuroflight.sim.plotting import INK, MOTOR_COLOURS, dress, dress_cube, titled_figure
+from neuroflight.training.evaluation.comparison import Entry
+from neuroflight.training.evaluation.envelope import EDGES_DEG_S, Envelope, by_magnitude, envelope
 
 CELL_DEG_S = 150.0  # of the map of |roll| and |pitch|
 CELLS = 6  # of each of its axes; larger commands count in the last

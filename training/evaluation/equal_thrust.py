@@ -7,11 +7,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sim.analysis.confidence import Mean
-from training.evaluation.comparison import Array, Entry, document, enter, values
-from training.evaluation.controllers import Conditions, Contender
-from training.evaluation.evaluation import interval, mean_over
-from training.evaluation.thrust import TRANSPARENT, Progress, Transparency, Trim, transparency, trims
+from neuroflight.sim.analysis.confidence import Mean
+from neuroflight.training.evaluation.comparison import Array, Entry, document, enter, values
+from neuroflight.training.evaluation.controllers import Conditions, Contender
+from neuroflight.training.evaluation.evaluation import interval, mean_over
+from neuroflight.training.evaluation.thrust import (
+    TRANSPARENT,
+    Progress,
+    Transparency,
+    Trim,
+    transparency,
+    trims,
+)
 
 Bar = Callable[[str], Progress]  # adds a bar of that name and gives its update
 

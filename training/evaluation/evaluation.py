@@ -8,26 +8,26 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.aircraft.model import Aircraft
-from sim.analysis.confidence import Mean, mean_of
-from sim.analysis.holding import Holding, HoldingFigures, holding, holding_figures
-from sim.analysis.metrics import Effort, Tracking, effort, tracking
-from sim.analysis.response import Hold, Response, ResponseFigures, hold, mean_figures, response
-from sim.analysis.spectrum import Spectrum, components, smoothness, spectrum
-from sim.control.battery_voltage import BatteryVoltage
-from sim.control.controller import Controller, PolicyController
-from sim.control.gyro_mean import GyroMean, samples_per_step
-from sim.control.motors import motor_commands
-from sim.control.pid import Pid
-from sim.physics.imu import quantised_rate
-from sim.physics.twin import Twin
-from sim.physics.variation import Variation
-from sim.physics.world import Mount
-from sim.ports.port import control_divider
-from toolchain.contract import IDLE_DEFAULT, Mix
-from training.tasks.flight import Course, course_of
-from training.tasks.pieces import RecordedPieces
-from training.tasks.task import Task
+from neuroflight.sim.aircraft.model import Aircraft
+from neuroflight.sim.analysis.confidence import Mean, mean_of
+from neuroflight.sim.analysis.holding import Holding, HoldingFigures, holding, holding_figures
+from neuroflight.sim.analysis.metrics import Effort, Tracking, effort, tracking
+from neuroflight.sim.analysis.response import Hold, Response, ResponseFigures, hold, mean_figures, response
+from neuroflight.sim.analysis.spectrum import Spectrum, components, smoothness, spectrum
+from neuroflight.sim.control.battery_voltage import BatteryVoltage
+from neuroflight.sim.control.controller import Controller, PolicyController
+from neuroflight.sim.control.gyro_mean import GyroMean, samples_per_step
+from neuroflight.sim.control.motors import motor_commands
+from neuroflight.sim.control.pid import Pid
+from neuroflight.sim.physics.imu import quantised_rate
+from neuroflight.sim.physics.twin import Twin
+from neuroflight.sim.physics.variation import Variation
+from neuroflight.sim.physics.world import Mount
+from neuroflight.sim.ports.port import control_divider
+from neuroflight.toolchain.contract import IDLE_DEFAULT, Mix
+from neuroflight.training.tasks.flight import Course, course_of
+from neuroflight.training.tasks.pieces import RecordedPieces
+from neuroflight.training.tasks.task import Task
 
 CHUNK_ROWS = 1 << 20  # of episodes whose errors are computed at a time: their float64 copies are large
 

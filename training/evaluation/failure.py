@@ -13,13 +13,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.aircraft.model import Aircraft
-from sim.aircraft.payload import Payload, loaded
-from sim.physics.twin import Twin
-from toolchain.contract import AXES, GYRO_FULL_SCALE_DEG_S
-from training.evaluation.controllers import Conditions, Contender
-from training.evaluation.evaluation import Event, Flights
-from training.tasks.task import EpisodicTask
+from neuroflight.sim.aircraft.model import Aircraft
+from neuroflight.sim.aircraft.payload import Payload, loaded
+from neuroflight.sim.physics.twin import Twin
+from neuroflight.toolchain.contract import AXES, GYRO_FULL_SCALE_DEG_S
+from neuroflight.training.evaluation.controllers import Conditions, Contender
+from neuroflight.training.evaluation.evaluation import Event, Flights
+from neuroflight.training.tasks.task import EpisodicTask
 
 Array = NDArray[np.float64]
 WINDOW_S = 0.5  # before the change, and at the end

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.figure import Figure
 
-from sim.plotting import FLIGHT_COLOURS, INK, MOTOR_COLOURS, dress, titled_figure
-from toolchain.contract import AXES
-from training.evaluation.failure import BAND_DEG_S, Failure
+from neuroflight.sim.plotting import FLIGHT_COLOURS, INK, MOTOR_COLOURS, dress, titled_figure
+from neuroflight.toolchain.contract import AXES
+from neuroflight.training.evaluation.failure import BAND_DEG_S, Failure
 
 FLOOR = 0.1  # [deg/s] of the logarithmic axis
 STRIDE_S = 0.01  # between points: the traces are averaged over twice that

@@ -21,14 +21,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.aircraft.model import Aircraft
-from sim.physics.battery import open_circuit_voltage
-from sim.physics.rotor import target_speed
-from sim.physics.world import Mount
-from toolchain.contract import GRAVITY
-from training.evaluation.controllers import Conditions, Contender
-from training.evaluation.evaluation import Flights, Floors, Scores, scores
-from training.learners.pathwise.open_loop import Commands, Motors, search
+from neuroflight.sim.aircraft.model import Aircraft
+from neuroflight.sim.physics.battery import open_circuit_voltage
+from neuroflight.sim.physics.rotor import target_speed
+from neuroflight.sim.physics.world import Mount
+from neuroflight.toolchain.contract import GRAVITY
+from neuroflight.training.evaluation.controllers import Conditions, Contender
+from neuroflight.training.evaluation.evaluation import Flights, Floors, Scores, scores
+from neuroflight.training.learners.pathwise.open_loop import Commands, Motors, search
 
 Array = NDArray[np.float64]
 FIRST_S = 0.1  # [s] of a sequence; twice as long where an error is left, and so on

@@ -16,28 +16,28 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.aircraft.model import Aircraft
-from sim.analysis.confidence import Mean, mean_of, paired
-from sim.analysis.manoeuvre import ManoeuvreFigures, manoeuvre_figures
-from sim.analysis.stick_flight import DescentFigures, descent_figures
-from sim.control.controller import PolicyController
-from sim.flight.loop import Progress, fly
-from sim.flight.manoeuvres import DESCENT, HOVER_S, SETTLE_S, Manoeuvre, ThrustCurve, stairs
-from sim.flight.motion import Motion
-from sim.flight.scenario import Scenario
-from sim.flight.trace import Trace
-from sim.physics.twin import Twin
-from sim.physics.world import Mount
-from sim.ports.betaflight.build import Betaflight
-from sim.ports.betaflight.port import BetaflightPort, aircraft_settings
-from sim.ports.betaflight.tune import Tune
-from sim.ports.port import FirmwarePort
-from sim.ports.python_controller import ControllerPort
-from toolchain.contract import GYRO_RATE_DEFAULT_HZ
-from toolchain.errors import PolicyError
-from training.evaluation.betaflight import betaflight_facts, betaflight_idle, betaflight_label
-from training.evaluation.controllers import ControllerSpec, load_controller
-from training.evaluation.evaluation import interval
+from neuroflight.sim.aircraft.model import Aircraft
+from neuroflight.sim.analysis.confidence import Mean, mean_of, paired
+from neuroflight.sim.analysis.manoeuvre import ManoeuvreFigures, manoeuvre_figures
+from neuroflight.sim.analysis.stick_flight import DescentFigures, descent_figures
+from neuroflight.sim.control.controller import PolicyController
+from neuroflight.sim.flight.loop import Progress, fly
+from neuroflight.sim.flight.manoeuvres import DESCENT, HOVER_S, SETTLE_S, Manoeuvre, ThrustCurve, stairs
+from neuroflight.sim.flight.motion import Motion
+from neuroflight.sim.flight.scenario import Scenario
+from neuroflight.sim.flight.trace import Trace
+from neuroflight.sim.physics.twin import Twin
+from neuroflight.sim.physics.world import Mount
+from neuroflight.sim.ports.betaflight.build import Betaflight
+from neuroflight.sim.ports.betaflight.port import BetaflightPort, aircraft_settings
+from neuroflight.sim.ports.betaflight.tune import Tune
+from neuroflight.sim.ports.port import FirmwarePort
+from neuroflight.sim.ports.python_controller import ControllerPort
+from neuroflight.toolchain.contract import GYRO_RATE_DEFAULT_HZ
+from neuroflight.toolchain.errors import PolicyError
+from neuroflight.training.evaluation.betaflight import betaflight_facts, betaflight_idle, betaflight_label
+from neuroflight.training.evaluation.controllers import ControllerSpec, load_controller
+from neuroflight.training.evaluation.evaluation import interval
 
 COMPARED = ("mae", "mse")  # figures of which the lowest wins
 

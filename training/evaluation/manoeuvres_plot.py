@@ -10,9 +10,9 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
-from sim.flight.manoeuvres import SETTLE_S
-from sim.plotting import INK, MOTOR_COLOURS, dress, titled_figure
-from toolchain.contract import AXES
+from neuroflight.sim.flight.manoeuvres import SETTLE_S
+from neuroflight.sim.plotting import INK, MOTOR_COLOURS, dress, titled_figure
+from neuroflight.toolchain.contract import AXES
 
 BEFORE_S = 0.1  # drawn of the hover before the first command
 

@@ -14,15 +14,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.aircraft.model import Battery
-from sim.analysis.confidence import Mean
-from sim.physics.battery import BatteryState
-from sim.physics.world import Mount
-from training.evaluation.comparison import values
-from training.evaluation.controllers import Conditions, Contender
-from training.evaluation.evaluation import Flights, interval, mean_over, scores
-from training.evaluation.thrust import Progress, Trim, transparency, trims
-from training.tasks.task import EpisodicTask
+from neuroflight.sim.aircraft.model import Battery
+from neuroflight.sim.analysis.confidence import Mean
+from neuroflight.sim.physics.battery import BatteryState
+from neuroflight.sim.physics.world import Mount
+from neuroflight.training.evaluation.comparison import values
+from neuroflight.training.evaluation.controllers import Conditions, Contender
+from neuroflight.training.evaluation.evaluation import Flights, interval, mean_over, scores
+from neuroflight.training.evaluation.thrust import Progress, Trim, transparency, trims
+from neuroflight.training.tasks.task import EpisodicTask
 
 Bar = Callable[[str], Progress]  # adds a bar of that name and gives its update
 SAMPLE_S = 0.001

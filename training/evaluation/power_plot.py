@@ -8,9 +8,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from sim.analysis.confidence import Mean
-from sim.plotting import INK, MOTOR_COLOURS, MUTED, dress, titled_figure
-from training.evaluation.power import Draw, Drawn
+from neuroflight.sim.analysis.confidence import Mean
+from neuroflight.sim.plotting import INK, MOTOR_COLOURS, MUTED, dress, titled_figure
+from neuroflight.training.evaluation.power import Draw, Drawn
 
 
 def draw(still: Draw, drawn: Sequence[Drawn], title: str) -> Figure:

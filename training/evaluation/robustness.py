@@ -13,19 +13,19 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.aircraft.model import Aircraft
-from sim.analysis.confidence import NORMAL, Mean, share_of
-from sim.analysis.holding import DRIFT_S
-from sim.analysis.metrics import CHANGE_S
-from sim.physics.variation import Variation
-from sim.physics.world import Mount
-from toolchain.contract import GYRO_FULL_SCALE_DEG_S
-from training.config.randomization import Randomization, Range
-from training.config.training_config import WorldConfig
-from training.evaluation.controllers import Conditions, ControllerSpec
-from training.evaluation.evaluation import Flights, interval, mean_over
-from training.tasks.flight import FlightTask
-from training.tasks.task import Task
+from neuroflight.sim.aircraft.model import Aircraft
+from neuroflight.sim.analysis.confidence import NORMAL, Mean, share_of
+from neuroflight.sim.analysis.holding import DRIFT_S
+from neuroflight.sim.analysis.metrics import CHANGE_S
+from neuroflight.sim.physics.variation import Variation
+from neuroflight.sim.physics.world import Mount
+from neuroflight.toolchain.contract import GYRO_FULL_SCALE_DEG_S
+from neuroflight.training.config.randomization import Randomization, Range
+from neuroflight.training.config.training_config import WorldConfig
+from neuroflight.training.evaluation.controllers import Conditions, ControllerSpec
+from neuroflight.training.evaluation.evaluation import Flights, interval, mean_over
+from neuroflight.training.tasks.flight import FlightTask
+from neuroflight.training.tasks.task import Task
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, int], None]

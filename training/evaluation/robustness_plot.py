@@ -9,8 +9,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullLocator
 
-from sim.plotting import INK, MOTOR_COLOURS, MUTED, SHADE, dress, plain_numbers
-from training.evaluation.robustness import (
+from neuroflight.sim.plotting import INK, MOTOR_COLOURS, MUTED, SHADE, dress, plain_numbers
+from neuroflight.training.evaluation.robustness import (
     CASE_RATIO_MAX,
     HIGH,
     HIGH_RATIO_MAX,

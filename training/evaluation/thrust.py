@@ -17,12 +17,12 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.analysis.confidence import Mean
-from sim.physics.world import Mount
-from toolchain.contract import GRAVITY
-from training.evaluation.controllers import Conditions, Contender
-from training.evaluation.evaluation import mean_over
-from training.tasks.task import EpisodicTask
+from neuroflight.sim.analysis.confidence import Mean
+from neuroflight.sim.physics.world import Mount
+from neuroflight.toolchain.contract import GRAVITY
+from neuroflight.training.evaluation.controllers import Conditions, Contender
+from neuroflight.training.evaluation.evaluation import mean_over
+from neuroflight.training.tasks.task import EpisodicTask
 
 Array = NDArray[np.float64]
 REST_S = 1.5

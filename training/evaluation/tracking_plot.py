@@ -11,10 +11,10 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
-from sim.analysis.response import BAND
-from sim.plotting import AXIS_COLOURS, INK, MOTOR_COLOURS, SHADE, dress, titled_figure
-from toolchain.contract import AXES
-from training.evaluation.comparison import Example
+from neuroflight.sim.analysis.response import BAND
+from neuroflight.sim.plotting import AXIS_COLOURS, INK, MOTOR_COLOURS, SHADE, dress, titled_figure
+from neuroflight.toolchain.contract import AXES
+from neuroflight.training.evaluation.comparison import Example
 
 BEFORE_S, AFTER_S = 0.05, 1.0  # drawn around the begin of a named command
 CLOSE_S = 4.0  # of the close-up

@@ -16,13 +16,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.aircraft.model import Aircraft
-from sim.control.controller import Controller
-from sim.strict_toml import StrictTable
-from toolchain.contract import CONTROL_RATES_HZ, POLICY_FILTER_MEAN, Mix
-from toolchain.errors import TrainingError
-from toolchain.files import file_size
-from training.plugins import blaming, real_array, users_class
+from neuroflight.sim.aircraft.model import Aircraft
+from neuroflight.sim.control.controller import Controller
+from neuroflight.sim.strict_toml import StrictTable
+from neuroflight.toolchain.contract import CONTROL_RATES_HZ, POLICY_FILTER_MEAN, Mix
+from neuroflight.toolchain.errors import TrainingError
+from neuroflight.toolchain.files import file_size
+from neuroflight.training.plugins import blaming, real_array, users_class
 
 PYTHON = ".py"
 RATE_HZ, IDLE, IDLE_MAX = 1000, 0.0, 0.5  # where the class says nothing

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
-from sim.analysis.limits import (
+from neuroflight.sim.analysis.limits import (
     CHANGE,
     DRIFT_DEG,
     DRIFT_DEG_S,
@@ -21,8 +21,8 @@ from sim.analysis.limits import (
     ROUGHER,
     TRACKING,
 )
-from training.fitness.course import AXES, Leg, Turn
-from training.fitness.flying import Flown, LegFigures, TurnFigures
+from neuroflight.training.fitness.course import AXES, Leg, Turn
+from neuroflight.training.fitness.flying import Flown, LegFigures, TurnFigures
 
 VARIED = 1.5  # likewise of an aircraft that differs from its file: two of the references are tuned for others
 SINK = 0.5  # of the weight: with more lift than that and the throttle closed it falls with less than g / 2

@@ -7,14 +7,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from sim.aircraft.model import Aircraft
-from sim.design.figures import aircraft_figures
-from toolchain.policy.check_stamp import stamp_document
-from training.evaluation.controllers import load_controller
-from training.fitness.bars import Bar, bars
-from training.fitness.course import SEED, Leg
-from training.fitness.flying import Flown, LegFigures, Progress, fly_course
-from training.fitness.references import References
+from neuroflight.sim.aircraft.model import Aircraft
+from neuroflight.sim.design.figures import aircraft_figures
+from neuroflight.toolchain.policy.check_stamp import stamp_document
+from neuroflight.training.evaluation.controllers import load_controller
+from neuroflight.training.fitness.bars import Bar, bars
+from neuroflight.training.fitness.course import SEED, Leg
+from neuroflight.training.fitness.flying import Flown, LegFigures, Progress, fly_course
+from neuroflight.training.fitness.references import References
 
 WORDS_MAX = 3  # reasons that one bar gives, the worst first
 

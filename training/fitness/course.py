@@ -13,12 +13,12 @@ from typing import ClassVar
 
 import numpy as np
 
-from sim.aircraft.model import Aircraft
-from sim.design.figures import Endurance, aircraft_figures
-from sim.physics.variation import Variation
-from toolchain.contract import RATE_FULL_STICK_DEG_S
-from training.tasks.flight import FlightTask
-from training.tasks.task import Setpoints
+from neuroflight.sim.aircraft.model import Aircraft
+from neuroflight.sim.design.figures import Endurance, aircraft_figures
+from neuroflight.sim.physics.variation import Variation
+from neuroflight.toolchain.contract import RATE_FULL_STICK_DEG_S
+from neuroflight.training.tasks.flight import FlightTask
+from neuroflight.training.tasks.task import Setpoints
 
 SEED = 2_000_003  # of commands, noise and bias: neither training, monitor nor results use it
 THRUSTS = (0.35, 1.0, 2.0, 4.0)  # of the weight, in which the ten commands are flown

@@ -9,16 +9,16 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from sim.aircraft.model import Aircraft
-from toolchain.policy.check_stamp import write_stamp
-from training.checkpoints.metrics import CheckpointMetrics
-from training.checkpoints.selection import rank
-from training.fitness.check import Verdict, check
-from training.fitness.flying import Progress
-from training.fitness.references import References
-from training.runs.checkpoint import load_run
-from training.runs.seeds import Planned
-from training.runs.train import CHECKPOINT, POLICY, RECORD, go_back
+from neuroflight.sim.aircraft.model import Aircraft
+from neuroflight.toolchain.policy.check_stamp import write_stamp
+from neuroflight.training.checkpoints.metrics import CheckpointMetrics
+from neuroflight.training.checkpoints.selection import rank
+from neuroflight.training.fitness.check import Verdict, check
+from neuroflight.training.fitness.flying import Progress
+from neuroflight.training.fitness.references import References
+from neuroflight.training.runs.checkpoint import load_run
+from neuroflight.training.runs.seeds import Planned
+from neuroflight.training.runs.train import CHECKPOINT, POLICY, RECORD, go_back
 
 Show = Callable[[str], Progress | None]  # by a checkpoint's name: how far its check is
 

@@ -8,15 +8,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.analysis.holding import holding
-from sim.analysis.swing import change, swing
-from sim.physics.world import Mount
-from toolchain.contract import GYRO_RATE_DEFAULT_HZ
-from training.evaluation.controllers import Conditions, Contender
-from training.evaluation.evaluation import Flights
-from training.evaluation.floor import floors_of
-from training.evaluation.thrust import THROTTLES, at_rest, throttle_of
-from training.fitness.course import (
+from neuroflight.sim.analysis.holding import holding
+from neuroflight.sim.analysis.swing import change, swing
+from neuroflight.sim.physics.world import Mount
+from neuroflight.toolchain.contract import GYRO_RATE_DEFAULT_HZ
+from neuroflight.training.evaluation.controllers import Conditions, Contender
+from neuroflight.training.evaluation.evaluation import Flights
+from neuroflight.training.evaluation.floor import floors_of
+from neuroflight.training.evaluation.thrust import THROTTLES, at_rest, throttle_of
+from neuroflight.training.fitness.course import (
     FLIGHT,
     GROUND_AIRCRAFT,
     GROUND_S,
@@ -26,7 +26,7 @@ from training.fitness.course import (
     Turn,
     TurnTask,
 )
-from training.tasks.task import EpisodicTask
+from neuroflight.training.tasks.task import EpisodicTask
 
 Array = NDArray[np.float64]
 Axes = tuple[float, float, float]

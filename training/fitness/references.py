@@ -13,14 +13,14 @@ import sys
 from multiprocessing.connection import Connection
 from typing import TYPE_CHECKING, Self
 
-from sim.aircraft.model import Aircraft
-from toolchain.errors import AircraftError, NeuroflightError, TrainingError
-from training.checkpoints.monitor_process import interrupts_ignored
-from training.fitness.course import Course, course
+from neuroflight.sim.aircraft.model import Aircraft
+from neuroflight.toolchain.errors import AircraftError, NeuroflightError, TrainingError
+from neuroflight.training.checkpoints.monitor_process import interrupts_ignored
+from neuroflight.training.fitness.course import Course, course
 
 if TYPE_CHECKING:
-    from sim.ports.betaflight.build import Betaflight
-    from training.fitness.flying import Flown
+    from neuroflight.sim.ports.betaflight.build import Betaflight
+    from neuroflight.training.fitness.flying import Flown
 
 
 class References:
@@ -110,10 +110,10 @@ def fly_references(
     aircraft: Aircraft, betaflight: Betaflight | None, way: Course
 ) -> tuple[tuple[Flown, ...], list[str]]:
     """Figures of the PID, where the aircraft has one, and of Betaflight; and why that is missing."""
-    from sim.ports.betaflight.fleet import ArmedBetaflight
-    from training.evaluation.betaflight import BetaflightSpec
-    from training.evaluation.controllers import PID, load_controller
-    from training.fitness.flying import fly_course
+    from neuroflight.sim.ports.betaflight.fleet import ArmedBetaflight
+    from neuroflight.training.evaluation.betaflight import BetaflightSpec
+    from neuroflight.training.evaluation.controllers import PID, load_controller
+    from neuroflight.training.fitness.flying import fly_course
 
     flown, missing = [], []
     if betaflight is not None:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from toolchain.contract import CHECKPOINT_FILE_BYTES_MAX
-from toolchain.errors import TrainingError
+from neuroflight.toolchain.contract import CHECKPOINT_FILE_BYTES_MAX
+from neuroflight.toolchain.errors import TrainingError
 
 NUMBER_BYTES = 4  # float32
 

@@ -13,12 +13,12 @@ from stable_baselines3.common.buffers import ReplayBuffer
 from stable_baselines3.common.noise import VectorizedActionNoise
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 
-from sim.aircraft.model import Aircraft
-from training.config.algorithms import DdpgConfig, OffPolicyConfig, SacConfig, Td3Config
-from training.config.training_config import TrainingConfig
-from training.learners.memory import check_memory
-from training.learners.protocol import Report, named_layers
-from training.learners.sb3 import MODULES, Sb3Learner
+from neuroflight.sim.aircraft.model import Aircraft
+from neuroflight.training.config.algorithms import DdpgConfig, OffPolicyConfig, SacConfig, Td3Config
+from neuroflight.training.config.training_config import TrainingConfig
+from neuroflight.training.learners.memory import check_memory
+from neuroflight.training.learners.protocol import Report, named_layers
+from neuroflight.training.learners.sb3 import MODULES, Sb3Learner
 
 REMEMBERED = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
 

@@ -6,12 +6,12 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from sim.aircraft.model import Aircraft
-from training.config.algorithms import PpoConfig
-from training.config.training_config import TrainingConfig
-from training.learners.exploration import EXPLORATIONS
-from training.learners.sb3 import MODULES, Sb3Learner
-from training.learners.smooth_ppo import Smoothness, SmoothPpo
+from neuroflight.sim.aircraft.model import Aircraft
+from neuroflight.training.config.algorithms import PpoConfig
+from neuroflight.training.config.training_config import TrainingConfig
+from neuroflight.training.learners.exploration import EXPLORATIONS
+from neuroflight.training.learners.sb3 import MODULES, Sb3Learner
+from neuroflight.training.learners.smooth_ppo import Smoothness, SmoothPpo
 
 
 class PpoLearner(Sb3Learner):

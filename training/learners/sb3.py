@@ -12,10 +12,10 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.utils import set_random_seed
 
-from sim.aircraft.model import Aircraft
-from training.config.training_config import TrainingConfig
-from training.envs.sb3_vector import LearnerVecEnv
-from training.learners.protocol import Report
+from neuroflight.sim.aircraft.model import Aircraft
+from neuroflight.training.config.training_config import TrainingConfig
+from neuroflight.training.envs.sb3_vector import LearnerVecEnv
+from neuroflight.training.learners.protocol import Report
 
 MODULES = {"tanh": torch.nn.Tanh, "relu": torch.nn.ReLU}
 REWARD_SCALE_MIN = 1e-4

@@ -30,7 +30,7 @@ from stable_baselines3.common.utils import explained_variance
 from stable_baselines3.common.vec_env import VecEnv
 from torch.nn import functional
 
-from training.learners.exploration import BetaExploration, Exploration, NormalExploration
+from neuroflight.training.learners.exploration import BetaExploration, Exploration, NormalExploration
 
 ADAM_EPS = 1e-5  # Stable-Baselines3's for PPO
 VALUE_SPREAD_MIN = 1e-6

@@ -5,10 +5,10 @@ from __future__ import annotations
 import torch
 from sb3_contrib import TRPO
 
-from sim.aircraft.model import Aircraft
-from training.config.algorithms import TrpoConfig
-from training.config.training_config import TrainingConfig
-from training.learners.sb3 import MODULES, Sb3Learner
+from neuroflight.sim.aircraft.model import Aircraft
+from neuroflight.training.config.algorithms import TrpoConfig
+from neuroflight.training.config.training_config import TrainingConfig
+from neuroflight.training.learners.sb3 import MODULES, Sb3Learner
 
 
 class TrpoLearner(Sb3Learner):

@@ -22,15 +22,15 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.aircraft.model import Aircraft
-from sim.analysis.metrics import effort, tracking
-from sim.ports.betaflight.build import Betaflight
-from sim.ports.betaflight.fleet import ArmedBetaflight
-from sim.ports.betaflight.tune import Tune
-from training.evaluation.betaflight import record_betaflight
-from training.evaluation.evaluation import Flights
-from training.pid_tuning.cma_es import CmaEs
-from training.pid_tuning.trial import (
+from neuroflight.sim.aircraft.model import Aircraft
+from neuroflight.sim.analysis.metrics import effort, tracking
+from neuroflight.sim.ports.betaflight.build import Betaflight
+from neuroflight.sim.ports.betaflight.fleet import ArmedBetaflight
+from neuroflight.sim.ports.betaflight.tune import Tune
+from neuroflight.training.evaluation.betaflight import record_betaflight
+from neuroflight.training.evaluation.evaluation import Flights
+from neuroflight.training.pid_tuning.cma_es import CmaEs
+from neuroflight.training.pid_tuning.trial import (
     MARGIN,
     PENALTY,
     held_commands,
@@ -38,8 +38,8 @@ from training.pid_tuning.trial import (
     throttles,
     training_commands,
 )
-from training.pid_tuning.tuner import POPULATION, MakeTuner, search
-from training.tasks.task import EpisodicTask, PulseTask, Setpoints, held
+from neuroflight.training.pid_tuning.tuner import POPULATION, MakeTuner, search
+from neuroflight.training.tasks.task import EpisodicTask, PulseTask, Setpoints, held
 
 Array = NDArray[np.float64]
 Array32 = NDArray[np.float32]

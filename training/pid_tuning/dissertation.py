@@ -18,14 +18,14 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.aircraft.model import Aircraft, PidSettings
-from sim.analysis.metrics import effort, tracking
-from sim.control.motors import throttle_mix
-from sim.control.pid import Pid
-from sim.control.pid_table import mixer
-from toolchain.contract import Mix
-from training.evaluation.evaluation import Flights, record
-from training.pid_tuning.trial import (
+from neuroflight.sim.aircraft.model import Aircraft, PidSettings
+from neuroflight.sim.analysis.metrics import effort, tracking
+from neuroflight.sim.control.motors import throttle_mix
+from neuroflight.sim.control.pid import Pid
+from neuroflight.sim.control.pid_table import mixer
+from neuroflight.toolchain.contract import Mix
+from neuroflight.training.evaluation.evaluation import Flights, record
+from neuroflight.training.pid_tuning.trial import (
     MARGIN,
     PENALTY,
     RATE_HZ,
@@ -36,8 +36,8 @@ from training.pid_tuning.trial import (
     missed,
     training_commands,
 )
-from training.pid_tuning.ultimate_gain import Steps
-from training.tasks.task import EpisodicTask, PulseTask, Task
+from neuroflight.training.pid_tuning.ultimate_gain import Steps
+from neuroflight.training.tasks.task import EpisodicTask, PulseTask, Task
 
 Array = NDArray[np.float64]
 Array32 = NDArray[np.float32]

@@ -23,20 +23,20 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.aircraft.model import Aircraft, PidSettings
-from sim.control.gyro_mean import samples_per_step
-from sim.control.pid_table import mixer, settings_table
-from sim.physics.rotor import response_rows, target_speed, thrust_and_torque
-from toolchain.contract import GRAVITY, Mix
-from toolchain.rendering.pid_table import pid_gains
-from training.config.training_config import OutputMap
-from training.learners.network.shape import Shape
-from training.learners.pathwise.flights import LANES
-from training.learners.pathwise.library import library, pointer
-from training.learners.pathwise.loss import Weights
-from training.learners.pathwise.plan import Surroundings
-from training.pid_tuning.trial import MARGIN, RATE_HZ, Limits, Trial, training_commands
-from training.tasks.task import PulseTask
+from neuroflight.sim.aircraft.model import Aircraft, PidSettings
+from neuroflight.sim.control.gyro_mean import samples_per_step
+from neuroflight.sim.control.pid_table import mixer, settings_table
+from neuroflight.sim.physics.rotor import response_rows, target_speed, thrust_and_torque
+from neuroflight.toolchain.contract import GRAVITY, Mix
+from neuroflight.toolchain.rendering.pid_table import pid_gains
+from neuroflight.training.config.training_config import OutputMap
+from neuroflight.training.learners.network.shape import Shape
+from neuroflight.training.learners.pathwise.flights import LANES
+from neuroflight.training.learners.pathwise.library import library, pointer
+from neuroflight.training.learners.pathwise.loss import Weights
+from neuroflight.training.learners.pathwise.plan import Surroundings
+from neuroflight.training.pid_tuning.trial import MARGIN, RATE_HZ, Limits, Trial, training_commands
+from neuroflight.training.tasks.task import PulseTask
 
 Array = NDArray[np.float64]
 Array32 = NDArray[np.float32]

@@ -10,11 +10,11 @@ from typing import ClassVar, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.aircraft.model import Aircraft, PidSettings
-from sim.analysis.response import BAND, FLOOR_DEG_S
-from toolchain.contract import Mix
-from training.evaluation.evaluation import Flights
-from training.tasks.task import EpisodicTask, PulseTask, Setpoints
+from neuroflight.sim.aircraft.model import Aircraft, PidSettings
+from neuroflight.sim.analysis.response import BAND, FLOOR_DEG_S
+from neuroflight.toolchain.contract import Mix
+from neuroflight.training.evaluation.evaluation import Flights
+from neuroflight.training.tasks.task import EpisodicTask, PulseTask, Setpoints
 
 Array = NDArray[np.float64]
 

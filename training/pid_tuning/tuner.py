@@ -8,8 +8,8 @@ from typing import Any, Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from toolchain.errors import TrainingError
-from training.plugins import blaming, users_class
+from neuroflight.toolchain.errors import TrainingError
+from neuroflight.training.plugins import blaming, users_class
 
 Array = NDArray[np.float64]
 POPULATION = 12  # candidates of a generation; the usual number for 11 settings

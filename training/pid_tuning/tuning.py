@@ -9,14 +9,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.aircraft.mass import Vector
-from sim.aircraft.model import Aircraft, PidSettings
-from sim.physics.rotor import target_speed, thrust_and_torque
-from toolchain.contract import GRAVITY
-from training.pid_tuning.cma_es import CmaEs
-from training.pid_tuning.trial import RATE_HZ, Trial, Trials
-from training.pid_tuning.tuner import POPULATION, MakeTuner, search
-from training.pid_tuning.ultimate_gain import RULES, UltimateGain, ultimate_gains
+from neuroflight.sim.aircraft.mass import Vector
+from neuroflight.sim.aircraft.model import Aircraft, PidSettings
+from neuroflight.sim.physics.rotor import target_speed, thrust_and_torque
+from neuroflight.toolchain.contract import GRAVITY
+from neuroflight.training.pid_tuning.cma_es import CmaEs
+from neuroflight.training.pid_tuning.trial import RATE_HZ, Trial, Trials
+from neuroflight.training.pid_tuning.tuner import POPULATION, MakeTuner, search
+from neuroflight.training.pid_tuning.ultimate_gain import RULES, UltimateGain, ultimate_gains
 
 Array = NDArray[np.float64]
 

@@ -8,15 +8,15 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import ScalarFormatter
 from numpy.typing import NDArray
 
-from sim.aircraft.model import Aircraft, PidSettings
-from sim.control.pid import Pid
-from sim.control.pid_table import mixer
-from sim.plotting import FLIGHT_COLOURS, GRID, INK, dress, titled_figure
-from toolchain.contract import AXES
-from training.evaluation.evaluation import record
-from training.pid_tuning.trial import RATE_HZ, Limits, Pulses, Trial
-from training.pid_tuning.tuning import Tuning
-from training.tasks.task import PulseTask
+from neuroflight.sim.aircraft.model import Aircraft, PidSettings
+from neuroflight.sim.control.pid import Pid
+from neuroflight.sim.control.pid_table import mixer
+from neuroflight.sim.plotting import FLIGHT_COLOURS, GRID, INK, dress, titled_figure
+from neuroflight.toolchain.contract import AXES
+from neuroflight.training.evaluation.evaluation import record
+from neuroflight.training.pid_tuning.trial import RATE_HZ, Limits, Pulses, Trial
+from neuroflight.training.pid_tuning.tuning import Tuning
+from neuroflight.training.tasks.task import PulseTask
 
 STEP_DEG_S = 100.0  # drawn step, on one axis at a time
 SHOWN_S = 0.5

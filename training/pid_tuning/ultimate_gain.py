@@ -8,15 +8,15 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.aircraft.mass import Vector
-from sim.aircraft.model import Aircraft, PidSettings
-from sim.control.pid import Pid
-from sim.control.pid_table import mixer
-from toolchain.contract import AXES
-from toolchain.errors import TrainingError
-from toolchain.rendering.pid_table import SCALE
-from training.evaluation.evaluation import record
-from training.tasks.task import Setpoints, held
+from neuroflight.sim.aircraft.mass import Vector
+from neuroflight.sim.aircraft.model import Aircraft, PidSettings
+from neuroflight.sim.control.pid import Pid
+from neuroflight.sim.control.pid_table import mixer
+from neuroflight.toolchain.contract import AXES
+from neuroflight.toolchain.errors import TrainingError
+from neuroflight.toolchain.rendering.pid_table import SCALE
+from neuroflight.training.evaluation.evaluation import record
+from neuroflight.training.tasks.task import Setpoints, held
 
 Array = NDArray[np.float64]
 

@@ -14,18 +14,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.aircraft.model import Aircraft
-from sim.analysis.metrics import effort, tracking
-from sim.control.controller import Controller
-from toolchain.errors import TrainingError
-from training.evaluation.evaluation import Flights, record
-from training.evaluation.users_controller import Parameter, UsersController
-from training.pid_tuning.cma_es import CmaEs
-from training.pid_tuning.flying import LEVELS, PENALTY, throttle_for
-from training.pid_tuning.trial import MARGIN, Pulses, training_commands
-from training.pid_tuning.tuner import POPULATION, MakeTuner, search
-from training.pid_tuning.tuning import significant
-from training.tasks.task import PulseTask
+from neuroflight.sim.aircraft.model import Aircraft
+from neuroflight.sim.analysis.metrics import effort, tracking
+from neuroflight.sim.control.controller import Controller
+from neuroflight.toolchain.errors import TrainingError
+from neuroflight.training.evaluation.evaluation import Flights, record
+from neuroflight.training.evaluation.users_controller import Parameter, UsersController
+from neuroflight.training.pid_tuning.cma_es import CmaEs
+from neuroflight.training.pid_tuning.flying import LEVELS, PENALTY, throttle_for
+from neuroflight.training.pid_tuning.trial import MARGIN, Pulses, training_commands
+from neuroflight.training.pid_tuning.tuner import POPULATION, MakeTuner, search
+from neuroflight.training.pid_tuning.tuning import significant
+from neuroflight.training.tasks.task import PulseTask
 
 Array = NDArray[np.float64]
 Array32 = NDArray[np.float32]

@@ -8,12 +8,12 @@ from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 
-from sim.flight.scenario import load_scenario
-from training.config.config_file import load_config
-from training.config.training_config import TrainingConfig
-from training.dissertation.conditions import conditions
-from training.reproduction.experiments import FOLDER, Budget, Experiments, Figure, Step
-from training.tasks.registry import TASKS
+from neuroflight.sim.flight.scenario import load_scenario
+from neuroflight.training.config.config_file import load_config
+from neuroflight.training.config.training_config import TrainingConfig
+from neuroflight.training.dissertation.conditions import conditions
+from neuroflight.training.reproduction.experiments import FOLDER, Budget, Experiments, Figure, Step
+from neuroflight.training.tasks.registry import TASKS
 
 TERMS_SHOWN = 3
 ROOT = Path(__file__).resolve().parents[2]

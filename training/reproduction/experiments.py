@@ -17,11 +17,11 @@ from functools import cache
 from pathlib import Path
 from typing import Literal
 
-from sim.strict_toml import StrictTable
-from toolchain.errors import NeuroflightError
-from training.dissertation.quotes import QuoteError
-from training.reproduction.patterns import PatternError, expanded
-from training.reproduction.quoted import Quoted, quoted
+from neuroflight.sim.strict_toml import StrictTable
+from neuroflight.toolchain.errors import NeuroflightError
+from neuroflight.training.dissertation.quotes import QuoteError
+from neuroflight.training.reproduction.patterns import PatternError, expanded
+from neuroflight.training.reproduction.quoted import Quoted, quoted
 
 FILE = Path(__file__).with_name("experiments.toml")
 Budget = Literal["quick", "full"]

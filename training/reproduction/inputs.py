@@ -11,8 +11,8 @@ import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from sim.aircraft.model import FOLDER as AIRCRAFT
-from training.config.config_file import FOLDER as RECIPES
+from neuroflight.sim.aircraft.model import FOLDER as AIRCRAFT
+from neuroflight.training.config.config_file import FOLDER as RECIPES
 
 DIGITS = 16  # of a SHA-256
 SHIPPED = {"--config": RECIPES, "--aircraft": AIRCRAFT}  # by option: where the files are that it names

@@ -13,7 +13,7 @@ import re
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from training.reproduction.experiments import Figure, ReproduceError
+from neuroflight.training.reproduction.experiments import Figure, ReproduceError
 
 Value = float | tuple[float, ...]  # of one thing, or of roll, pitch, yaw
 PART = re.compile(r"([^.\[\]]+)|\[(best )?(-?\d+)(?:(:)(\d+)?)?\]")

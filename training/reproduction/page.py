@@ -6,13 +6,13 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from itertools import groupby
 
-from training.dissertation.conditions import conditions
-from training.reproduction.conditions import COLUMNS, differences
-from training.reproduction.experiments import Experiments, Figure, Row
-from training.reproduction.lookup import Value
-from training.reproduction.stored import Kept, Result, RowResult, row_result
-from training.reproduction.verdict import Judged, Verdict, bar
-from training.results_page.markdown import table
+from neuroflight.training.dissertation.conditions import conditions
+from neuroflight.training.reproduction.conditions import COLUMNS, differences
+from neuroflight.training.reproduction.experiments import Experiments, Figure, Row
+from neuroflight.training.reproduction.lookup import Value
+from neuroflight.training.reproduction.stored import Kept, Result, RowResult, row_result
+from neuroflight.training.reproduction.verdict import Judged, Verdict, bar
+from neuroflight.training.results_page.markdown import table
 
 CHAPTERS = {
     2: "Background",

@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from training.dissertation.quotes import AXES, Printed, quotes
+from neuroflight.training.dissertation.quotes import AXES, Printed, quotes
 
 DIGITS = 2  # that count in the margin of a figure that follows from printed ones
 DECIMALS_MAX = 4  # of one

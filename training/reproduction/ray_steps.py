@@ -6,9 +6,9 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-from training.reproduction.experiments import ReproduceError
-from training.reproduction.steps import POLL_S, Execute, execute_here
-from training.sweeps.ray_workers import check_ray, ray_session
+from neuroflight.training.reproduction.experiments import ReproduceError
+from neuroflight.training.reproduction.steps import POLL_S, Execute, execute_here
+from neuroflight.training.sweeps.ray_workers import check_ray, ray_session
 
 
 @contextmanager

@@ -21,9 +21,9 @@ from pathlib import Path
 from threading import Event
 from typing import Any
 
-from toolchain.files import file_size, write_text
-from training.reproduction.experiments import FOLDER, OUT, PLOT, Budget, ReproduceError, Step
-from training.reproduction.inputs import changed, inputs
+from neuroflight.toolchain.files import file_size, write_text
+from neuroflight.training.reproduction.experiments import FOLDER, OUT, PLOT, Budget, ReproduceError, Step
+from neuroflight.training.reproduction.inputs import changed, inputs
 
 OUTPUT_BYTES_MAX = 64 << 20
 PICTURES = ("view",)  # commands that draw and print no JSON
@@ -225,7 +225,7 @@ def _typed(words: Sequence[str]) -> str:
 def execute_here(words: Sequence[str], folder: Path, stop: Callable[[], bool]) -> str:
     """Run a command in a process of its own. Raises ReproduceError with what it said last if it fails."""
     process = subprocess.Popen(
-        [sys.executable, "-m", "cli.main", *words],
+        [sys.executable, "-m", "neuroflight.cli.main", *words],
         cwd=folder,
         stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE,

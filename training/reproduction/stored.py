@@ -11,11 +11,11 @@ from typing import Any
 
 from PIL import Image
 
-from toolchain.files import file_size, replacing, write_text
-from training.reproduction.experiments import BUDGETS, Budget, Figure, ReproduceError, Row, Source
-from training.reproduction.lookup import Value, find, ours, scaled
-from training.reproduction.steps import Done
-from training.reproduction.verdict import Judged, Verdict, judge
+from neuroflight.toolchain.files import file_size, replacing, write_text
+from neuroflight.training.reproduction.experiments import BUDGETS, Budget, Figure, ReproduceError, Row, Source
+from neuroflight.training.reproduction.lookup import Value, find, ours, scaled
+from neuroflight.training.reproduction.steps import Done
+from neuroflight.training.reproduction.verdict import Judged, Verdict, judge
 
 FILE_BYTES_MAX = 1 << 20
 WORST_FIRST = (Verdict.NOT_REACHED, Verdict.REACHED, Verdict.SURPASSED, Verdict.UNLIKE, Verdict.INPUT)

@@ -15,9 +15,9 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import Enum
 
-from training.reproduction.experiments import TARGET, Figure, ReproduceError
-from training.reproduction.lookup import Value
-from training.reproduction.quoted import Quoted
+from neuroflight.training.reproduction.experiments import TARGET, Figure, ReproduceError
+from neuroflight.training.reproduction.lookup import Value
+from neuroflight.training.reproduction.quoted import Quoted
 
 AXES = ("roll", "pitch", "yaw")
 

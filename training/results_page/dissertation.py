@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
-from training.dissertation.quotes import Axes, quotes
+from neuroflight.training.dissertation.quotes import Axes, quotes
 
 Known = tuple[float | None, float | None, float | None]  # None: nothing to average
 

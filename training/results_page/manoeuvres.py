@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from training.results_page.markdown import table
-from training.results_page.rows import controller_label
-from training.results_page.stored_results import Stored
+from neuroflight.training.results_page.markdown import table
+from neuroflight.training.results_page.rows import controller_label
+from neuroflight.training.results_page.stored_results import Stored
 
 TITLES = {
     "roll": "roll",

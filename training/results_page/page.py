@@ -9,13 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from training.dissertation.quotes import quotes
-from training.results_page.dissertation import Difference, Row, printed_drift_mm, printed_rows
-from training.results_page.equal_thrust import equal_thrust_section, transparency_section
-from training.results_page.manoeuvres import manoeuvre_section
-from training.results_page.markdown import axes, number, table
-from training.results_page.robustness import robustness_section
-from training.results_page.rows import (
+from neuroflight.training.dissertation.quotes import quotes
+from neuroflight.training.results_page.dissertation import Difference, Row, printed_drift_mm, printed_rows
+from neuroflight.training.results_page.equal_thrust import equal_thrust_section, transparency_section
+from neuroflight.training.results_page.manoeuvres import manoeuvre_section
+from neuroflight.training.results_page.markdown import axes, number, table
+from neuroflight.training.results_page.robustness import robustness_section
+from neuroflight.training.results_page.rows import (
     ALL_AXES,
     STEADY,
     SUMS,
@@ -24,10 +24,10 @@ from training.results_page.rows import (
     evaluated_row,
     flown_rows,
 )
-from training.results_page.stored_results import Stored
-from training.results_page.studies import study_section
-from training.results_page.timing import timing_section
-from training.results_page.training import training_section
+from neuroflight.training.results_page.stored_results import Stored
+from neuroflight.training.results_page.studies import study_section
+from neuroflight.training.results_page.timing import timing_section
+from neuroflight.training.results_page.training import training_section
 
 
 def render(results: Sequence[Stored]) -> str:

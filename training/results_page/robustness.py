@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from training.results_page.markdown import table
-from training.results_page.rows import controller_label
-from training.results_page.stored_results import Stored
+from neuroflight.training.results_page.markdown import table
+from neuroflight.training.results_page.rows import controller_label
+from neuroflight.training.results_page.stored_results import Stored
 
 
 def robustness_section(stored: Stored) -> str:

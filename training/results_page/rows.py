@@ -6,8 +6,8 @@ import hashlib
 from collections.abc import Sequence
 from pathlib import Path
 
-from training.results_page.dissertation import Difference, Known, Row
-from training.results_page.stored_results import Stored
+from neuroflight.training.results_page.dissertation import Difference, Known, Row
+from neuroflight.training.results_page.stored_results import Stored
 
 SUMS = ("iae", "ise", "itae", "itse")
 RESPONSES = (  # of a row: figure, factor of the printed value

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from toolchain.errors import NeuroflightError
-from toolchain.files import file_size
-from training.dissertation.quotes import Axes
+from neuroflight.toolchain.errors import NeuroflightError
+from neuroflight.toolchain.files import file_size
+from neuroflight.training.dissertation.quotes import Axes
 
 FILE_BYTES_MAX = 4 << 20
 FILES_MAX = 200

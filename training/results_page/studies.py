@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from training.results_page.markdown import number, table
-from training.results_page.stored_results import Stored
+from neuroflight.training.results_page.markdown import number, table
+from neuroflight.training.results_page.stored_results import Stored
 
 VARIANT = "variant"
 SIZES = "sizes"  # the study that is drawn too

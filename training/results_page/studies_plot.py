@@ -9,9 +9,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, NullLocator
 
-from sim.plotting import GRID, INK, MOTOR_COLOURS, MUTED, dress, titled_figure
-from training.results_page.stored_results import Stored
-from training.results_page.studies import VARIANT
+from neuroflight.sim.plotting import GRID, INK, MOTOR_COLOURS, MUTED, dress, titled_figure
+from neuroflight.training.results_page.stored_results import Stored
+from neuroflight.training.results_page.studies import VARIANT
 
 UNFIT = "#d55e00"  # rim of what is too large for the board
 TICKS = [mark * 10.0**power for power in range(1, 6) for mark in (1, 2, 5)]

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from textwrap import fill
 
-from training.results_page.dissertation import Timing, printed_timing
-from training.results_page.markdown import number, table
-from training.results_page.stored_results import Stored
+from neuroflight.training.results_page.dissertation import Timing, printed_timing
+from neuroflight.training.results_page.markdown import number, table
+from neuroflight.training.results_page.stored_results import Stored
 
 PAGE_WIDTH = 108
 NAMES = {"policy": "policy", "pid": "PID"}

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from training.results_page.markdown import table
-from training.results_page.stored_results import Stored
+from neuroflight.training.results_page.markdown import table
+from neuroflight.training.results_page.stored_results import Stored
 
 GOOD_DEG_S = 5.0  # mean error of a policy that flies
 

@@ -16,15 +16,15 @@ from typing import Any
 
 import torch
 
-from toolchain.contract import CHECKPOINT_FILE_BYTES_MAX, CHECKPOINT_FORMAT, CHECKPOINT_VERSION
-from toolchain.errors import PolicyError, TrainingError
-from toolchain.files import write_bytes
-from toolchain.policy.plain_checkpoint import load_plain
-from training.checkpoints.metrics import CheckpointMetrics
-from training.checkpoints.selection import better, rank
-from training.config.selection import SelectionLimits
-from training.plugins import check_recorded
-from training.runs.rewards import Rewards
+from neuroflight.toolchain.contract import CHECKPOINT_FILE_BYTES_MAX, CHECKPOINT_FORMAT, CHECKPOINT_VERSION
+from neuroflight.toolchain.errors import PolicyError, TrainingError
+from neuroflight.toolchain.files import write_bytes
+from neuroflight.toolchain.policy.plain_checkpoint import load_plain
+from neuroflight.training.checkpoints.metrics import CheckpointMetrics
+from neuroflight.training.checkpoints.selection import better, rank
+from neuroflight.training.config.selection import SelectionLimits
+from neuroflight.training.plugins import check_recorded
+from neuroflight.training.runs.rewards import Rewards
 
 KEPT_MAX = 7  # policies of other checkpoints than the chosen one, where that may prove unfit to fly
 

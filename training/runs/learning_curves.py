@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.analysis.confidence import Mean, mean_of
-from toolchain.errors import TrainingError
-from training.runs.rewards import read_rewards
-from training.runs.train import RECORD, REWARDS, read_record
+from neuroflight.sim.analysis.confidence import Mean, mean_of
+from neuroflight.toolchain.errors import TrainingError
+from neuroflight.training.runs.rewards import read_rewards
+from neuroflight.training.runs.train import RECORD, REWARDS, read_record
 
 Array = NDArray[np.float64]
 POINTS = 200  # of a mean over seeds
@@ -124,7 +124,7 @@ def run_folders(folder: Path) -> list[Path]:
 
 def read_run(folder: Path) -> SeedRewards:
     """The rewards of one run. Raises TrainingError if it has none, or too few to draw."""
-    from training.config.config_file import load_config
+    from neuroflight.training.config.config_file import load_config
 
     record = read_record(folder)
     rewards = read_rewards(folder / REWARDS)

@@ -10,8 +10,8 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
-from sim.plotting import FLIGHT_COLOURS, INK, MOTOR_COLOURS, dress, titled_figure
-from training.runs.learning_curves import Curve
+from neuroflight.sim.plotting import FLIGHT_COLOURS, INK, MOTOR_COLOURS, dress, titled_figure
+from neuroflight.training.runs.learning_curves import Curve
 
 COLUMNS = 3
 MEAN = FLIGHT_COLOURS[2]

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 
-from toolchain.errors import TrainingError
-from toolchain.files import file_size, write_text
+from neuroflight.toolchain.errors import TrainingError
+from neuroflight.toolchain.files import file_size, write_text
 
 POINTS_MAX = 400
 FILE_BYTES_MAX = 1 << 20

@@ -7,15 +7,15 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from sim.aircraft.model import Aircraft
-from toolchain.errors import TrainingError
-from toolchain.files import write_bytes, write_text
-from training.checkpoints.metrics import CheckpointMetrics
-from training.checkpoints.selection import better
-from training.config.selection import SelectionLimits
-from training.config.training_config import SEED_MAX, TrainingConfig
-from training.runs.checkpoint import load_run
-from training.runs.train import CHECKPOINT, POLICY, RECORD, read_record
+from neuroflight.sim.aircraft.model import Aircraft
+from neuroflight.toolchain.errors import TrainingError
+from neuroflight.toolchain.files import write_bytes, write_text
+from neuroflight.training.checkpoints.metrics import CheckpointMetrics
+from neuroflight.training.checkpoints.selection import better
+from neuroflight.training.config.selection import SelectionLimits
+from neuroflight.training.config.training_config import SEED_MAX, TrainingConfig
+from neuroflight.training.runs.checkpoint import load_run
+from neuroflight.training.runs.train import CHECKPOINT, POLICY, RECORD, read_record
 
 SEEDS_MAX = 100
 

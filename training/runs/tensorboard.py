@@ -7,8 +7,8 @@ from pathlib import Path
 
 from torch.utils.tensorboard import SummaryWriter
 
-from training.checkpoints.metrics import CheckpointMetrics, Spread
-from training.runs.train import Callback, Progress
+from neuroflight.training.checkpoints.metrics import CheckpointMetrics, Spread
+from neuroflight.training.runs.train import Callback, Progress
 
 
 class TensorBoard(Callback):

@@ -13,20 +13,28 @@ from typing import Any
 
 import torch
 
-from sim.aircraft.model import Aircraft
-from toolchain.errors import TrainingError
-from toolchain.files import file_size, write_text
-from toolchain.policy.freeze import freeze
-from training.checkpoints.metrics import CheckpointMetrics
-from training.checkpoints.monitor import EPISODES, SEED, flown
-from training.checkpoints.monitor_process import Monitor
-from training.checkpoints.selection import rule
-from training.config.training_config import TrainingConfig
-from training.learners.pathwise.learner import PathwiseLearner
-from training.learners.protocol import Report
-from training.runs.checkpoint import Learned, MonitorState, Policy, Run, load_run, save_checkpoint, snapshot
-from training.runs.make_learner import make_learner
-from training.runs.rewards import Rewards
+from neuroflight.sim.aircraft.model import Aircraft
+from neuroflight.toolchain.errors import TrainingError
+from neuroflight.toolchain.files import file_size, write_text
+from neuroflight.toolchain.policy.freeze import freeze
+from neuroflight.training.checkpoints.metrics import CheckpointMetrics
+from neuroflight.training.checkpoints.monitor import EPISODES, SEED, flown
+from neuroflight.training.checkpoints.monitor_process import Monitor
+from neuroflight.training.checkpoints.selection import rule
+from neuroflight.training.config.training_config import TrainingConfig
+from neuroflight.training.learners.pathwise.learner import PathwiseLearner
+from neuroflight.training.learners.protocol import Report
+from neuroflight.training.runs.checkpoint import (
+    Learned,
+    MonitorState,
+    Policy,
+    Run,
+    load_run,
+    save_checkpoint,
+    snapshot,
+)
+from neuroflight.training.runs.make_learner import make_learner
+from neuroflight.training.runs.rewards import Rewards
 
 CHECKPOINT, POLICY, RECORD, MONITOR = "checkpoint.pt", "policy.onnx", "training.json", "monitor.json"
 REWARDS = "rewards.csv"

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from sim.strict_toml import StrictTable
-from toolchain.errors import TrainingError
+from neuroflight.sim.strict_toml import StrictTable
+from neuroflight.toolchain.errors import TrainingError
 
 NUMBER_MAX = 1e12  # of a range's ends
 RANGE_KEYS = ("low", "high", "log", "whole")

@@ -40,18 +40,26 @@ from typing import Any
 
 import numpy as np
 
-from sim.aircraft.model import Aircraft, load_aircraft, shipped
-from sim.aircraft.props_out import SUFFIX
-from sim.physics.world import COUNT_MAX
-from sim.strict_toml import StrictTable
-from toolchain.errors import TrainingError
-from toolchain.files import file_size
-from training.config.config_file import load_config, recipes
-from training.config.training_config import SEED_MAX, TrainingConfig
-from training.sweeps.axes import VARIANT, Range, Varied, combinations, flat, read_axes, read_variants
-from training.tasks.flight import HOVER_THROTTLE, FlightTask
-from training.tasks.registry import TASKS
-from training.tasks.task import Task
+from neuroflight.sim.aircraft.model import Aircraft, load_aircraft, shipped
+from neuroflight.sim.aircraft.props_out import SUFFIX
+from neuroflight.sim.physics.world import COUNT_MAX
+from neuroflight.sim.strict_toml import StrictTable
+from neuroflight.toolchain.errors import TrainingError
+from neuroflight.toolchain.files import file_size
+from neuroflight.training.config.config_file import load_config, recipes
+from neuroflight.training.config.training_config import SEED_MAX, TrainingConfig
+from neuroflight.training.sweeps.axes import (
+    VARIANT,
+    Range,
+    Varied,
+    combinations,
+    flat,
+    read_axes,
+    read_variants,
+)
+from neuroflight.training.tasks.flight import HOVER_THROTTLE, FlightTask
+from neuroflight.training.tasks.registry import TASKS
+from neuroflight.training.tasks.task import Task
 
 FILE_BYTES_MAX = 100_000
 TRIALS_MAX = 1000

@@ -7,13 +7,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from sim.aircraft.model import Aircraft
-from toolchain.errors import NeuroflightError
-from training.plugins import Plugin, load_plugins
-from training.runs.checkpoint import Policy
-from training.runs.train import Callback, Progress
-from training.sweeps.config import Trial, Validation
-from training.sweeps.trial import run_trial
+from neuroflight.sim.aircraft.model import Aircraft
+from neuroflight.toolchain.errors import NeuroflightError
+from neuroflight.training.plugins import Plugin, load_plugins
+from neuroflight.training.runs.checkpoint import Policy
+from neuroflight.training.runs.train import Callback, Progress
+from neuroflight.training.sweeps.config import Trial, Validation
+from neuroflight.training.sweeps.trial import run_trial
 
 FAILURES_MAX = 3  # restarts of a run after its worker died
 REPORT_S = 1.0  # between two reports of a run

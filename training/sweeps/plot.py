@@ -13,9 +13,9 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
-from sim.plotting import GRID, INK, dress, plain_numbers, titled_figure
-from training.sweeps.config import Validation, described
-from training.sweeps.summary import Configuration, pareto
+from neuroflight.sim.plotting import GRID, INK, dress, plain_numbers, titled_figure
+from neuroflight.training.sweeps.config import Validation, described
+from neuroflight.training.sweeps.summary import Configuration, pareto
 
 COSTS = LinearSegmentedColormap.from_list("costs", ("#5fb0e0", "#0072b2", "#12355b"))
 UNPRICED = "#6b7480"  # colour of a network with unknown cycles

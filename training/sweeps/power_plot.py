@@ -7,11 +7,11 @@ from collections.abc import Sequence
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Picture
 
-from sim.plotting import FLIGHT_COLOURS, INK, dress, legend_above, titled_figure
-from training.sweeps.axes import VARIANT, Varied
-from training.sweeps.config import Validation, described, shown
-from training.sweeps.summary import Run
-from training.sweeps.trial import AtThrust, Figure
+from neuroflight.sim.plotting import FLIGHT_COLOURS, INK, dress, legend_above, titled_figure
+from neuroflight.training.sweeps.axes import VARIANT, Varied
+from neuroflight.training.sweeps.config import Validation, described, shown
+from neuroflight.training.sweeps.summary import Run
+from neuroflight.training.sweeps.trial import AtThrust, Figure
 
 MARKERS = "os^Dv<>P"  # one for each thrust
 LISTED_MAX = 26  # runs with a line of text

@@ -13,7 +13,7 @@ from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 
-from training.sweeps.jobs import FAILURES_MAX, THREADS, End, Job, SweepCallback, do
+from neuroflight.training.sweeps.jobs import FAILURES_MAX, THREADS, End, Job, SweepCallback, do
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,8 +14,8 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from toolchain.errors import TrainingError
-from training.sweeps.jobs import FAILURES_MAX, THREADS, Job, SweepCallback, do
+from neuroflight.toolchain.errors import TrainingError
+from neuroflight.training.sweeps.jobs import FAILURES_MAX, THREADS, Job, SweepCallback, do
 
 if TYPE_CHECKING:
     import ray.tune

@@ -7,17 +7,17 @@ import shutil
 from dataclasses import replace
 from pathlib import Path
 
-from sim.plotting import save_png
-from toolchain.errors import TrainingError
-from toolchain.files import write_text
-from training.plugins import Plugin
-from training.sweeps import process_workers, ray_workers
-from training.sweeps.config import Sweep
-from training.sweeps.jobs import STOP, Job, SweepCallback, clear_stop
-from training.sweeps.plot import draw
-from training.sweeps.power_plot import draw_power
-from training.sweeps.summary import Run, configurations, document
-from training.sweeps.trial import read_outcome
+from neuroflight.sim.plotting import save_png
+from neuroflight.toolchain.errors import TrainingError
+from neuroflight.toolchain.files import write_text
+from neuroflight.training.plugins import Plugin
+from neuroflight.training.sweeps import process_workers, ray_workers
+from neuroflight.training.sweeps.config import Sweep
+from neuroflight.training.sweeps.jobs import STOP, Job, SweepCallback, clear_stop
+from neuroflight.training.sweeps.plot import draw
+from neuroflight.training.sweeps.power_plot import draw_power
+from neuroflight.training.sweeps.summary import Run, configurations, document
+from neuroflight.training.sweeps.trial import read_outcome
 
 RECORD = "sweep.json"
 PLOT = "sweep.png"

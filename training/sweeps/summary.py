@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from toolchain.contract import POLICY_WEIGHT_COUNT_MAX
-from training.sweeps.axes import Varied
-from training.sweeps.config import Board, Sweep, Trial
-from training.sweeps.trial import FIGURES, Figure, Outcome
+from neuroflight.toolchain.contract import POLICY_WEIGHT_COUNT_MAX
+from neuroflight.training.sweeps.axes import Varied
+from neuroflight.training.sweeps.config import Board, Sweep, Trial
+from neuroflight.training.sweeps.trial import FIGURES, Figure, Outcome
 
 
 @dataclass(frozen=True)

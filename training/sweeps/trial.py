@@ -16,22 +16,22 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sim.aircraft.model import Aircraft
-from toolchain.codegen.compiler import compile_policy
-from toolchain.contract import GYRO_RATE_DEFAULT_HZ
-from toolchain.cortex_m7.timing import mixed_observations, time_policy
-from toolchain.errors import BuildError, TrainingError
-from toolchain.files import file_size, write_text
-from toolchain.policy.model import read_policy
-from training.checkpoints.monitor_process import Monitor
-from training.evaluation.comparison import values
-from training.evaluation.controllers import Conditions, ControllerSpec, load_controller
-from training.evaluation.equal_thrust import equal_thrust
-from training.evaluation.evaluation import Scores, mean_over, scores
-from training.runs.train import CHECKPOINT, POLICY, Callback, read_record, train
-from training.sweeps.config import Trial, Validation
-from training.tasks.flight import FlightTask
-from training.tasks.registry import TASKS
+from neuroflight.sim.aircraft.model import Aircraft
+from neuroflight.toolchain.codegen.compiler import compile_policy
+from neuroflight.toolchain.contract import GYRO_RATE_DEFAULT_HZ
+from neuroflight.toolchain.cortex_m7.timing import mixed_observations, time_policy
+from neuroflight.toolchain.errors import BuildError, TrainingError
+from neuroflight.toolchain.files import file_size, write_text
+from neuroflight.toolchain.policy.model import read_policy
+from neuroflight.training.checkpoints.monitor_process import Monitor
+from neuroflight.training.evaluation.comparison import values
+from neuroflight.training.evaluation.controllers import Conditions, ControllerSpec, load_controller
+from neuroflight.training.evaluation.equal_thrust import equal_thrust
+from neuroflight.training.evaluation.evaluation import Scores, mean_over, scores
+from neuroflight.training.runs.train import CHECKPOINT, POLICY, Callback, read_record, train
+from neuroflight.training.sweeps.config import Trial, Validation
+from neuroflight.training.tasks.flight import FlightTask
+from neuroflight.training.tasks.registry import TASKS
 
 RESULT = "result.json"
 RESULT_BYTES_MAX = 1 << 20

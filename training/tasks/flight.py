@@ -7,12 +7,19 @@ from typing import ClassVar
 
 import numpy as np
 
-from sim.analysis.holding import DRIFT_S, FIFTHS
-from sim.flight.freestyle import FLIGHT_S, FRAME_S, calm_strokes, stick_strokes
-from toolchain.errors import TrainingError
-from training.tasks.limits import check_limits
-from training.tasks.sticks import OnSticks
-from training.tasks.task import FULL_STICK_DEG_S, LENGTH_MAX_S, PulseTask, RandomCommands, Setpoints, Task
+from neuroflight.sim.analysis.holding import DRIFT_S, FIFTHS
+from neuroflight.sim.flight.freestyle import FLIGHT_S, FRAME_S, calm_strokes, stick_strokes
+from neuroflight.toolchain.errors import TrainingError
+from neuroflight.training.tasks.limits import check_limits
+from neuroflight.training.tasks.sticks import OnSticks
+from neuroflight.training.tasks.task import (
+    FULL_STICK_DEG_S,
+    LENGTH_MAX_S,
+    PulseTask,
+    RandomCommands,
+    Setpoints,
+    Task,
+)
 
 PULSES_MAX = 1000
 LENGTH_MIN_S = 1.0  # of a pilot's flight

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from toolchain.errors import TrainingError
+from neuroflight.toolchain.errors import TrainingError
 
 Limits = tuple[float, float]
 

@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from training.tasks.task import EpisodicTask, PulseTask, Setpoints, held
+from neuroflight.training.tasks.task import EpisodicTask, PulseTask, Setpoints, held
 
 
 @dataclass(frozen=True)

@@ -8,10 +8,10 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.control import sticks
-from sim.flight.scenario import Scenario
-from toolchain.errors import TrainingError
-from training.tasks.task import Setpoints
+from neuroflight.sim.control import sticks
+from neuroflight.sim.flight.scenario import Scenario
+from neuroflight.toolchain.errors import TrainingError
+from neuroflight.training.tasks.task import Setpoints
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,9 +8,9 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from toolchain.contract import RATE_FULL_STICK_DEG_S
-from training.tasks.limits import check_limits
-from training.tasks.task import HOLD_MIN_S, LENGTH_MAX_S, Setpoints
+from neuroflight.toolchain.contract import RATE_FULL_STICK_DEG_S
+from neuroflight.training.tasks.limits import check_limits
+from neuroflight.training.tasks.task import HOLD_MIN_S, LENGTH_MAX_S, Setpoints
 
 StepArray = NDArray[np.float64]  # (count, T)
 

@@ -9,11 +9,11 @@ from typing import ClassVar
 
 import numpy as np
 
-from sim.recorded.commands import Commands
-from sim.recorded.files import load_commands
-from toolchain.errors import ScenarioError, TrainingError
-from training.tasks.limits import check_limits
-from training.tasks.task import LENGTH_MAX_S, Setpoints
+from neuroflight.sim.recorded.commands import Commands
+from neuroflight.sim.recorded.files import load_commands
+from neuroflight.toolchain.errors import ScenarioError, TrainingError
+from neuroflight.training.tasks.limits import check_limits
+from neuroflight.training.tasks.task import LENGTH_MAX_S, Setpoints
 
 
 @dataclass(frozen=True)

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from training.tasks.flight import FlightTask, PilotTask
-from training.tasks.random_steps import RandomStepsTask
-from training.tasks.recorded import RecordedTask
-from training.tasks.task import ContinuousTask, EnvelopeTask, EpisodicTask, PulseTask, Task
+from neuroflight.training.tasks.flight import FlightTask, PilotTask
+from neuroflight.training.tasks.random_steps import RandomStepsTask
+from neuroflight.training.tasks.recorded import RecordedTask
+from neuroflight.training.tasks.task import ContinuousTask, EnvelopeTask, EpisodicTask, PulseTask, Task
 
 TASKS: dict[str, type[Task]] = {
     task.name: task

@@ -8,7 +8,7 @@ from typing import ClassVar, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from training.tasks.limits import check_limits
+from neuroflight.training.tasks.limits import check_limits
 
 Array = NDArray[np.float64]
 Outputs = NDArray[np.float32]

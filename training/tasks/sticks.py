@@ -7,8 +7,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from sim.control import sticks
-from training.tasks.task import Setpoints, Task
+from neuroflight.sim.control import sticks
+from neuroflight.training.tasks.task import Setpoints, Task
 
 
 @dataclass(frozen=True)

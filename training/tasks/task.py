@@ -8,9 +8,9 @@ from typing import ClassVar, Literal, Protocol, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from toolchain.contract import RATE_FULL_STICK_DEG_S
-from toolchain.errors import TrainingError
-from training.tasks.limits import check_limits
+from neuroflight.toolchain.contract import RATE_FULL_STICK_DEG_S
+from neuroflight.toolchain.errors import TrainingError
+from neuroflight.training.tasks.limits import check_limits
 
 Array = NDArray[np.float64]
 Setpoints = NDArray[np.float32]  # (count, T, 3) [rad/s]

@@ -6,18 +6,18 @@ import argparse
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from cli.output import with_margin
-from cli.training.evaluation.contenders import BETAFLIGHT
+from neuroflight.cli.output import with_margin
+from neuroflight.cli.training.evaluation.contenders import BETAFLIGHT
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from training.evaluation.comparison import Entry
+    from neuroflight.training.evaluation.comparison import Entry
 
 
 def check_average(args: argparse.Namespace) -> None:
     """Raise TrainingError where --average has nothing to average."""
-    from toolchain.errors import TrainingError
+    from neuroflight.toolchain.errors import TrainingError
 
     if not args.average:
         return
@@ -29,15 +29,15 @@ def check_average(args: argparse.Namespace) -> None:
 
 
 def _is_policy(name: str) -> bool:
-    from training.evaluation.users_controller import is_users_controller
+    from neuroflight.training.evaluation.users_controller import is_users_controller
 
     return name.partition(":")[0] not in ("pid", BETAFLIGHT) and not is_users_controller(name)
 
 
 def average_document(entries: Sequence[Entry]) -> dict[str, object]:
     """The average of the policies at one throttle, as JSON data."""
-    from cli.output import plain
-    from training.evaluation.comparison import average
+    from neuroflight.cli.output import plain
+    from neuroflight.training.evaluation.comparison import average
 
     found = plain(average([entry for entry in entries if _is_policy(entry.controller.name)]))
     assert isinstance(found, dict)
@@ -49,8 +49,8 @@ def print_average(console: Console, found: dict[str, Any]) -> None:
     """Print the average of policies: a row a figure of their responses, a column an axis."""
     from rich.table import Table
 
-    from cli.training.evaluation.evaluate import RESPONSE_ROWS
-    from toolchain.contract import AXES
+    from neuroflight.cli.training.evaluation.evaluate import RESPONSE_ROWS
+    from neuroflight.toolchain.contract import AXES
 
     policies, response = found["controllers"], found["response"]
     title = f"average of {len(policies)} policies, {found['episodes']:,} episodes"

@@ -8,9 +8,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cli.output import with_margin
-from cli.training.evaluation.average import average_document, check_average, print_average
-from cli.training.evaluation.conditions import (
+from neuroflight.cli.output import with_margin
+from neuroflight.cli.training.evaluation.average import average_document, check_average, print_average
+from neuroflight.cli.training.evaluation.conditions import (
     ONE_EPISODE,
     THROTTLES_MAX,
     add_condition_arguments,
@@ -23,30 +23,30 @@ from cli.training.evaluation.conditions import (
     throttle_words,
     told_throttle,
 )
-from cli.training.evaluation.contenders import (
+from neuroflight.cli.training.evaluation.contenders import (
     CONTENDER,
     add_contender_arguments,
     all_names,
     check_thrusts,
     open_contenders,
 )
-from cli.training.evaluation.ranges import check_ranges
-from cli.training.evaluation.task_arguments import (
+from neuroflight.cli.training.evaluation.ranges import check_ranges
+from neuroflight.cli.training.evaluation.task_arguments import (
     default_throttle,
     drawn_as_flown,
     flight_note,
     flown_words,
 )
-from cli.training.evaluation.thrust import LEAST_NOTE
+from neuroflight.cli.training.evaluation.thrust import LEAST_NOTE
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from rich.console import Console
 
-    from sim.analysis.confidence import Mean
-    from training.evaluation.comparison import Entry
-    from training.evaluation.controllers import Conditions, Contender
-    from training.evaluation.thrust import Transparency
+    from neuroflight.sim.analysis.confidence import Mean
+    from neuroflight.training.evaluation.comparison import Entry
+    from neuroflight.training.evaluation.controllers import Conditions, Contender
+    from neuroflight.training.evaluation.thrust import Transparency
 
 AXIS_ROWS = (  # heading, figure, digits: with a row an axis
     ("MAE", "mae", 2),
@@ -143,8 +143,8 @@ def run(args: argparse.Namespace) -> int:
 
 def _check_envelope(args: argparse.Namespace) -> None:
     """Raise NeuroflightError on a picture of another task, or on a name that is none of a picture."""
-    from cli.output import check_output
-    from toolchain.errors import TrainingError
+    from neuroflight.cli.output import check_output
+    from neuroflight.toolchain.errors import TrainingError
 
     check_output(args.envelope, ".png")
     if args.envelope and (args.task != "envelope" or args.thrust is not None):
@@ -159,11 +159,11 @@ def _at_throttles(
 ) -> int:
     from rich.console import Console
 
-    from cli.training.evaluation.thrust import print_transparency, rest_documents
-    from sim.plotting import save_png
-    from training.evaluation.comparison import enter
-    from training.evaluation.envelope_plot import draw_envelope
-    from training.evaluation.equal_thrust import all_transparency
+    from neuroflight.cli.training.evaluation.thrust import print_transparency, rest_documents
+    from neuroflight.sim.plotting import save_png
+    from neuroflight.training.evaluation.comparison import enter
+    from neuroflight.training.evaluation.envelope_plot import draw_envelope
+    from neuroflight.training.evaluation.equal_thrust import all_transparency
 
     rounds: dict[float | None, list[Entry]] = {}
     with progress_bars(args) as bar:
@@ -200,8 +200,8 @@ def _at_throttles(
 
 def _drawn(flown: Conditions, entries: Sequence[Entry], title: str, rests: Sequence[Transparency]) -> Figure:
     """One episode as all flew it where it says more than percentiles do; else all commands."""
-    from training.evaluation.comparison_plot import draw
-    from training.evaluation.tracking_plot import Tracked, draw_long, draw_step
+    from neuroflight.training.evaluation.comparison_plot import draw
+    from neuroflight.training.evaluation.tracking_plot import Tracked, draw_long, draw_step
 
     if not drawn_as_flown(flown):
         return draw(entries, title, rests)
@@ -213,9 +213,9 @@ def _drawn(flown: Conditions, entries: Sequence[Entry], title: str, rests: Seque
 def _at_thrusts(args: argparse.Namespace, contenders: Sequence[Contender], flown: Conditions) -> int:
     from rich.console import Console
 
-    from cli.training.evaluation.thrust import documents, print_equal_thrust
-    from sim.plotting import save_png
-    from training.evaluation.equal_thrust import equal_thrust
+    from neuroflight.cli.training.evaluation.thrust import documents, print_equal_thrust
+    from neuroflight.sim.plotting import save_png
+    from neuroflight.training.evaluation.equal_thrust import equal_thrust
 
     with progress_bars(args) as bar:
         found = equal_thrust(contenders, flown, args.thrust, bar)
@@ -239,7 +239,7 @@ def _print_json(args: argparse.Namespace, flown: Conditions, found: dict[str, ob
 
 def _throttles(args: argparse.Namespace, flown: Conditions) -> list[float | None]:
     """The throttles to fly at, checked; None: as recorded."""
-    from toolchain.errors import TrainingError
+    from neuroflight.toolchain.errors import TrainingError
 
     if args.throttle is None:
         return [default_throttle(flown)]
@@ -250,8 +250,8 @@ def _throttles(args: argparse.Namespace, flown: Conditions) -> list[float | None
 
 
 def _documents(entries: Sequence[Entry]) -> list[dict[str, object]]:
-    from training.evaluation.comparison import document
-    from training.evaluation.envelope import envelope, envelope_document
+    from neuroflight.training.evaluation.comparison import document
+    from neuroflight.training.evaluation.envelope import envelope, envelope_document
 
     envelopes = [envelope(entry) for entry in entries]
     return [
@@ -268,8 +268,8 @@ def _print(console: Console, title: str, entries: Sequence[Entry]) -> None:
     """Print the figures, then the differences to the first controller."""
     from rich.table import Table
 
-    from toolchain.contract import AXES
-    from training.evaluation.comparison import by_axis, differences, means
+    from neuroflight.toolchain.contract import AXES
+    from neuroflight.training.evaluation.comparison import by_axis, differences, means
 
     table = Table(title=title, title_justify="left", box=None, pad_edge=False)
     table.add_column("", no_wrap=True)
@@ -315,7 +315,7 @@ def _interval(mean: Mean, factor: float, digits: int, axis: int | None = None) -
 
 
 def _difference(mean: Mean, factor: float, digits: int) -> str:
-    from training.evaluation.comparison import significant
+    from neuroflight.training.evaluation.comparison import significant
 
     known = significant(mean) and bool(mean.low < mean.high)  # a single flight has no interval
     mark = "" if known or not mean.count else "≈ "

@@ -10,8 +10,8 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cli.training.evaluation.ranges import check_ranges
-from cli.training.evaluation.task_arguments import (
+from neuroflight.cli.training.evaluation.ranges import check_ranges
+from neuroflight.cli.training.evaluation.task_arguments import (
     add_task_arguments,
     commands_flown,
     default_throttle,
@@ -19,11 +19,11 @@ from cli.training.evaluation.task_arguments import (
     task_name,
     task_of,
 )
-from cli.training.plugins import words as plugin_words
+from neuroflight.cli.training.plugins import words as plugin_words
 
 if TYPE_CHECKING:
-    from training.evaluation.controllers import Conditions, Contender
-    from training.evaluation.evaluation import Evaluation
+    from neuroflight.training.evaluation.controllers import Conditions, Contender
+    from neuroflight.training.evaluation.evaluation import Evaluation
 
 MOUNTS = ("centre", "rig", "free")
 DELAY_MAX_S = 0.1
@@ -52,11 +52,11 @@ def add_condition_arguments(parser: argparse.ArgumentParser, episodes: int) -> N
 
 def conditions(args: argparse.Namespace) -> Conditions:
     """The conditions of the arguments. Raises TrainingError on values outside their range, NaN included."""
-    from cli.output import check_output
-    from sim.aircraft.model import load_aircraft
-    from sim.physics.world import Mount
-    from toolchain.errors import TrainingError
-    from training.evaluation.controllers import Conditions
+    from neuroflight.cli.output import check_output
+    from neuroflight.sim.aircraft.model import load_aircraft
+    from neuroflight.sim.physics.world import Mount
+    from neuroflight.toolchain.errors import TrainingError
+    from neuroflight.training.evaluation.controllers import Conditions
 
     if args.seed < 0:
         raise TrainingError(f"--seed {args.seed}, expected 0 or more")
@@ -93,7 +93,7 @@ def throttle_words(throttle: float | None) -> str:
 
 def check_controllers(controllers: Sequence[str]) -> None:
     """Raise TrainingError unless they are different and not too many."""
-    from toolchain.errors import TrainingError
+    from neuroflight.toolchain.errors import TrainingError
 
     different = len(set(controllers))
     if len(controllers) > CONTROLLERS_MAX or different < len(controllers):
@@ -121,7 +121,7 @@ def progress_bars(args: argparse.Namespace) -> Iterator[Callable[[str], Callable
 
 def command(name: str, args: argparse.Namespace, flown: Conditions, *words: str, throttle: object) -> str:
     """The command that repeats a result."""
-    from cli.output import command_line
+    from neuroflight.cli.output import command_line
 
     return command_line(
         name,
@@ -167,7 +167,7 @@ def conditions_document(args: argparse.Namespace, flown: Conditions) -> dict[str
 
 def flight_document(controller: Contender, throttle: float | None, result: Evaluation) -> dict[str, Any]:
     """A controller and its figures, as JSON data; throttle None: as recorded."""
-    from cli.output import plain
+    from neuroflight.cli.output import plain
 
     margins = {
         **asdict(result.tracking_margin),

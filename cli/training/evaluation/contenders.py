@@ -10,15 +10,15 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cli.training.evaluation.conditions import THROTTLES_MAX
-from cli.training.evaluation.foreign import say_foreign
-from cli.training.evaluation.ranges import check_ranges
+from neuroflight.cli.training.evaluation.conditions import THROTTLES_MAX
+from neuroflight.cli.training.evaluation.foreign import say_foreign
+from neuroflight.cli.training.evaluation.ranges import check_ranges
 
 if TYPE_CHECKING:
-    from sim.aircraft.model import Aircraft
-    from sim.ports.betaflight.tune import Tune
-    from training.evaluation.betaflight import BetaflightSpec
-    from training.evaluation.controllers import Conditions, Contender
+    from neuroflight.sim.aircraft.model import Aircraft
+    from neuroflight.sim.ports.betaflight.tune import Tune
+    from neuroflight.training.evaluation.betaflight import BetaflightSpec
+    from neuroflight.training.evaluation.controllers import Conditions, Contender
 
 BETAFLIGHT = "betaflight"
 CONTENDER = "POLICY.onnx|pid[:NAME]|FILE.py:CLASS[:VALUES.toml]|betaflight[:tuned|:DIFF]"
@@ -60,7 +60,7 @@ def open_contenders(
     All fly the gyro rate that one of them needs; beside Betaflight, and where thrusts are compared, the
     commands are those that sticks can say. Betaflight ends with the `with`.
     """
-    from training.evaluation.controllers import load_controller
+    from neuroflight.training.evaluation.controllers import load_controller
 
     thrusts = args.thrust is not None or getattr(args, "transparency", False)
     with ExitStack() as ends:
@@ -82,7 +82,7 @@ def all_names(args: argparse.Namespace, names: Sequence[str]) -> list[str]:
 
 def check_thrusts(args: argparse.Namespace) -> None:
     """Raise TrainingError on thrusts outside their range, too many, or beside throttles."""
-    from toolchain.errors import TrainingError
+    from neuroflight.toolchain.errors import TrainingError
 
     if args.thrust is None:
         return
@@ -95,7 +95,7 @@ def check_thrusts(args: argparse.Namespace) -> None:
 
 def _at_gyro_rate(flown: Conditions, contenders: Sequence[Contender], sticks: bool) -> Conditions:
     """The conditions at one gyro rate; sticks: whether commands are rounded as sticks are."""
-    from toolchain.contract import GYRO_RATE_DEFAULT_HZ
+    from neuroflight.toolchain.contract import GYRO_RATE_DEFAULT_HZ
 
     if sticks or any(contender.gyro_mean for contender in contenders):
         return replace(flown, gyro_rate_hz=GYRO_RATE_DEFAULT_HZ, sticks=sticks)
@@ -112,7 +112,7 @@ def betaflight_tune(name: str, aircraft: str) -> Tune | None:
 
     Settings that the simulator cannot obey are told on stderr. Raises LinkError.
     """
-    from sim.ports.betaflight.tune import TUNED, read_tune, tune_path
+    from neuroflight.sim.ports.betaflight.tune import TUNED, read_tune, tune_path
 
     _, colon, which = name.partition(":")
     if not colon:
@@ -131,9 +131,9 @@ def armed_betaflight(
     args: argparse.Namespace, name: str, aircraft: Aircraft, ends: ExitStack
 ) -> BetaflightSpec:
     """The Betaflight called `name`, built if need be, armed and at rest; it ends with `ends`."""
-    from cli.sim.fly_ports import built_betaflight
-    from sim.ports.betaflight.fleet import ArmedBetaflight
-    from training.evaluation.betaflight import BetaflightSpec
+    from neuroflight.cli.sim.fly_ports import built_betaflight
+    from neuroflight.sim.ports.betaflight.fleet import ArmedBetaflight
+    from neuroflight.training.evaluation.betaflight import BetaflightSpec
 
     tune = betaflight_tune(name, args.aircraft)
     built = built_betaflight(args, aircraft)

@@ -9,8 +9,8 @@ from collections.abc import Sequence
 from dataclasses import asdict, replace
 from typing import TYPE_CHECKING
 
-from cli.output import with_margin
-from cli.training.evaluation.conditions import (
+from neuroflight.cli.output import with_margin
+from neuroflight.cli.training.evaluation.conditions import (
     ONE_EPISODE,
     add_condition_arguments,
     command,
@@ -20,14 +20,14 @@ from cli.training.evaluation.conditions import (
     progress_bars,
     told_throttle,
 )
-from cli.training.evaluation.contenders import (
+from neuroflight.cli.training.evaluation.contenders import (
     CONTENDER,
     add_contender_arguments,
     check_thrusts,
     open_contenders,
 )
-from cli.training.evaluation.ranges import check_ranges
-from cli.training.evaluation.task_arguments import (
+from neuroflight.cli.training.evaluation.ranges import check_ranges
+from neuroflight.cli.training.evaluation.task_arguments import (
     commands_flown,
     default_throttle,
     drawn_as_flown,
@@ -38,10 +38,10 @@ from cli.training.evaluation.task_arguments import (
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from sim.analysis.confidence import Mean
-    from sim.analysis.holding import HoldingFigures
-    from training.evaluation.controllers import Conditions, Contender
-    from training.evaluation.evaluation import Evaluation
+    from neuroflight.sim.analysis.confidence import Mean
+    from neuroflight.sim.analysis.holding import HoldingFigures
+    from neuroflight.training.evaluation.controllers import Conditions, Contender
+    from neuroflight.training.evaluation.evaluation import Evaluation
 
 ALL_ROWS = (
     ("all axes, 500 ms+, %", "all_in_band_500"),
@@ -97,7 +97,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Fly all commands at once and print the figures."""
-    from toolchain.errors import TrainingError
+    from neuroflight.toolchain.errors import TrainingError
 
     if (args.controller is None) == (args.on is None):
         raise TrainingError("expected one controller: a policy, pid, pid:NAME, or betaflight")
@@ -113,9 +113,9 @@ def run(args: argparse.Namespace) -> int:
 def _at_thrusts(args: argparse.Namespace, contenders: Sequence[Contender], flown: Conditions) -> int:
     from rich.console import Console
 
-    from cli.training.evaluation.thrust import documents, print_equal_thrust
-    from toolchain.errors import TrainingError
-    from training.evaluation.equal_thrust import equal_thrust
+    from neuroflight.cli.training.evaluation.thrust import documents, print_equal_thrust
+    from neuroflight.toolchain.errors import TrainingError
+    from neuroflight.training.evaluation.equal_thrust import equal_thrust
 
     if args.plot:
         raise TrainingError("--plot: `neuroflight compare --thrust` draws; leave it out")
@@ -137,13 +137,13 @@ def _words(args: argparse.Namespace) -> list[str]:
 
 
 def _at_throttle(args: argparse.Namespace, controller: Contender, flown: Conditions) -> int:
-    from sim.analysis.response_plot import draw
-    from sim.analysis.spectrum_plot import Line
-    from sim.plotting import save_png
-    from training.evaluation.comparison import as_flown
-    from training.evaluation.evaluation import summary
-    from training.evaluation.floor import scored
-    from training.evaluation.tracking_plot import Tracked, draw_long, draw_step
+    from neuroflight.sim.analysis.response_plot import draw
+    from neuroflight.sim.analysis.spectrum_plot import Line
+    from neuroflight.sim.plotting import save_png
+    from neuroflight.training.evaluation.comparison import as_flown
+    from neuroflight.training.evaluation.evaluation import summary
+    from neuroflight.training.evaluation.floor import scored
+    from neuroflight.training.evaluation.tracking_plot import Tracked, draw_long, draw_step
 
     throttle = default_throttle(flown) if args.throttle is None else args.throttle
     with progress_bars(args) as bar:
@@ -178,7 +178,7 @@ def _print(title: str, result: Evaluation, more: str) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    from toolchain.contract import AXES
+    from neuroflight.toolchain.contract import AXES
 
     table = Table(title=title, title_justify="left", box=None, pad_edge=False)
     for heading in ("", *AXES, "mean"):

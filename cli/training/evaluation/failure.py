@@ -9,15 +9,15 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cli.training.evaluation.conditions import check_controllers, progress_bars
-from cli.training.evaluation.contenders import CONTENDER, armed_betaflight, is_betaflight
-from cli.training.evaluation.foreign import say_foreign
-from cli.training.evaluation.ranges import check_ranges
+from neuroflight.cli.training.evaluation.conditions import check_controllers, progress_bars
+from neuroflight.cli.training.evaluation.contenders import CONTENDER, armed_betaflight, is_betaflight
+from neuroflight.cli.training.evaluation.foreign import say_foreign
+from neuroflight.cli.training.evaluation.ranges import check_ranges
 
 if TYPE_CHECKING:
-    from sim.aircraft.model import Aircraft
-    from training.evaluation.controllers import Contender
-    from training.evaluation.failure import Case, Failure, Plan
+    from neuroflight.sim.aircraft.model import Aircraft
+    from neuroflight.training.evaluation.controllers import Contender
+    from neuroflight.training.evaluation.failure import Case, Failure, Plan
 
 EPISODES, AT_S, AFTER_S, THROTTLE, LIMIT = 50, 1.0, 2.0, 0.4, 200.0
 CASES_MAX = 12
@@ -103,11 +103,11 @@ def run(args: argparse.Namespace) -> int:
     """Fly all cases with each controller and print the results."""
     from rich.console import Console
 
-    from cli.output import check_output
-    from sim.aircraft.model import load_aircraft
-    from sim.plotting import save_png
-    from training.evaluation.failure import examine
-    from training.evaluation.failure_plot import draw
+    from neuroflight.cli.output import check_output
+    from neuroflight.sim.aircraft.model import load_aircraft
+    from neuroflight.sim.plotting import save_png
+    from neuroflight.training.evaluation.failure import examine
+    from neuroflight.training.evaluation.failure_plot import draw
 
     _check(args)
     check_output(args.plot, ".png")
@@ -129,8 +129,8 @@ def run(args: argparse.Namespace) -> int:
 
 def _check(args: argparse.Namespace) -> None:
     """Raise TrainingError on values outside their range, NaN included."""
-    from sim.physics.world import COUNT_MAX
-    from toolchain.errors import TrainingError
+    from neuroflight.sim.physics.world import COUNT_MAX
+    from neuroflight.toolchain.errors import TrainingError
 
     check_controllers(args.controllers)
     check_ranges(
@@ -147,7 +147,7 @@ def _check(args: argparse.Namespace) -> None:
 
 
 def _plan(args: argparse.Namespace, aircraft: Aircraft) -> Plan:
-    from training.evaluation.failure import Plan
+    from neuroflight.training.evaluation.failure import Plan
 
     return Plan(
         cases=_cases(args, aircraft),
@@ -164,9 +164,9 @@ def _plan(args: argparse.Namespace, aircraft: Aircraft) -> Plan:
 
 def _cases(args: argparse.Namespace, aircraft: Aircraft) -> tuple[Case, ...]:
     """The cases of the arguments, after one in which nothing happens. Raises NeuroflightError."""
-    from sim.aircraft.payload import parse_payload
-    from toolchain.errors import TrainingError
-    from training.evaluation.failure import (
+    from neuroflight.sim.aircraft.payload import parse_payload
+    from neuroflight.toolchain.errors import TrainingError
+    from neuroflight.training.evaluation.failure import (
         motor_loses,
         nothing_happens,
         payload_attached,
@@ -192,7 +192,7 @@ def _cases(args: argparse.Namespace, aircraft: Aircraft) -> tuple[Case, ...]:
 
 
 def _loss(text: str, aircraft: Aircraft) -> tuple[int, float]:
-    from toolchain.errors import TrainingError
+    from neuroflight.toolchain.errors import TrainingError
 
     motor, _, share = text.partition("=")
     try:
@@ -209,7 +209,7 @@ def _loss(text: str, aircraft: Aircraft) -> tuple[int, float]:
 
 def _controller(args: argparse.Namespace, name: str, aircraft: Aircraft, ends: ExitStack) -> Contender:
     """A controller by its name; Betaflight ends with `ends`."""
-    from training.evaluation.controllers import load_controller
+    from neuroflight.training.evaluation.controllers import load_controller
 
     if is_betaflight(name):
         return armed_betaflight(args, name, aircraft, ends)
@@ -221,8 +221,8 @@ def _controller(args: argparse.Namespace, name: str, aircraft: Aircraft, ends: E
 def _document(
     args: argparse.Namespace, aircraft: Aircraft, plan: Plan, results: Sequence[Failure]
 ) -> dict[str, Any]:
-    from cli.output import command_line
-    from training.evaluation.failure import DIVERGENCE, RECOVERY, document
+    from neuroflight.cli.output import command_line
+    from neuroflight.training.evaluation.failure import DIVERGENCE, RECOVERY, document
 
     cases = {option: getattr(args, option) for option in ("fail", "payload", "drop", "shift")}
     words = [word for option, values in cases.items() for value in values for word in (f"--{option}", value)]
@@ -263,7 +263,7 @@ def _document(
 def _print(title: str, plan: Plan, results: Sequence[Failure], console: Any) -> None:  # noqa: ANN401 - rich
     from rich.table import Table
 
-    from training.evaluation.failure import DIVERGENCE, RECOVERY
+    from neuroflight.training.evaluation.failure import DIVERGENCE, RECOVERY
 
     table = Table(title=title, title_justify="left", box=None, pad_edge=False, padding=(0, 2, 0, 0))
     table.add_column("", no_wrap=True)

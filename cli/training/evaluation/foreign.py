@@ -18,7 +18,7 @@ class WithFacts(Protocol):
 
 def say_foreign(controllers: Iterable[WithFacts]) -> None:
     """Print a line to stderr for each policy that was trained on another aircraft than it flies."""
-    from training.evaluation.controllers import OTHER_AIRCRAFT
+    from neuroflight.training.evaluation.controllers import OTHER_AIRCRAFT
 
     for controller in controllers:
         if (note := controller.facts.get(OTHER_AIRCRAFT)) is not None:

@@ -11,17 +11,17 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
-from cli.sim.fly_jobs import Crew, Show, usable_cores
-from cli.training.evaluation.conditions import check_controllers
-from cli.training.evaluation.contenders import CONTENDER, betaflight_tune, is_betaflight
-from cli.training.evaluation.foreign import say_foreign
-from cli.training.evaluation.ranges import check_ranges
+from neuroflight.cli.sim.fly_jobs import Crew, Show, usable_cores
+from neuroflight.cli.training.evaluation.conditions import check_controllers
+from neuroflight.cli.training.evaluation.contenders import CONTENDER, betaflight_tune, is_betaflight
+from neuroflight.cli.training.evaluation.foreign import say_foreign
+from neuroflight.cli.training.evaluation.ranges import check_ranges
 
 if TYPE_CHECKING:
-    from sim.aircraft.model import Aircraft
-    from sim.analysis.confidence import Mean
-    from sim.analysis.manoeuvre import ManoeuvreFigures
-    from training.evaluation.manoeuvres import Air, Contender, Flown
+    from neuroflight.sim.aircraft.model import Aircraft
+    from neuroflight.sim.analysis.confidence import Mean
+    from neuroflight.sim.analysis.manoeuvre import ManoeuvreFigures
+    from neuroflight.training.evaluation.manoeuvres import Air, Contender, Flown
 
 T = TypeVar("T")
 SEEDS_MAX, DESCENTS = 100, 3
@@ -90,10 +90,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Fly everybody and print the figures."""
-    from cli.output import check_output, command_line
-    from sim.aircraft.model import load_aircraft
-    from sim.flight.manoeuvres import SETTLE_S
-    from training.evaluation.manoeuvres import Air, document
+    from neuroflight.cli.output import check_output, command_line
+    from neuroflight.sim.aircraft.model import load_aircraft
+    from neuroflight.sim.flight.manoeuvres import SETTLE_S
+    from neuroflight.training.evaluation.manoeuvres import Air, document
 
     check_controllers(args.contenders)
     check_output(args.plot, ".png")
@@ -140,8 +140,8 @@ def run(args: argparse.Namespace) -> int:
 
 def _fly(args: argparse.Namespace, aircraft: Aircraft, air: Air) -> list[Flown]:
     """The curves of all, then all flights, in processes of their own."""
-    from sim.flight.manoeuvres import MANOEUVRES
-    from training.evaluation.manoeuvres import Flown, fly_descent, fly_manoeuvre, thrust_curve
+    from neuroflight.sim.flight.manoeuvres import MANOEUVRES
+    from neuroflight.training.evaluation.manoeuvres import Flown, fly_descent, fly_manoeuvre, thrust_curve
 
     contenders = _contenders(args, aircraft)
     say_foreign(contenders)
@@ -185,10 +185,10 @@ def _plot(args: argparse.Namespace, aircraft: Aircraft, air: Air, flown: Sequenc
     """Fly the first seed of some manoeuvres again, as it was flown, and draw it."""
     import numpy as np
 
-    from sim.flight.manoeuvres import MANOEUVRES
-    from sim.plotting import save_png
-    from training.evaluation.manoeuvres import trace_manoeuvre
-    from training.evaluation.manoeuvres_plot import Shown, draw
+    from neuroflight.sim.flight.manoeuvres import MANOEUVRES
+    from neuroflight.sim.plotting import save_png
+    from neuroflight.training.evaluation.manoeuvres import trace_manoeuvre
+    from neuroflight.training.evaluation.manoeuvres_plot import Shown, draw
 
     pairs = [(each, one) for each in MANOEUVRES if each.name in DRAWN for one in flown]
     tasks = [
@@ -215,9 +215,9 @@ def _descents(args: argparse.Namespace) -> int:
 
 def _contenders(args: argparse.Namespace, aircraft: Aircraft) -> list[Contender]:
     """All of them; Betaflight is built if it is not there, whose stages go to stderr."""
-    from cli.sim.fly_ports import BETAFLIGHT as FOLDER
-    from sim.ports.betaflight.build import build_betaflight
-    from training.evaluation.manoeuvres import betaflight_contender, load_contender
+    from neuroflight.cli.sim.fly_ports import BETAFLIGHT as FOLDER
+    from neuroflight.sim.ports.betaflight.build import build_betaflight
+    from neuroflight.training.evaluation.manoeuvres import betaflight_contender, load_contender
 
     found = []
     for name in args.contenders:
@@ -234,7 +234,7 @@ def _contenders(args: argparse.Namespace, aircraft: Aircraft) -> list[Contender]
 
 def _all(args: argparse.Namespace, title: str, tasks: Sequence[Callable[[Show], T]]) -> list[T]:
     """Results of all tasks, in their order."""
-    import sim.physics.twin  # noqa: F401 - once, before the processes are forked
+    import neuroflight.sim.physics.twin  # noqa: F401 - once, before the processes are forked
 
     jobs = usable_cores() if args.jobs is None else args.jobs
     with _bar(args, title, len(tasks)) as shows, Crew(tasks, jobs) as crew:
@@ -260,7 +260,7 @@ def _bar(args: argparse.Namespace, title: str, count: int) -> Iterator[list[Show
 
 
 def _print(args: argparse.Namespace, aircraft: Aircraft, flown: Sequence[Flown]) -> None:
-    from cli.output import print_table
+    from neuroflight.cli.output import print_table
 
     rows: list[tuple[str, ...]] = [("", *(heading for heading, _, _ in COLUMNS))]
     for name in flown[0].manoeuvres:
@@ -276,7 +276,7 @@ def _print(args: argparse.Namespace, aircraft: Aircraft, flown: Sequence[Flown])
 
 
 def _cells(flown: Sequence[Flown], index: int, name: str, flights: Sequence[ManoeuvreFigures]) -> list[str]:
-    from training.evaluation.manoeuvres import COMPARED, means, significant, winner
+    from neuroflight.training.evaluation.manoeuvres import COMPARED, means, significant, winner
 
     found, cells = means(flights), []
     for _, figure, digits in COLUMNS:
@@ -288,7 +288,7 @@ def _cells(flown: Sequence[Flown], index: int, name: str, flights: Sequence[Mano
 
 
 def _descent_rows(flown: Sequence[Flown]) -> list[tuple[str, ...]]:
-    from training.evaluation.manoeuvres import means
+    from neuroflight.training.evaluation.manoeuvres import means
 
     rows: list[tuple[str, ...]] = [("", "thrust, throttle closed", "throttle of the hover", "sinks, m/s")]
     for one in flown:

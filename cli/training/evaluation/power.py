@@ -9,21 +9,26 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cli.output import with_margin
-from cli.training.evaluation.conditions import IDLE_MAX, THROTTLES_MAX, check_controllers, progress_bars
-from cli.training.evaluation.contenders import (
+from neuroflight.cli.output import with_margin
+from neuroflight.cli.training.evaluation.conditions import (
+    IDLE_MAX,
+    THROTTLES_MAX,
+    check_controllers,
+    progress_bars,
+)
+from neuroflight.cli.training.evaluation.contenders import (
     CONTENDER,
     THRUST_MAX,
     add_betaflight_arguments,
     all_names,
     open_contenders,
 )
-from cli.training.evaluation.ranges import check_ranges
+from neuroflight.cli.training.evaluation.ranges import check_ranges
 
 if TYPE_CHECKING:
-    from sim.analysis.confidence import Mean
-    from training.evaluation.controllers import Conditions
-    from training.evaluation.power import Draw, Drawn
+    from neuroflight.sim.analysis.confidence import Mean
+    from neuroflight.training.evaluation.controllers import Conditions
+    from neuroflight.training.evaluation.power import Draw, Drawn
 
 EPISODES_MAX = 500
 SECONDS_MIN, SECONDS_MAX = 0.1, 60.0
@@ -63,11 +68,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Let all controllers idle and fly, print what they draw."""
-    from cli.output import check_output
-    from sim.plotting import save_png
-    from toolchain.errors import TrainingError
-    from training.evaluation.power import disarmed, power
-    from training.evaluation.power_plot import draw
+    from neuroflight.cli.output import check_output
+    from neuroflight.sim.plotting import save_png
+    from neuroflight.toolchain.errors import TrainingError
+    from neuroflight.training.evaluation.power import disarmed, power
+    from neuroflight.training.evaluation.power_plot import draw
 
     names = all_names(args, args.controllers)
     if not names:
@@ -94,10 +99,10 @@ def run(args: argparse.Namespace) -> int:
 
 def _conditions(args: argparse.Namespace) -> Conditions:
     """What all fly in. Raises TrainingError on values outside their range, NaN included."""
-    from sim.aircraft.model import load_aircraft
-    from toolchain.errors import AircraftError, TrainingError
-    from training.evaluation.controllers import Conditions
-    from training.tasks.task import PulseTask
+    from neuroflight.sim.aircraft.model import load_aircraft
+    from neuroflight.toolchain.errors import AircraftError, TrainingError
+    from neuroflight.training.evaluation.controllers import Conditions
+    from neuroflight.training.tasks.task import PulseTask
 
     check_ranges(
         ("--seconds", args.seconds, SECONDS_MIN, SECONDS_MAX),
@@ -118,8 +123,8 @@ def _conditions(args: argparse.Namespace) -> Conditions:
 def _document(
     args: argparse.Namespace, flown: Conditions, still: Draw, drawn: Sequence[Drawn]
 ) -> dict[str, object]:
-    from cli.output import command_line
-    from training.evaluation.power import document
+    from neuroflight.cli.output import command_line
+    from neuroflight.training.evaluation.power import document
 
     given = {
         name: getattr(args, name)
@@ -145,7 +150,7 @@ def _document(
 def _print(title: str, still: Draw, drawn: Sequence[Drawn]) -> None:
     from rich.console import Console
 
-    from cli.output import print_table
+    from neuroflight.cli.output import print_table
 
     rows: list[tuple[str, ...]] = [("", "V", "A", "W", "MAE"), _row("disarmed", still)]
     for each in drawn:

@@ -9,15 +9,15 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cli.output import with_margin
-from cli.training.evaluation.conditions import MOUNTS, check_controllers, progress_bars
-from cli.training.evaluation.foreign import say_foreign
-from cli.training.evaluation.ranges import check_ranges
+from neuroflight.cli.output import with_margin
+from neuroflight.cli.training.evaluation.conditions import MOUNTS, check_controllers, progress_bars
+from neuroflight.cli.training.evaluation.foreign import say_foreign
+from neuroflight.cli.training.evaluation.ranges import check_ranges
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from training.evaluation.robustness import CaseResult, JointResult, Plan, Robustness
+    from neuroflight.training.evaluation.robustness import CaseResult, JointResult, Plan, Robustness
 
 COLUMN = 34  # [characters], of a controller
 EPISODES = {"flight": 50, "pulse": 200}  # commands of a case by task, the first unless the user says
@@ -74,10 +74,10 @@ def run(args: argparse.Namespace) -> int:
     """Fly the plan with each controller and print the results."""
     from rich.console import Console
 
-    from sim.plotting import save_png
-    from training.evaluation.controllers import load_controller
-    from training.evaluation.robustness import examine
-    from training.evaluation.robustness_plot import draw
+    from neuroflight.sim.plotting import save_png
+    from neuroflight.training.evaluation.controllers import load_controller
+    from neuroflight.training.evaluation.robustness import examine
+    from neuroflight.training.evaluation.robustness_plot import draw
 
     plan = _plan(args)
     controllers = [load_controller(name, plan.aircraft) for name in args.controllers]
@@ -101,12 +101,12 @@ def run(args: argparse.Namespace) -> int:
 
 def _plan(args: argparse.Namespace) -> Plan:
     """The plan of the arguments. Raises TrainingError on values outside their range, NaN included."""
-    from cli.output import check_output
-    from sim.aircraft.model import load_aircraft
-    from sim.physics.world import COUNT_MAX, Mount
-    from toolchain.errors import TrainingError
-    from training.evaluation.robustness import COMMANDS_PER_DRAW, FLIGHT, Plan
-    from training.tasks.task import PulseTask
+    from neuroflight.cli.output import check_output
+    from neuroflight.sim.aircraft.model import load_aircraft
+    from neuroflight.sim.physics.world import COUNT_MAX, Mount
+    from neuroflight.toolchain.errors import TrainingError
+    from neuroflight.training.evaluation.robustness import COMMANDS_PER_DRAW, FLIGHT, Plan
+    from neuroflight.training.tasks.task import PulseTask
 
     check_controllers(args.controllers)
     commands = EPISODES[args.task] if args.episodes is None else args.episodes
@@ -133,8 +133,8 @@ def _plan(args: argparse.Namespace) -> Plan:
 
 
 def _document(args: argparse.Namespace, plan: Plan, results: Sequence[Robustness]) -> dict[str, Any]:
-    from cli.output import command_line
-    from training.evaluation.robustness import (
+    from neuroflight.cli.output import command_line
+    from neuroflight.training.evaluation.robustness import (
         CASE_RATIO_MAX,
         COMMANDS_PER_DRAW,
         HIGH,
@@ -181,8 +181,8 @@ def _document(args: argparse.Namespace, plan: Plan, results: Sequence[Robustness
 def _print(title: str, plan: Plan, results: Sequence[Robustness], console: Console) -> None:
     from rich.table import Table
 
-    from sim.physics.world import Mount
-    from training.evaluation.robustness import (
+    from neuroflight.sim.physics.world import Mount
+    from neuroflight.training.evaluation.robustness import (
         CASE_RATIO_MAX,
         HIGH_RATIO_MAX,
         MEDIAN_RATIO_MAX,

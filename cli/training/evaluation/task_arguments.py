@@ -8,14 +8,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cli.logs.reading import add_recording_arguments, header_lines, part
-from cli.training.evaluation.ranges import check_ranges
-from cli.training.plugins import add_plugin_argument, load_named
+from neuroflight.cli.logs.reading import add_recording_arguments, header_lines, part
+from neuroflight.cli.training.evaluation.ranges import check_ranges
+from neuroflight.cli.training.plugins import add_plugin_argument, load_named
 
 if TYPE_CHECKING:
-    from training.evaluation.controllers import Conditions
-    from training.tasks.pieces import RecordedPieces
-    from training.tasks.task import Task
+    from neuroflight.training.evaluation.controllers import Conditions
+    from neuroflight.training.tasks.pieces import RecordedPieces
+    from neuroflight.training.tasks.task import Task
 
 TASKS = ("flight", "pilot", "pulse", "episodic", "envelope", "continuous")  # the first unless the user says
 FLIGHT_COMMANDS = 200  # at most, unless the user says: 20 flights
@@ -98,11 +98,11 @@ def add_task_arguments(parser: argparse.ArgumentParser, episodes: int) -> None:
 
 def task_of(args: argparse.Namespace) -> tuple[Task, int]:
     """What is commanded, and its number of episodes."""
-    from sim.physics.world import COUNT_MAX
-    from toolchain.errors import TrainingError
-    from training.plugins import users_own
-    from training.tasks.flight import FlightTask, PilotTask
-    from training.tasks.task import ContinuousTask
+    from neuroflight.sim.physics.world import COUNT_MAX
+    from neuroflight.toolchain.errors import TrainingError
+    from neuroflight.training.plugins import users_own
+    from neuroflight.training.tasks.flight import FlightTask, PilotTask
+    from neuroflight.training.tasks.task import ContinuousTask
 
     load_named(args)
     if args.commands is None:
@@ -138,8 +138,8 @@ def task_of(args: argparse.Namespace) -> tuple[Task, int]:
 
 def _default_episodes(args: argparse.Namespace, task: Task) -> int:
     """The number of episodes, or of commands in flights."""
-    from training.tasks.flight import FlightTask, PilotTask
-    from training.tasks.task import ContinuousTask
+    from neuroflight.training.tasks.flight import FlightTask, PilotTask
+    from neuroflight.training.tasks.task import ContinuousTask
 
     default: int = args.episodes_default
     if args.named_command is not None:
@@ -151,13 +151,13 @@ def _default_episodes(args: argparse.Namespace, task: Task) -> int:
 
 def _commanded(args: argparse.Namespace) -> Task:
     """The task of the arguments, with their limit, length or command."""
-    from toolchain.contract import RATE_FULL_STICK_DEG_S
-    from toolchain.errors import TrainingError
-    from training.plugins import users_own
-    from training.tasks.flight import FlightTask, PilotTask
-    from training.tasks.named_command import NamedCommand
-    from training.tasks.registry import TASKS as BUILDERS
-    from training.tasks.task import ContinuousTask, EpisodicTask, PulseTask, RandomCommands
+    from neuroflight.toolchain.contract import RATE_FULL_STICK_DEG_S
+    from neuroflight.toolchain.errors import TrainingError
+    from neuroflight.training.plugins import users_own
+    from neuroflight.training.tasks.flight import FlightTask, PilotTask
+    from neuroflight.training.tasks.named_command import NamedCommand
+    from neuroflight.training.tasks.registry import TASKS as BUILDERS
+    from neuroflight.training.tasks.task import ContinuousTask, EpisodicTask, PulseTask, RandomCommands
 
     full = float(RATE_FULL_STICK_DEG_S)
     name = args.task or (TASKS[0] if args.named_command is None else PulseTask.name)
@@ -209,8 +209,8 @@ def _commanded(args: argparse.Namespace) -> Task:
 
 def _pieces(args: argparse.Namespace) -> RecordedPieces:
     """The recorded commands of the arguments; says on stderr what they lose."""
-    from sim.recorded.files import load_commands
-    from training.tasks.pieces import RecordedPieces
+    from neuroflight.sim.recorded.files import load_commands
+    from neuroflight.training.tasks.pieces import RecordedPieces
 
     recorded = load_commands(args.commands, part(args), header_lines(args), cut=args.cut_rates)
     for words in recorded.warnings():
@@ -221,10 +221,10 @@ def _pieces(args: argparse.Namespace) -> RecordedPieces:
 
 def flown_words(flown: Conditions) -> str:
     """What is flown, for titles."""
-    from training.tasks.flight import FlightTask, PilotTask
-    from training.tasks.named_command import NamedCommand
-    from training.tasks.pieces import RecordedPieces
-    from training.tasks.task import ContinuousTask
+    from neuroflight.training.tasks.flight import FlightTask, PilotTask
+    from neuroflight.training.tasks.named_command import NamedCommand
+    from neuroflight.training.tasks.pieces import RecordedPieces
+    from neuroflight.training.tasks.task import ContinuousTask
 
     task = flown.task
     if isinstance(task, RecordedPieces):
@@ -250,15 +250,15 @@ def flown_words(flown: Conditions) -> str:
 
 def commands_flown(flown: Conditions) -> int:
     """How many commands, one by one or in flights: what --episodes asks for."""
-    from training.tasks.flight import FlightTask
+    from neuroflight.training.tasks.flight import FlightTask
 
     return flown.episodes * (flown.task.pulses if isinstance(flown.task, FlightTask) else 1)
 
 
 def default_throttle(flown: Conditions) -> float | None:
     """The pilot's thrust where he does not say: about a hover in flights; None: as recorded."""
-    from training.tasks.flight import HOVER_THROTTLE, course_of
-    from training.tasks.pieces import RecordedPieces
+    from neuroflight.training.tasks.flight import HOVER_THROTTLE, course_of
+    from neuroflight.training.tasks.pieces import RecordedPieces
 
     if isinstance(flown.task, RecordedPieces):
         return None
@@ -267,32 +267,32 @@ def default_throttle(flown: Conditions) -> float | None:
 
 def flight_note(flown: Conditions) -> str:
     """What the figures of flights are, to stand below a table; nothing for other tasks."""
-    from training.tasks.flight import course_of
+    from neuroflight.training.tasks.flight import course_of
 
     return FLIGHT_NOTE if course_of(flown.task) else ""
 
 
 def task_name(task: Task) -> str:
     """What --task calls it, with a named command too."""
-    from training.tasks.named_command import NamedCommand
+    from neuroflight.training.tasks.named_command import NamedCommand
 
     return task.task.name if isinstance(task, NamedCommand) else task.name
 
 
 def drawn_as_flown(flown: Conditions) -> bool:
     """Whether a plot shows the first episode as it was flown, rather than all of them on one scale."""
-    from training.tasks.flight import PilotTask
-    from training.tasks.named_command import NamedCommand
-    from training.tasks.task import ContinuousTask
+    from neuroflight.training.tasks.flight import PilotTask
+    from neuroflight.training.tasks.named_command import NamedCommand
+    from neuroflight.training.tasks.task import ContinuousTask
 
     return isinstance(flown.task, (NamedCommand, ContinuousTask, PilotTask))
 
 
 def task_document(flown: Conditions) -> dict[str, Any]:
     """What is commanded, as JSON data."""
-    from training.tasks.flight import FlightTask
-    from training.tasks.named_command import NamedCommand
-    from training.tasks.task import ContinuousTask
+    from neuroflight.training.tasks.flight import FlightTask
+    from neuroflight.training.tasks.named_command import NamedCommand
+    from neuroflight.training.tasks.task import ContinuousTask
 
     task, found = flown.task, {"task": task_name(flown.task)}
     if isinstance(task, NamedCommand):

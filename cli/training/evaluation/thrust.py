@@ -5,16 +5,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from cli.output import with_margin
-from cli.training.evaluation.conditions import flight_document
+from neuroflight.cli.output import with_margin
+from neuroflight.cli.training.evaluation.conditions import flight_document
 
 if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
-    from sim.analysis.confidence import Mean
-    from training.evaluation.equal_thrust import EqualThrust, Level
-    from training.evaluation.thrust import Transparency
+    from neuroflight.sim.analysis.confidence import Mean
+    from neuroflight.training.evaluation.equal_thrust import EqualThrust, Level
+    from neuroflight.training.evaluation.thrust import Transparency
 
 FIGURES = (  # heading, figure, digits
     ("MAE mean", "mae", 3),
@@ -62,7 +62,7 @@ REST_NOTE = (
 
 def documents(found: EqualThrust) -> dict[str, object]:
     """What equal thrust found, as JSON data."""
-    from training.evaluation.equal_thrust import level_document
+    from neuroflight.training.evaluation.equal_thrust import level_document
 
     return {
         "equal_thrust": [
@@ -77,7 +77,7 @@ def documents(found: EqualThrust) -> dict[str, object]:
 
 def rest_documents(rests: Sequence[Transparency]) -> dict[str, object]:
     """Thrust against throttle as JSON data."""
-    from training.evaluation.equal_thrust import transparency_document
+    from neuroflight.training.evaluation.equal_thrust import transparency_document
 
     return {"transparency": [transparency_document(each) for each in rests]}
 
@@ -99,7 +99,7 @@ def print_equal_thrust(console: Console, title: str, found: EqualThrust, more: s
 
 def print_transparency(console: Console, rests: Sequence[Transparency]) -> None:
     """Thrust at rest and mean motor fraction against the throttle."""
-    from training.evaluation.thrust import TRANSPARENT
+    from neuroflight.training.evaluation.thrust import TRANSPARENT
 
     labels = [f"{each.controller.label}\nidle {each.controller.idle:g}" for each in rests]
     table = _table("at rest: thrust of the weight, motors/ideal", "throttle", labels)
@@ -124,8 +124,8 @@ def print_transparency(console: Console, rests: Sequence[Transparency]) -> None:
 
 
 def _print_level(console: Console, title: str, level: Level) -> None:
-    from toolchain.contract import AXES
-    from training.evaluation.comparison import by_axis, differences, means
+    from neuroflight.toolchain.contract import AXES
+    from neuroflight.training.evaluation.comparison import by_axis, differences, means
 
     entries = level.entries
     table = _table(title, "", [f"{each.controller.label}\nidle {each.controller.idle:g}" for each in entries])
@@ -157,8 +157,8 @@ def _print_level(console: Console, title: str, level: Level) -> None:
 
 def _print_mean(console: Console, levels: Sequence[Level]) -> None:
     """The means of all thrusts, and their ratios to the first controller's."""
-    from training.evaluation.comparison import values
-    from training.evaluation.equal_thrust import over_levels
+    from neuroflight.training.evaluation.comparison import values
+    from neuroflight.training.evaluation.equal_thrust import over_levels
 
     entries = levels[0].entries
     told = ", ".join(f"{level.wanted:g}" for level in levels)
@@ -195,7 +195,7 @@ def _interval(mean: Mean, digits: int, axis: int | tuple[()] = ()) -> str:
 
 
 def _difference(mean: Mean, digits: int) -> str:
-    from training.evaluation.comparison import significant
+    from neuroflight.training.evaluation.comparison import significant
 
     known = significant(mean) and bool(mean.low < mean.high)  # a single flight has no interval
     return f"{'' if known else '≈ '}{'+' if mean.value > 0 else ''}{_interval(mean, digits)}"

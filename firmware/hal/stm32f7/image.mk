@@ -44,7 +44,7 @@ $(OBJ)/boot_part.o: $(BOOT_OBJECTS)
 # Each bank's image is linked from the same objects; its header then gets what only the whole image tells.
 LINK = $(CC) $(CPUFLAGS) -nostartfiles -nostdlib -Wl,--nmagic -Wl,--gc-sections -Wl,--fatal-warnings \
 	-Wl,-Map=$(@:.elf=.map) -o $@ $(filter %.o,$^) -lgcc -L $(OBJ)
-IMAGE_TOOL = PYTHONPATH=.. '$(subst ','\'',$(PYTHON))' -m toolchain.image
+IMAGE_TOOL = PYTHONPATH=.. '$(subst ','\'',$(PYTHON))' -m neuroflight.toolchain.image
 STAMP = $(IMAGE_TOOL).stamp $@
 
 # Which of the policy's functions run from ITCM.

@@ -21,7 +21,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, NoReturn, Protocol
 
-from toolchain.errors import LinkError
+from neuroflight.toolchain.errors import LinkError
 
 TIME_HZ = 216_000_000  # of `Context.cycle`
 

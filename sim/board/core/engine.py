@@ -16,11 +16,11 @@ from typing import Any, NoReturn
 
 from unicorn import arm_const
 
-from sim.board.core.context import BoardError, Peripheral
-from sim.board.core.library import load_library
-from sim.board.core.source_places import Places
-from sim.compiled import Library
-from toolchain.contract import FLASH_BASE, FLASH_BYTES
+from neuroflight.sim.board.core.context import BoardError, Peripheral
+from neuroflight.sim.board.core.library import load_library
+from neuroflight.sim.board.core.source_places import Places
+from neuroflight.sim.compiled import Library
+from neuroflight.toolchain.contract import FLASH_BASE, FLASH_BYTES
 
 CPI = Fraction(163, 100)  # of the shipped policy as llvm-mca prices it: docs/timing.md
 FLASH_ALIAS = 0x00200000  # BOOT_ADD0's default: the core fetches its vectors here (RM0431 2.4)

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import unicorn
 
-from sim import compiled
-from sim.compiled import CACHE, Library
-from toolchain.errors import BuildError
+from neuroflight.sim import compiled
+from neuroflight.sim.compiled import CACHE, Library
+from neuroflight.toolchain.errors import BuildError
 
 CORE = Path(__file__).parent / "c"
 

@@ -9,7 +9,7 @@ from typing import Any
 
 from elftools.elf.elffile import ELFFile
 
-from toolchain.cortex_m7.emulator import Symbol, load_program
+from neuroflight.toolchain.cortex_m7.emulator import Symbol, load_program
 
 NOWHERE = "?"
 

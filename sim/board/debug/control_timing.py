@@ -16,14 +16,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.board.board import Board
-from sim.board.core.engine import CODE_HALFWORDS, Outcome, code_row, row_address
-from sim.board.debug.profile import code_counts, task_counts
-from sim.board.debug.variables import read_variables
-from toolchain.contract import Task
-from toolchain.cortex_m7.cycles import Priced, Route, RouteCost, price_routes
-from toolchain.cortex_m7.disassembly import Instruction
-from toolchain.errors import BuildError
+from neuroflight.sim.board.board import Board
+from neuroflight.sim.board.core.engine import CODE_HALFWORDS, Outcome, code_row, row_address
+from neuroflight.sim.board.debug.profile import code_counts, task_counts
+from neuroflight.sim.board.debug.variables import read_variables
+from neuroflight.toolchain.contract import Task
+from neuroflight.toolchain.cortex_m7.cycles import Priced, Route, RouteCost, price_routes
+from neuroflight.toolchain.cortex_m7.disassembly import Instruction
+from neuroflight.toolchain.errors import BuildError
 
 HANDLER = "gyro_sample_handler"  # from the gyro's bytes in memory to the motors' frame
 EDGE_HANDLER = "gyro_edge_handler"  # before it: starts the chip's read

@@ -8,9 +8,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from sim.board.debug.control_timing import TaskCost, Work
-from sim.plotting import INK, MOTOR_COLOURS, MUTED, dress, titled_figure
-from toolchain.cortex_m7.cycles import CORE_HZ
+from neuroflight.sim.board.debug.control_timing import TaskCost, Work
+from neuroflight.sim.plotting import INK, MOTOR_COLOURS, MUTED, dress, titled_figure
+from neuroflight.toolchain.cortex_m7.cycles import CORE_HZ
 
 BINS = 40
 RUNS_MIN = 0.8  # where the axis begins: below a single run

@@ -12,13 +12,13 @@ import struct
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from sim.board.board import Board
-from sim.board.core.context import TIME_HZ
-from sim.board.core.engine import CPI
-from sim.board.devices.sd_card import CardFault
-from sim.board.peripherals.usart import Format
-from sim.board.registers.bus import load_table
-from toolchain.errors import ScenarioError
+from neuroflight.sim.board.board import Board
+from neuroflight.sim.board.core.context import TIME_HZ
+from neuroflight.sim.board.core.engine import CPI
+from neuroflight.sim.board.devices.sd_card import CardFault
+from neuroflight.sim.board.peripherals.usart import Format
+from neuroflight.sim.board.registers.bus import load_table
+from neuroflight.toolchain.errors import ScenarioError
 
 BOOT = "boot"
 SECONDS_MAX = 3600.0

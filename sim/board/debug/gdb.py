@@ -10,12 +10,12 @@ import select
 import socket
 from collections.abc import Callable
 
-from sim.board.core.context import TIME_HZ, BoardError
-from sim.board.core.engine import Engine, Outcome, Watchpoint
-from sim.board.debug.gdb_description import memory_map_xml, target_xml
-from sim.board.debug.gdb_packets import PACKET_BYTES, Inbox, Kind, packet
-from sim.board.debug.gdb_target import RefusedError, Target, numbers
-from toolchain.errors import LinkError
+from neuroflight.sim.board.core.context import TIME_HZ, BoardError
+from neuroflight.sim.board.core.engine import Engine, Outcome, Watchpoint
+from neuroflight.sim.board.debug.gdb_description import memory_map_xml, target_xml
+from neuroflight.sim.board.debug.gdb_packets import PACKET_BYTES, Inbox, Kind, packet
+from neuroflight.sim.board.debug.gdb_target import RefusedError, Target, numbers
+from neuroflight.toolchain.errors import LinkError
 
 SLICE = 2_160_000  # cycles between two checks for the debugger's Ctrl-C: 10 ms
 TRAP, INTERRUPT, ABORT = 5, 2, 6  # signals that tell why the core stands

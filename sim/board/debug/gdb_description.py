@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from itertools import groupby
 
-from sim.board.core.engine import FLASH_ALIAS, ITCM_BYTES, RAM
-from toolchain.contract import FLASH_BASE, FLASH_BYTES, FLASH_SECTORS
+from neuroflight.sim.board.core.engine import FLASH_ALIAS, ITCM_BYTES, RAM
+from neuroflight.toolchain.contract import FLASH_BASE, FLASH_BYTES, FLASH_SECTORS
 
 
 @dataclass(frozen=True)

@@ -9,9 +9,9 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 
-from sim.board.core.context import BoardError
-from sim.board.core.engine import Engine
-from sim.board.debug.gdb_description import (
+from neuroflight.sim.board.core.context import BoardError
+from neuroflight.sim.board.core.engine import Engine
+from neuroflight.sim.board.debug.gdb_description import (
     READ_ONLY,
     REGISTER_SPACES,
     REGISTERS,
@@ -19,9 +19,9 @@ from sim.board.debug.gdb_description import (
     Register,
     readable_bytes,
 )
-from sim.board.debug.gdb_packets import PACKET_BYTES
-from sim.board.debug.snapshot import restore_snapshot, take_snapshot
-from toolchain.contract import FLASH_BASE, FLASH_BYTES, FLASH_SECTORS
+from neuroflight.sim.board.debug.gdb_packets import PACKET_BYTES
+from neuroflight.sim.board.debug.snapshot import restore_snapshot, take_snapshot
+from neuroflight.toolchain.contract import FLASH_BASE, FLASH_BYTES, FLASH_SECTORS
 
 DATA_BYTES = PACKET_BYTES // 2  # of memory in one answer
 

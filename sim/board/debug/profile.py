@@ -13,10 +13,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.board.core.engine import CODE_HALFWORDS, FRACTION, ITCM_BYTES, Engine, code_row, row_address
-from toolchain.contract import FLASH_BASE, FLASH_BYTES
-from toolchain.cortex_m7.disassembly import disassemble
-from toolchain.errors import BuildError
+from neuroflight.sim.board.core.engine import (
+    CODE_HALFWORDS,
+    FRACTION,
+    ITCM_BYTES,
+    Engine,
+    code_row,
+    row_address,
+)
+from neuroflight.toolchain.contract import FLASH_BASE, FLASH_BYTES
+from neuroflight.toolchain.cortex_m7.disassembly import disassemble
+from neuroflight.toolchain.errors import BuildError
 
 EXCEPTIONS = 16 + 104
 NAMES = {2: "NMI", 3: "HardFault", 4: "MemManage", 5: "BusFault", 6: "UsageFault"}

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
-from sim.board.board import Board
-from sim.board.core.context import TIME_HZ
-from sim.board.debug.flame_graph import flame_graph
-from sim.board.debug.profile import coverage, folded_stacks, profile_table, task_counts
-from toolchain.files import write_text
+from neuroflight.sim.board.board import Board
+from neuroflight.sim.board.core.context import TIME_HZ
+from neuroflight.sim.board.debug.flame_graph import flame_graph
+from neuroflight.sim.board.debug.profile import coverage, folded_stacks, profile_table, task_counts
+from neuroflight.toolchain.files import write_text
 
 EVERY = 1 << 20  # functions, more than there are
 _US = 1e6 / TIME_HZ

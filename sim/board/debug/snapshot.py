@@ -14,10 +14,10 @@ from typing import Any
 
 from unicorn import arm_const
 
-from sim.board.core.context import BoardError
-from sim.board.core.engine import CORE_REGISTERS, XPSR, Engine, Note
-from sim.board.debug.profile import code_counts
-from toolchain.contract import FLASH_BASE, FLASH_BYTES
+from neuroflight.sim.board.core.context import BoardError
+from neuroflight.sim.board.core.engine import CORE_REGISTERS, XPSR, Engine, Note
+from neuroflight.sim.board.debug.profile import code_counts
+from neuroflight.toolchain.contract import FLASH_BASE, FLASH_BYTES
 
 SYSTEM_MEMORY = (0x1FF00000, 0x10000)
 MEMORIES = ((0x00000000, 0x4000), (FLASH_BASE, FLASH_BYTES), SYSTEM_MEMORY, (0x20000000, 0x40000))

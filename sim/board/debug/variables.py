@@ -18,7 +18,7 @@ import numpy as np
 from elftools.common.exceptions import ELFError
 from elftools.elf.elffile import ELFFile
 
-from toolchain.errors import BuildError
+from neuroflight.toolchain.errors import BuildError
 
 _OP_ADDR = 0x03  # DW_OP_addr (DWARF 5, 7.7.1)
 _KINDS = {2: "u", 4: "f", 5: "i", 6: "i", 7: "u", 8: "u"}  # DW_ATE_... (DWARF 5, 7.8)

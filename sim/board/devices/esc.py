@@ -26,7 +26,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, NoReturn
 
-from sim.board.core.context import TIME_HZ
+from neuroflight.sim.board.core.context import TIME_HZ
 
 PROTOCOLS = {300: 300_000, 600: 600_000}  # bits a second
 TOLERANCE = 0.05  # of a nominal time

@@ -16,11 +16,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from sim.board.core.context import TIME_HZ
-from sim.board.core.engine import NEVER
-from sim.board.devices.gyro_mount import Counts
-from sim.board.native.library import Native, in_c
-from sim.board.peripherals.gpio import Pins
+from neuroflight.sim.board.core.context import TIME_HZ
+from neuroflight.sim.board.core.engine import NEVER
+from neuroflight.sim.board.devices.gyro_mount import Counts
+from neuroflight.sim.board.native.library import Native, in_c
+from neuroflight.sim.board.peripherals.gpio import Pins
 
 CS, READY = "PC2", "PC3"  # pins.c and gyro_chip.c know them too
 

@@ -6,7 +6,13 @@ import math
 from collections.abc import Sequence
 from enum import IntEnum
 
-from toolchain.contract import ACCEL_COUNTS, ACCEL_FULL_SCALE_G, GRAVITY, GYRO_COUNTS, GYRO_FULL_SCALE_DEG_S
+from neuroflight.toolchain.contract import (
+    ACCEL_COUNTS,
+    ACCEL_FULL_SCALE_G,
+    GRAVITY,
+    GYRO_COUNTS,
+    GYRO_FULL_SCALE_DEG_S,
+)
 
 _DEGREES = 180.0 / math.pi
 

@@ -10,10 +10,10 @@ from collections.abc import Callable, Iterator, MutableMapping
 from pathlib import Path
 from typing import Any, Protocol
 
-from sim.board.core.engine import Engine
-from sim.board.core.library import load_library
-from sim.board.registers.bus import Block, Device, Register, Registers, load_table
-from sim.compiled import Library
+from neuroflight.sim.board.core.engine import Engine
+from neuroflight.sim.board.core.library import load_library
+from neuroflight.sim.board.registers.bus import Block, Device, Register, Registers, load_table
+from neuroflight.sim.compiled import Library
 
 C = Path(__file__).parent / "c"
 

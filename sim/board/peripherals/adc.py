@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from sim.board.core.context import TIME_HZ, Context
-from sim.board.peripherals.dma import DmaSystem
-from sim.board.peripherals.gpio import SIGNALS, Pins
-from sim.board.peripherals.rcc import MICROSECOND, Clocks
-from sim.board.registers.bus import Device, load_table
+from neuroflight.sim.board.core.context import TIME_HZ, Context
+from neuroflight.sim.board.peripherals.dma import DmaSystem
+from neuroflight.sim.board.peripherals.gpio import SIGNALS, Pins
+from neuroflight.sim.board.peripherals.rcc import MICROSECOND, Clocks
+from neuroflight.sim.board.registers.bus import Device, load_table
 
 VOLTS, AMPS, RSSI = 10, 14, 8  # channels of the board's pins PC0, PC4, PB0
 VOLTS_DIVIDER = 11.0  # battery voltage over the pin's

@@ -9,12 +9,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NoReturn
 
-from sim.board.core.context import Alarm
-from sim.board.core.engine import NEVER
-from sim.board.native.library import Driver, Native, NativeDevice
-from sim.board.peripherals.dma_requests import REQUESTS, serves
-from sim.board.registers.bus import Device, load_table
-from toolchain.contract import DTCM, FLASH_BASE, FLASH_BYTES, SRAM1, SRAM2
+from neuroflight.sim.board.core.context import Alarm
+from neuroflight.sim.board.core.engine import NEVER
+from neuroflight.sim.board.native.library import Driver, Native, NativeDevice
+from neuroflight.sim.board.peripherals.dma_requests import REQUESTS, serves
+from neuroflight.sim.board.registers.bus import Device, load_table
+from neuroflight.toolchain.contract import DTCM, FLASH_BASE, FLASH_BYTES, SRAM1, SRAM2
 
 STREAMS = 8
 _TO_PERIPHERAL = 1  # DIR; 0 from peripheral, 2 memory to memory

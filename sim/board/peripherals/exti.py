@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from sim.board.native.library import Native, NativeDevice
-from sim.board.registers.bus import load_table
+from neuroflight.sim.board.native.library import Native, NativeDevice
+from neuroflight.sim.board.registers.bus import load_table
 
 # The interrupts of EXTI, in C's order; lines share some of them (RM0431, vector table).
 _INTERRUPTS = (*(f"EXTI{i}" for i in range(5)), "EXTI9_5", "EXTI15_10", "PVD")

@@ -11,11 +11,11 @@ from collections.abc import Callable
 from enum import Enum, auto
 from typing import Any
 
-from sim.board.core.context import Context
-from sim.board.peripherals.option_bytes import OptionBytes
-from sim.board.peripherals.rcc import MICROSECOND
-from sim.board.registers.bus import Device, load_table
-from toolchain.contract import FLASH_BASE, FLASH_BYTES, FLASH_SECTORS
+from neuroflight.sim.board.core.context import Context
+from neuroflight.sim.board.peripherals.option_bytes import OptionBytes
+from neuroflight.sim.board.peripherals.rcc import MICROSECOND
+from neuroflight.sim.board.registers.bus import Device, load_table
+from neuroflight.toolchain.contract import FLASH_BASE, FLASH_BYTES, FLASH_SECTORS
 
 KEYS = (0x45670123, 0xCDEF89AB)  # RM0431 3.3.5
 OPTION_KEYS = (0x08192A3B, 0x4C5D6E7F)  # RM0431 3.4.2

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from sim.board.native.library import Native, NativeDevice
+from neuroflight.sim.board.native.library import Native, NativeDevice
 
 PORTS = "ABCD"
 _MODES = ("an input", "an output", "alternate function", "analog")

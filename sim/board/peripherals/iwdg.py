@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from sim.board.core.context import TIME_HZ
-from sim.board.core.engine import NEVER
-from sim.board.native.library import Native
-from sim.board.peripherals.rcc import LSI_HZ
-from sim.board.registers.bus import WINDOW, Device, Register
+from neuroflight.sim.board.core.context import TIME_HZ
+from neuroflight.sim.board.core.engine import NEVER
+from neuroflight.sim.board.native.library import Native
+from neuroflight.sim.board.peripherals.rcc import LSI_HZ
+from neuroflight.sim.board.registers.bus import WINDOW, Device, Register
 
 _RELOAD, _UNLOCK, _START = 0xAAAA, 0x5555, 0xCCCC  # KR (RM0431 IWDG)
 _UPDATE_TICKS = 5  # of LSI divided by the prescaler, until PR or RLR takes effect

@@ -7,9 +7,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from sim.board.core.context import Context
-from sim.board.peripherals.rcc import MICROSECOND
-from sim.board.registers.bus import Device
+from neuroflight.sim.board.core.context import Context
+from neuroflight.sim.board.peripherals.rcc import MICROSECOND
+from neuroflight.sim.board.registers.bus import Device
 
 OVER_DRIVE = 45 * MICROSECOND  # [cycles]
 SUPPLY_MV = 3300

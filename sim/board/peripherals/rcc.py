@@ -10,8 +10,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from sim.board.core.context import TIME_HZ, Context
-from sim.board.registers.bus import Device, load_table
+from neuroflight.sim.board.core.context import TIME_HZ, Context
+from neuroflight.sim.board.registers.bus import Device, load_table
 
 HSI_HZ = 16_000_000
 LSI_HZ = 32_000

@@ -6,9 +6,9 @@ import random
 from collections.abc import Sequence
 from typing import Any, NoReturn, Protocol
 
-from sim.board.native.library import Native, NativeDevice
-from sim.board.peripherals.gpio import Pins
-from sim.board.registers.bus import load_table
+from neuroflight.sim.board.native.library import Native, NativeDevice
+from neuroflight.sim.board.peripherals.gpio import Pins
+from neuroflight.sim.board.registers.bus import load_table
 
 
 class SpiSlave(Protocol):

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import NoReturn
 
-from sim.board.native.library import Native, NativeDevice
-from sim.board.peripherals.dma import DmaSystem
-from sim.board.peripherals.gpio import SIGNALS, Pins
-from sim.board.registers.bus import load_table
+from neuroflight.sim.board.native.library import Native, NativeDevice
+from neuroflight.sim.board.peripherals.dma import DmaSystem
+from neuroflight.sim.board.peripherals.gpio import SIGNALS, Pins
+from neuroflight.sim.board.registers.bus import load_table
 
 TIMERS = ("TIM1", "TIM2", "TIM3", "TIM4", "TIM5", "TIM8")  # in C's order
 ADVANCED = ("TIM1", "TIM8")  # with a main output switch; on APB2

@@ -10,10 +10,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
-from sim.board.core.context import TIME_HZ, Context
-from sim.board.peripherals.dma import DmaSystem
-from sim.board.peripherals.gpio import Pins
-from sim.board.registers.bus import Device, load_table
+from neuroflight.sim.board.core.context import TIME_HZ, Context
+from neuroflight.sim.board.peripherals.dma import DmaSystem
+from neuroflight.sim.board.peripherals.gpio import Pins
+from neuroflight.sim.board.registers.bus import Device, load_table
 
 _PE, _FE, _ORE, _IDLE, _RXNE, _TC, _TXE = (1 << i for i in (0, 1, 3, 4, 5, 6, 7))
 _BUSY, _TEACK = 1 << 16, 1 << 21

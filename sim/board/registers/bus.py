@@ -16,8 +16,8 @@ from functools import cache, cached_property
 from pathlib import Path
 from typing import Any, NoReturn, Protocol
 
-from sim.board.core.context import Bus, Context
-from toolchain.errors import BuildError
+from neuroflight.sim.board.core.context import Bus, Context
+from neuroflight.toolchain.errors import BuildError
 
 TABLE = Path(__file__).with_name("registers.json")
 WINDOW = 0x400  # the engine attaches peripherals in windows of this many bytes

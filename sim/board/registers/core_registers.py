@@ -10,7 +10,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 
-from sim.board.registers.bus import Field
+from neuroflight.sim.board.registers.bus import Field
 
 
 @dataclass(frozen=True)

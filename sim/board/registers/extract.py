@@ -1,6 +1,6 @@
 """The register table of the chip: taken from the vendor's description, committed as registers.json.
 
-    python -m sim.board.registers.extract STM32F7x2.svd
+    python -m neuroflight.sim.board.registers.extract STM32F7x2.svd
 
 The emulator checks every access against it, and the firmware's tests the firmware's header: addresses, reset
 values, access rights, fields and interrupt numbers are the vendor's. What the emulator adds stands below: the
@@ -18,10 +18,10 @@ import xml.etree.ElementTree as ET
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from sim.board.registers.bus import TABLE, digest
-from sim.board.registers.core_registers import CORE_REGISTERS
-from toolchain.errors import BuildError, NeuroflightError
-from toolchain.files import write_text_if_changed
+from neuroflight.sim.board.registers.bus import TABLE, digest
+from neuroflight.sim.board.registers.core_registers import CORE_REGISTERS
+from neuroflight.toolchain.errors import BuildError, NeuroflightError
+from neuroflight.toolchain.files import write_text_if_changed
 
 _ALL = "*"  # every field that the description has
 _TIMER = {

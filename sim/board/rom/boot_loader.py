@@ -12,13 +12,13 @@ import struct
 from enum import Enum, auto
 from typing import Any
 
-from sim.board.core.engine import POWER_UP, Engine
-from sim.board.peripherals.flash import KEYS, Flash
-from sim.board.peripherals.iwdg import Iwdg
-from sim.board.peripherals.rcc import Rcc
-from sim.board.peripherals.usart import Format, Usart
-from sim.board.registers.bus import load_table
-from sim.board.rom.protocol import (
+from neuroflight.sim.board.core.engine import POWER_UP, Engine
+from neuroflight.sim.board.peripherals.flash import KEYS, Flash
+from neuroflight.sim.board.peripherals.iwdg import Iwdg
+from neuroflight.sim.board.peripherals.rcc import Rcc
+from neuroflight.sim.board.peripherals.usart import Format, Usart
+from neuroflight.sim.board.registers.bus import load_table
+from neuroflight.sim.board.rom.protocol import (
     ACCEPTED,
     ACK,
     FLASH,
@@ -35,7 +35,7 @@ from sim.board.rom.protocol import (
     Write,
     feed,
 )
-from toolchain.contract import DTCM
+from neuroflight.toolchain.contract import DTCM
 
 UART = "USART1"
 BAUD_MIN, BAUD_MAX = 1200, 115_200  # AN3155, choosing the baud rate

@@ -15,7 +15,7 @@ from enum import Enum, auto
 from functools import reduce
 from operator import xor
 
-from toolchain.contract import DTCM, FLASH_BASE, FLASH_BYTES, FLASH_SECTORS, ITCM, Region
+from neuroflight.toolchain.contract import DTCM, FLASH_BASE, FLASH_BYTES, FLASH_SECTORS, ITCM, Region
 
 SYNC, ACK, NACK = 0x7F, 0x79, 0x1F
 GET, GET_VERSION, GET_ID, READ, GO, WRITE, ERASE = 0x00, 0x01, 0x02, 0x11, 0x21, 0x31, 0x44

@@ -21,12 +21,12 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Protocol
 
-from sim.board.board import Board
-from sim.board.core.context import TIME_HZ
-from sim.board.peripherals.usart import Format
-from sim.board.rom.boot_loader import UART as ROM_UART
-from toolchain.contract import MSP_BAUD_DEFAULT
-from toolchain.errors import LinkError
+from neuroflight.sim.board.board import Board
+from neuroflight.sim.board.core.context import TIME_HZ
+from neuroflight.sim.board.peripherals.usart import Format
+from neuroflight.sim.board.rom.boot_loader import UART as ROM_UART
+from neuroflight.toolchain.contract import MSP_BAUD_DEFAULT
+from neuroflight.toolchain.errors import LinkError
 
 MSP_UART = "USART1"
 SLICE = TIME_HZ // 10_000  # cycles between two reads of what the board has sent: 100 us

@@ -14,16 +14,16 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from flash.client import Client
-from flash.settings import Settings, as_stored, in_order
-from sim.board.board import Board
-from sim.board.core.context import TIME_HZ
-from sim.board.devices.gyro_mount import accel_counts, gyro_counts
-from sim.board.devices.sd_card import SdCard
-from sim.board.matekf722 import FULL_VOLTS, GYRO, Gyro
-from sim.board.peripherals.usart import Format
-from sim.board.serial.bridge import MSP_UART, Bridge, LineTransport, UartLine
-from toolchain.contract import (
+from neuroflight.flash.client import Client
+from neuroflight.flash.settings import Settings, as_stored, in_order
+from neuroflight.sim.board.board import Board
+from neuroflight.sim.board.core.context import TIME_HZ
+from neuroflight.sim.board.devices.gyro_mount import accel_counts, gyro_counts
+from neuroflight.sim.board.devices.sd_card import SdCard
+from neuroflight.sim.board.matekf722 import FULL_VOLTS, GYRO, Gyro
+from neuroflight.sim.board.peripherals.usart import Format
+from neuroflight.sim.board.serial.bridge import MSP_UART, Bridge, LineTransport, UartLine
+from neuroflight.toolchain.contract import (
     FLASH_BANK_A,
     FLASH_BANK_B,
     FLASH_BASE,
@@ -32,8 +32,8 @@ from toolchain.contract import (
     GRAVITY,
     MSP_BAUD_DEFAULT,
 )
-from toolchain.cortex_m7.emulator import Program, load_program
-from toolchain.errors import LinkError
+from neuroflight.toolchain.cortex_m7.emulator import Program, load_program
+from neuroflight.toolchain.errors import LinkError
 
 STEP = TIME_HZ // 1000  # cycles between two measurements, and two exchanges with programs: 1 ms
 # At rest: MPU-6500 product specification, 3.1 and 3.2 (0.01 deg/s/rtHz and 300 ug/rtHz over 250 Hz).

@@ -11,16 +11,16 @@ import struct
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from flash import records
-from flash.msp import Decoder, Direction, Message, encode, request
-from flash.stream import Sample, decode_sample
-from sim.board.board import Board
-from sim.board.core.context import TIME_HZ
-from sim.board.peripherals.usart import Format
-from sim.board.serial.bridge import MSP_UART, UartLine
-from sim.board.serial.idle_board import IdleBoard
-from toolchain.contract import MSP_STREAM_RATE_MAX_HZ, Msp, Task
-from toolchain.errors import LinkError
+from neuroflight.flash import records
+from neuroflight.flash.msp import Decoder, Direction, Message, encode, request
+from neuroflight.flash.stream import Sample, decode_sample
+from neuroflight.sim.board.board import Board
+from neuroflight.sim.board.core.context import TIME_HZ
+from neuroflight.sim.board.peripherals.usart import Format
+from neuroflight.sim.board.serial.bridge import MSP_UART, UartLine
+from neuroflight.sim.board.serial.idle_board import IdleBoard
+from neuroflight.toolchain.contract import MSP_STREAM_RATE_MAX_HZ, Msp, Task
+from neuroflight.toolchain.errors import LinkError
 
 WAIT_S = 1.0  # of the board's time within which a control step must have come
 

@@ -6,9 +6,15 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from sim.identification.bench.drive import Clock, Sensor
-from sim.identification.bench.load_cell import FORCE, TORQUE, LoadCell, fit_load_cell, loads_of_masses
-from toolchain.errors import DynoError
+from neuroflight.sim.identification.bench.drive import Clock, Sensor
+from neuroflight.sim.identification.bench.load_cell import (
+    FORCE,
+    TORQUE,
+    LoadCell,
+    fit_load_cell,
+    loads_of_masses,
+)
+from neuroflight.toolchain.errors import DynoError
 
 READ_S = 2.0  # [s] over which a reading is averaged
 ROWS_MIN = 10  # in that time

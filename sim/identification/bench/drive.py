@@ -13,10 +13,10 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.identification.bench.guard import Guard, StoppedError
-from sim.identification.bench.sensor import LineReader, Row
-from sim.identification.dyno.bench import Phase, duration, throttle_at
-from toolchain.errors import DynoError
+from neuroflight.sim.identification.bench.guard import Guard, StoppedError
+from neuroflight.sim.identification.bench.sensor import LineReader, Row
+from neuroflight.sim.identification.dyno.bench import Phase, duration, throttle_at
+from neuroflight.toolchain.errors import DynoError
 
 Array = NDArray[np.float64]
 Clock = Callable[[], float]

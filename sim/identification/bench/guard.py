@@ -10,10 +10,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.identification.bench.clocks import DRIFT_MAX
-from sim.identification.bench.quantities import Rig, pulse_wrap, thrust_of, torque_of
-from sim.identification.bench.sensor import TIMES, WRAP, Row
-from toolchain.errors import DynoError
+from neuroflight.sim.identification.bench.clocks import DRIFT_MAX
+from neuroflight.sim.identification.bench.quantities import Rig, pulse_wrap, thrust_of, torque_of
+from neuroflight.sim.identification.bench.sensor import TIMES, WRAP, Row
+from neuroflight.toolchain.errors import DynoError
 
 Array = NDArray[np.float64]
 

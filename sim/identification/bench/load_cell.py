@@ -14,10 +14,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sim.strict_toml import StrictTable, shown
-from toolchain.contract import GRAVITY
-from toolchain.errors import DynoError
-from toolchain.files import file_size, write_text
+from neuroflight.sim.strict_toml import StrictTable, shown
+from neuroflight.toolchain.contract import GRAVITY
+from neuroflight.toolchain.errors import DynoError
+from neuroflight.toolchain.files import file_size, write_text
 
 Array = NDArray[np.float64]
 

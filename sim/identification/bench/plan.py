@@ -10,12 +10,17 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.identification.bench.drive import Log
-from sim.identification.bench.sensor import Layout
-from sim.identification.dyno.bench import Phase, duration
-from sim.identification.dyno.recording import ROWS_MAX, Recording, read_recordings, write_recording
-from toolchain.errors import DynoError
-from toolchain.files import file_size, write_text
+from neuroflight.sim.identification.bench.drive import Log
+from neuroflight.sim.identification.bench.sensor import Layout
+from neuroflight.sim.identification.dyno.bench import Phase, duration
+from neuroflight.sim.identification.dyno.recording import (
+    ROWS_MAX,
+    Recording,
+    read_recordings,
+    write_recording,
+)
+from neuroflight.toolchain.errors import DynoError
+from neuroflight.toolchain.files import file_size, write_text
 
 Array = NDArray[np.float64]
 

@@ -10,10 +10,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from sim.aircraft.model import RPM
-from sim.analysis.confidence import Mean, mean_of
-from sim.identification.dyno.recording import Recording
-from sim.plotting import AXIS_COLOURS, INK, dress, legend_above, save_png, titled_figure
+from neuroflight.sim.aircraft.model import RPM
+from neuroflight.sim.analysis.confidence import Mean, mean_of
+from neuroflight.sim.identification.dyno.recording import Recording
+from neuroflight.sim.plotting import AXIS_COLOURS, INK, dress, legend_above, save_png, titled_figure
 
 Array = NDArray[np.float64]
 

@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from toolchain.errors import DynoError
+from neuroflight.toolchain.errors import DynoError
 
 Array = NDArray[np.float64]
 

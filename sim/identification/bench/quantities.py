@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.aircraft.model import RPM
-from sim.identification.bench.load_cell import FORCE, TORQUE, LoadCell, load
-from sim.identification.bench.pulses import speed_of_pulses, unwrapped
-from sim.identification.bench.sensor import CELLS, TIMES, WRAP, Layout
-from toolchain.errors import DynoError
+from neuroflight.sim.aircraft.model import RPM
+from neuroflight.sim.identification.bench.load_cell import FORCE, TORQUE, LoadCell, load
+from neuroflight.sim.identification.bench.pulses import speed_of_pulses, unwrapped
+from neuroflight.sim.identification.bench.sensor import CELLS, TIMES, WRAP, Layout
+from neuroflight.toolchain.errors import DynoError
 
 Array = NDArray[np.float64]
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.identification.bench.clocks import Clock, fit_clock
-from sim.identification.bench.drive import Log
-from sim.identification.bench.quantities import Rig, own_time, speed_of, thrust_of, torque_of
-from sim.identification.dyno.recording import ROWS_MIN, Recording
-from toolchain.errors import DynoError
+from neuroflight.sim.identification.bench.clocks import Clock, fit_clock
+from neuroflight.sim.identification.bench.drive import Log
+from neuroflight.sim.identification.bench.quantities import Rig, own_time, speed_of, thrust_of, torque_of
+from neuroflight.sim.identification.dyno.recording import ROWS_MIN, Recording
+from neuroflight.toolchain.errors import DynoError
 
 Array = NDArray[np.float64]
 

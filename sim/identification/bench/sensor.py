@@ -19,7 +19,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from toolchain.errors import DynoError
+from neuroflight.toolchain.errors import DynoError
 
 TIMES = {"time_s": 1.0, "time_ms": 1e-3, "time_us": 1e-6}  # seconds of one
 WRAP = 2.0**32  # at which counters of a microcontroller begin anew

@@ -7,11 +7,11 @@ from collections.abc import Callable
 from contextlib import AbstractContextManager
 from pathlib import Path
 
-from sim.identification.bench.drive import Clock, Motor, Sensor, drive
-from sim.identification.bench.guard import Guard, Limits
-from sim.identification.bench.plan import Plan, Run, begin_folder, keep_run, missing_runs
-from sim.identification.bench.quantities import Rig
-from sim.identification.bench.reduction import reduce_log
+from neuroflight.sim.identification.bench.drive import Clock, Motor, Sensor, drive
+from neuroflight.sim.identification.bench.guard import Guard, Limits
+from neuroflight.sim.identification.bench.plan import Plan, Run, begin_folder, keep_run, missing_runs
+from neuroflight.sim.identification.bench.quantities import Rig
+from neuroflight.sim.identification.bench.reduction import reduce_log
 
 Told = Callable[[Run, float, float, float], None]  # run, its elapsed time [s], throttle, rpm
 

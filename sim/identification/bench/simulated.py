@@ -13,18 +13,26 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.aircraft.model import Propulsion
-from sim.identification.bench.calibration import READ_S, calibrate
-from sim.identification.bench.drive import Log
-from sim.identification.bench.load_cell import FORCE, TORQUE, LoadCell, loads_of_masses
-from sim.identification.bench.quantities import STAMPED_WINDOW_S, Rig
-from sim.identification.bench.reduction import reduce_log
-from sim.identification.bench.sensor import WRAP, parse_layout
-from sim.identification.dyno.bench import REST_S, SIMULATION_HZ, Phase, disturbed, duration, run, throttle_at
-from sim.identification.dyno.recording import Recording
-from sim.identification.dyno.signal import jumps, settled_rows
-from sim.physics.rotor import target_speed, thrust_and_torque
-from toolchain.contract import GRAVITY
+from neuroflight.sim.aircraft.model import Propulsion
+from neuroflight.sim.identification.bench.calibration import READ_S, calibrate
+from neuroflight.sim.identification.bench.drive import Log
+from neuroflight.sim.identification.bench.load_cell import FORCE, TORQUE, LoadCell, loads_of_masses
+from neuroflight.sim.identification.bench.quantities import STAMPED_WINDOW_S, Rig
+from neuroflight.sim.identification.bench.reduction import reduce_log
+from neuroflight.sim.identification.bench.sensor import WRAP, parse_layout
+from neuroflight.sim.identification.dyno.bench import (
+    REST_S,
+    SIMULATION_HZ,
+    Phase,
+    disturbed,
+    duration,
+    run,
+    throttle_at,
+)
+from neuroflight.sim.identification.dyno.recording import Recording
+from neuroflight.sim.identification.dyno.signal import jumps, settled_rows
+from neuroflight.sim.physics.rotor import target_speed, thrust_and_torque
+from neuroflight.toolchain.contract import GRAVITY
 
 Array = NDArray[np.float64]
 

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.aircraft.model import RPM
-from sim.analysis.confidence import mean_of
-from sim.identification.dyno.bench import Step, steps
-from sim.identification.dyno.recording import Recording
-from sim.identification.dyno.signal import JUMP, commanded, jumps
+from neuroflight.sim.aircraft.model import RPM
+from neuroflight.sim.analysis.confidence import mean_of
+from neuroflight.sim.identification.dyno.bench import Step, steps
+from neuroflight.sim.identification.dyno.recording import Recording
+from neuroflight.sim.identification.dyno.signal import JUMP, commanded, jumps
 
 Array = NDArray[np.float64]
 

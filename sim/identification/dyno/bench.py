@@ -11,10 +11,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.aircraft.model import Propulsion
-from sim.identification.dyno.recording import Recording
-from sim.identification.dyno.signal import JUMP, SETTLED_S, jumps, without_spikes
-from sim.physics.rotor import speeds_along, target_speed, thrust_and_torque
+from neuroflight.sim.aircraft.model import Propulsion
+from neuroflight.sim.identification.dyno.recording import Recording
+from neuroflight.sim.identification.dyno.signal import JUMP, SETTLED_S, jumps, without_spikes
+from neuroflight.sim.physics.rotor import speeds_along, target_speed, thrust_and_torque
 
 Array = NDArray[np.float64]
 

@@ -15,10 +15,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.aircraft.model import COEFFICIENT_TERMS_MAX
-from sim.identification.dyno.model import curve, make_schedule, quadratic, quadratic_errors
-from sim.identification.dyno.recording import THROTTLE_SLACK, Recording
-from sim.identification.dyno.response import (
+from neuroflight.sim.aircraft.model import COEFFICIENT_TERMS_MAX
+from neuroflight.sim.identification.dyno.model import curve, make_schedule, quadratic, quadratic_errors
+from neuroflight.sim.identification.dyno.recording import THROTTLE_SLACK, Recording
+from neuroflight.sim.identification.dyno.response import (
     EXACT,
     KINDS,
     SLOPE_MIN,
@@ -28,8 +28,8 @@ from sim.identification.dyno.response import (
     why_better,
     why_none,
 )
-from sim.identification.dyno.robust_fit import Estimate, robust_fit
-from sim.identification.dyno.signal import (
+from neuroflight.sim.identification.dyno.robust_fit import Estimate, robust_fit
+from neuroflight.sim.identification.dyno.signal import (
     JUMP,
     NOISE_FLOOR,
     average,
@@ -41,7 +41,7 @@ from sim.identification.dyno.signal import (
     settled_rows,
     steady_rows,
 )
-from toolchain.errors import DynoError
+from neuroflight.toolchain.errors import DynoError
 
 Array = NDArray[np.float64]
 Progress = Callable[[str], None]

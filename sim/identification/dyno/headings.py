@@ -16,8 +16,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum
 
-from sim.aircraft.model import RPM
-from toolchain.contract import GRAVITY
+from neuroflight.sim.aircraft.model import RPM
+from neuroflight.toolchain.contract import GRAVITY
 
 POUND = 0.45359237  # [kg], international
 OUNCE = POUND / 16

@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.identification.dyno.recording import Recording
-from sim.identification.dyno.signal import uneven
+from neuroflight.sim.identification.dyno.recording import Recording
+from neuroflight.sim.identification.dyno.signal import uneven
 
 Array = NDArray[np.float64]
 

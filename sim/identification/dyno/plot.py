@@ -11,13 +11,21 @@ from matplotlib.figure import Figure
 from matplotlib.gridspec import GridSpec, SubplotSpec
 from numpy.typing import NDArray
 
-from sim.aircraft.model import RPM
-from sim.identification.dyno.fit import Fit
-from sim.identification.dyno.points import PointsFit
-from sim.identification.dyno.recording import Recording
-from sim.identification.dyno.robust_fit import Estimate
-from sim.identification.dyno.signal import WINDOW_S, jumps, settled_rows
-from sim.plotting import AXIS_COLOURS, INK, MOTOR_COLOURS, dress, legend_above, save_png, titled_figure
+from neuroflight.sim.aircraft.model import RPM
+from neuroflight.sim.identification.dyno.fit import Fit
+from neuroflight.sim.identification.dyno.points import PointsFit
+from neuroflight.sim.identification.dyno.recording import Recording
+from neuroflight.sim.identification.dyno.robust_fit import Estimate
+from neuroflight.sim.identification.dyno.signal import WINDOW_S, jumps, settled_rows
+from neuroflight.sim.plotting import (
+    AXIS_COLOURS,
+    INK,
+    MOTOR_COLOURS,
+    dress,
+    legend_above,
+    save_png,
+    titled_figure,
+)
 
 Array = NDArray[np.float64]
 

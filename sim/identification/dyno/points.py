@@ -13,12 +13,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.identification.dyno.fit import NO_TORQUE, fit_polynomial, static_slopes
-from sim.identification.dyno.model import quadratic, quadratic_errors
-from sim.identification.dyno.robust_fit import Estimate
-from sim.identification.dyno.signal import JUMP, NOISE_FLOOR, deviation
-from sim.identification.dyno.stand import POINTS_MIN, Stand
-from toolchain.errors import DynoError
+from neuroflight.sim.identification.dyno.fit import NO_TORQUE, fit_polynomial, static_slopes
+from neuroflight.sim.identification.dyno.model import quadratic, quadratic_errors
+from neuroflight.sim.identification.dyno.robust_fit import Estimate
+from neuroflight.sim.identification.dyno.signal import JUMP, NOISE_FLOOR, deviation
+from neuroflight.sim.identification.dyno.stand import POINTS_MIN, Stand
+from neuroflight.toolchain.errors import DynoError
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.bool_]

@@ -21,10 +21,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.aircraft.model import RPM
-from sim.identification.table import read_text
-from toolchain.errors import DynoError
-from toolchain.files import write_text
+from neuroflight.sim.aircraft.model import RPM
+from neuroflight.sim.identification.table import read_text
+from neuroflight.toolchain.errors import DynoError
+from neuroflight.toolchain.files import write_text
 
 Array = NDArray[np.float64]
 

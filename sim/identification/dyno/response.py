@@ -9,8 +9,8 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.aircraft.model import FirstOrderResponse, Response, TorqueResponse
-from sim.identification.dyno.model import (
+from neuroflight.sim.aircraft.model import FirstOrderResponse, Response, TorqueResponse
+from neuroflight.sim.identification.dyno.model import (
     UNLIMITED,
     Dynamics,
     Schedule,
@@ -20,9 +20,16 @@ from sim.identification.dyno.model import (
     retimed,
     simulate,
 )
-from sim.identification.dyno.recording import Recording
-from sim.identification.dyno.robust_fit import Estimate, robust_fit
-from sim.identification.dyno.signal import JUMP, average, commanded, outliers, transient_rows, without_spikes
+from neuroflight.sim.identification.dyno.recording import Recording
+from neuroflight.sim.identification.dyno.robust_fit import Estimate, robust_fit
+from neuroflight.sim.identification.dyno.signal import (
+    JUMP,
+    average,
+    commanded,
+    outliers,
+    transient_rows,
+    without_spikes,
+)
 
 Array = NDArray[np.float64]
 

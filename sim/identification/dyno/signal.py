@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import median_filter, uniform_filter1d
 
-from sim.identification.dyno.recording import Recording
-from toolchain.errors import DynoError
+from neuroflight.sim.identification.dyno.recording import Recording
+from neuroflight.toolchain.errors import DynoError
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.bool_]

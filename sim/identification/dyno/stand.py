@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.aircraft.model import RPM
-from sim.identification.dyno.headings import (
+from neuroflight.sim.aircraft.model import RPM
+from neuroflight.sim.identification.dyno.headings import (
     FRACTION,
     SHOWN,
     UNITS,
@@ -24,7 +24,7 @@ from sim.identification.dyno.headings import (
     known_unit,
     read_heading,
 )
-from sim.identification.dyno.recording import (
+from neuroflight.sim.identification.dyno.recording import (
     FILE_BYTES_MAX,
     ROWS_MAX,
     ROWS_MIN,
@@ -33,9 +33,9 @@ from sim.identification.dyno.recording import (
     join_runs,
     read_recordings,
 )
-from sim.identification.recording import is_log
-from sim.identification.table import MISSING, Table, find_table, is_number, numbers, read_text
-from toolchain.errors import DynoError
+from neuroflight.sim.identification.recording import is_log
+from neuroflight.sim.identification.table import MISSING, Table, find_table, is_number, numbers, read_text
+from neuroflight.toolchain.errors import DynoError
 
 Array = NDArray[np.float64]
 

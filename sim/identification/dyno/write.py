@@ -6,13 +6,13 @@ import re
 import tomllib
 from pathlib import Path
 
-from sim.aircraft.edit import Changes, Value, edit_aircraft
-from sim.aircraft.model import RPM, TorqueResponse, load_aircraft
-from sim.identification.dyno.fit import Fit
-from sim.identification.dyno.points import PointsFit
-from sim.identification.dyno.robust_fit import Estimate
-from toolchain.errors import AircraftError
-from toolchain.files import replacing
+from neuroflight.sim.aircraft.edit import Changes, Value, edit_aircraft
+from neuroflight.sim.aircraft.model import RPM, TorqueResponse, load_aircraft
+from neuroflight.sim.identification.dyno.fit import Fit
+from neuroflight.sim.identification.dyno.points import PointsFit
+from neuroflight.sim.identification.dyno.robust_fit import Estimate
+from neuroflight.toolchain.errors import AircraftError
+from neuroflight.toolchain.files import replacing
 
 DIGITS = 6  # significant, of a number written
 NOTE = "# Fitted by `neuroflight dyno fit` to "

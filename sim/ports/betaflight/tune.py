@@ -15,9 +15,9 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from flash.betaflight.diff_file import Line, read_diff
-from sim.aircraft.model import aircraft_file
-from toolchain.errors import LinkError
+from neuroflight.flash.betaflight.diff_file import Line, read_diff
+from neuroflight.sim.aircraft.model import aircraft_file
+from neuroflight.toolchain.errors import LinkError
 
 TUNED = "tuned"  # the name of the settings that lie beside an aircraft's file
 SUFFIX = ".betaflight.txt"

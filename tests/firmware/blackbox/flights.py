@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.blackbox.log import Log, read_log
-from sim.ports.library import Reference
-from toolchain.contract import (
+from neuroflight.sim.blackbox.log import Log, read_log
+from neuroflight.sim.ports.library import Reference
+from neuroflight.toolchain.contract import (
     CHANNEL_ARM,
     CHANNEL_COUNT,
     CHANNEL_THROTTLE,

@@ -11,14 +11,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from sim.blackbox.decoding import decode
-from sim.blackbox.export import save_csv
-from sim.blackbox.log import Log, floats, list_logs, read_log
-from sim.ports.library import Reference
-from tests.firmware.blackbox.flights import ARMED_S, Flown, fly
-from tests.firmware.blackbox.test_layout import POINTERS, layout
-from tests.firmware.conftest import Core
-from toolchain.contract import (
+from neuroflight.sim.blackbox.decoding import decode
+from neuroflight.sim.blackbox.export import save_csv
+from neuroflight.sim.blackbox.log import Log, floats, list_logs, read_log
+from neuroflight.sim.ports.library import Reference
+from neuroflight.toolchain.contract import (
     CHANNEL_ARM,
     CHANNEL_COUNT,
     CHANNEL_THROTTLE,
@@ -29,6 +26,9 @@ from toolchain.contract import (
     LogGroup,
     StopCause,
 )
+from tests.firmware.blackbox.flights import ARMED_S, Flown, fly
+from tests.firmware.blackbox.test_layout import POINTERS, layout
+from tests.firmware.conftest import Core
 
 orangebox = pytest.importorskip("orangebox")
 GROUPS = {

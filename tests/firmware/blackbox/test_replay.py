@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from flash.msp import Direction, Message, Version, encode
-from flash.requests import set_raw_rc
-from toolchain.contract import (
+from neuroflight.flash.msp import Direction, Message, Version, encode
+from neuroflight.flash.requests import set_raw_rc
+from neuroflight.toolchain.contract import (
     BOOT_GRACE_MS,
     CALIBRATION_STEP_DEG_S,
     CHANNEL_ARM,

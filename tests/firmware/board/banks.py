@@ -10,15 +10,14 @@ from pathlib import Path
 from elftools.elf.elffile import ELFFile
 from elftools.elf.sections import SymbolTableSection
 
-from flash.client import Client
-from flash.info import Info, read_info
-from sim.board.board import Board
-from sim.board.core.context import TIME_HZ
-from sim.board.matekf722 import FULL_VOLTS
-from sim.board.peripherals.usart import Format
-from sim.board.serial.bridge import MSP_UART, LineTransport, UartLine
-from tests.firmware.images import stamped
-from toolchain.contract import (
+from neuroflight.flash.client import Client
+from neuroflight.flash.info import Info, read_info
+from neuroflight.sim.board.board import Board
+from neuroflight.sim.board.core.context import TIME_HZ
+from neuroflight.sim.board.matekf722 import FULL_VOLTS
+from neuroflight.sim.board.peripherals.usart import Format
+from neuroflight.sim.board.serial.bridge import MSP_UART, LineTransport, UartLine
+from neuroflight.toolchain.contract import (
     FLASH_BANKS,
     FLASH_BASE,
     FLASH_BOOT,
@@ -35,7 +34,8 @@ from toolchain.contract import (
     bound_policy,
     image_header,
 )
-from toolchain.image.bank_state import state
+from neuroflight.toolchain.image.bank_state import state
+from tests.firmware.images import stamped
 
 A, B = range(2)
 UNDEFINED, LOOP = bytes.fromhex("00de"), bytes.fromhex("fee7")  # udf #0; b .

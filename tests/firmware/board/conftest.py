@@ -28,19 +28,27 @@ from unicorn.arm_const import (
     UC_CPU_ARM_CORTEX_M7,
 )
 
-from sim.aircraft.model import load_aircraft
-from sim.board.registers.core_registers import Register
-from sim.control.pid_table import pid_table
+from neuroflight.sim.aircraft.model import load_aircraft
+from neuroflight.sim.board.registers.core_registers import Register
+from neuroflight.sim.control.pid_table import pid_table
+from neuroflight.toolchain.codegen.compiler import compile_policy
+from neuroflight.toolchain.contract import (
+    DTCM,
+    FLASH_BASE,
+    FLASH_BYTES,
+    ITCM,
+    SRAM1,
+    SRAM2,
+    observation_blocks,
+)
+from neuroflight.toolchain.image.bank_state import proven
+from neuroflight.toolchain.ir.network import chain
+from neuroflight.toolchain.ir.operations import Clip, Linear, Operation, Tanh
+from neuroflight.toolchain.policy.model import PolicyModel
+from neuroflight.toolchain.rendering.contract_header import render_contract
+from neuroflight.toolchain.rendering.pid_table import render_pid_table
 from tests.conftest import Once
 from tests.firmware.board.registers import registers_in_use
-from toolchain.codegen.compiler import compile_policy
-from toolchain.contract import DTCM, FLASH_BASE, FLASH_BYTES, ITCM, SRAM1, SRAM2, observation_blocks
-from toolchain.image.bank_state import proven
-from toolchain.ir.network import chain
-from toolchain.ir.operations import Clip, Linear, Operation, Tanh
-from toolchain.policy.model import PolicyModel
-from toolchain.rendering.contract_header import render_contract
-from toolchain.rendering.pid_table import render_pid_table
 
 ROOT = Path(__file__).resolve().parents[3]
 WIDTHS = (6, 64, 64, 4)

@@ -8,8 +8,8 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 
-from sim.board.registers.bus import Table, load_table
-from sim.board.registers.core_registers import CORE_REGISTERS, Register
+from neuroflight.sim.board.registers.bus import Table, load_table
+from neuroflight.sim.board.registers.core_registers import CORE_REGISTERS, Register
 
 _GPIO = "MODER OTYPER OSPEEDR PUPDR IDR BSRR AFRL AFRH"
 _DMA = "LISR HISR LIFCR HIFCR SCR SNDTR SPAR SM0AR"

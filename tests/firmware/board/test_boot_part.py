@@ -10,10 +10,24 @@ from pathlib import Path
 
 import pytest
 
-from sim.board.core.context import TIME_HZ
-from sim.board.core.engine import Outcome
-from sim.board.debug.snapshot import Snapshot, restore_snapshot, take_snapshot
-from sim.board.peripherals.flash import Cut
+from neuroflight.sim.board.core.context import TIME_HZ
+from neuroflight.sim.board.core.engine import Outcome
+from neuroflight.sim.board.debug.snapshot import Snapshot, restore_snapshot, take_snapshot
+from neuroflight.sim.board.peripherals.flash import Cut
+from neuroflight.toolchain.contract import (
+    DTCM,
+    FLASH_BANKS,
+    IMAGE_BUILD_BYTES,
+    IMAGE_NUMBER_ENTRIES,
+    IMAGE_NUMBER_WORDS,
+    IMAGE_PROBATION_MS,
+    IMAGE_STARTS_MAX,
+    Msp,
+    Reboot,
+    bound_policy,
+    image_field_offset,
+)
+from neuroflight.toolchain.image.bank_state import state
 from tests.firmware.board.banks import (
     INSTALLED,
     LOOP,
@@ -31,20 +45,6 @@ from tests.firmware.board.banks import (
     read_build,
 )
 from tests.firmware.images import changed, stamped
-from toolchain.contract import (
-    DTCM,
-    FLASH_BANKS,
-    IMAGE_BUILD_BYTES,
-    IMAGE_NUMBER_ENTRIES,
-    IMAGE_NUMBER_WORDS,
-    IMAGE_PROBATION_MS,
-    IMAGE_STARTS_MAX,
-    Msp,
-    Reboot,
-    bound_policy,
-    image_field_offset,
-)
-from toolchain.image.bank_state import state
 
 UP_S = 2.0  # for a start, with the watchdog's half a second
 PROBATION_S = 3.0  # with the start before it

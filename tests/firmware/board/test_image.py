@@ -12,8 +12,8 @@ from elftools.elf.constants import SH_FLAGS
 from elftools.elf.elffile import ELFFile
 from elftools.elf.sections import ARMAttributesSection, SymbolTableSection
 
-from sim.board.registers.bus import load_table
-from toolchain.contract import (
+from neuroflight.sim.board.registers.bus import load_table
+from neuroflight.toolchain.contract import (
     DTCM,
     FLASH_BANK_A,
     FLASH_BASE,
@@ -27,7 +27,7 @@ from toolchain.contract import (
     SRAM2,
     Region,
 )
-from toolchain.cortex_m7.arm_policy import state_bytes
+from neuroflight.toolchain.cortex_m7.arm_policy import state_bytes
 
 KIB = 1024
 NULL_PAGE = 512  # bytes at the start of ITCM that the MPU closes

@@ -7,14 +7,14 @@ from pathlib import Path
 
 import pytest
 
-from flash.msp import Direction, Message, Version, encode
-from sim.board.core.context import TIME_HZ
-from sim.board.debug.snapshot import Snapshot, restore_snapshot, take_snapshot
-from sim.board.peripherals.usart import Format
-from sim.board.serial.bridge import UartLine
-from sim.board.serial.idle_board import IdleBoard
-from toolchain.contract import SETTINGS, Msp
-from toolchain.image.elf import read_flashable
+from neuroflight.flash.msp import Direction, Message, Version, encode
+from neuroflight.sim.board.core.context import TIME_HZ
+from neuroflight.sim.board.debug.snapshot import Snapshot, restore_snapshot, take_snapshot
+from neuroflight.sim.board.peripherals.usart import Format
+from neuroflight.sim.board.serial.bridge import UartLine
+from neuroflight.sim.board.serial.idle_board import IdleBoard
+from neuroflight.toolchain.contract import SETTINGS, Msp
+from neuroflight.toolchain.image.elf import read_flashable
 
 BAUD = 115200
 MILLISECOND = TIME_HZ // 1000

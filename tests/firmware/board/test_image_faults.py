@@ -9,8 +9,8 @@ from typing import Any
 
 import pytest
 
-from sim.board.registers.core_registers import Register
-from toolchain.contract import DTCM
+from neuroflight.sim.board.registers.core_registers import Register
+from neuroflight.toolchain.contract import DTCM
 
 SCRATCH = 0x2000F000  # DTCM that the image does not use
 HARD, ASSERT, WATCHDOG, BROWN_OUT, CLOCK, RESET = range(1, 7)

@@ -11,8 +11,8 @@ import pytest
 from unicorn import UC_HOOK_MEM_READ, UC_HOOK_MEM_WRITE
 from unicorn.arm_const import UC_ARM_REG_PRIMASK
 
-from sim.board.registers.core_registers import Register
-from toolchain.contract import FLASH_BASE, FLASH_BYTES, FLASH_SECTORS, ITCM, SRAM1
+from neuroflight.sim.board.registers.core_registers import Register
+from neuroflight.toolchain.contract import FLASH_BASE, FLASH_BYTES, FLASH_SECTORS, ITCM, SRAM1
 
 BSY, PG, SER, STRT, LOCK = 1 << 16, 1, 2, 1 << 16, 1 << 31
 KEYS = [0x45670123, 0xCDEF89AB]

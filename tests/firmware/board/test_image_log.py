@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from toolchain.contract import LOG_BAUDS, SRAM2
+from neuroflight.toolchain.contract import LOG_BAUDS, SRAM2
 
 APB1_HZ = 54_000_000
 SEND_BYTES = 1024  # of each of the line's two buffers

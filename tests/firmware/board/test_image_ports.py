@@ -9,17 +9,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from flash.msp import Decoder, Direction, Message, Version, encode, request
-from flash.settings import parse_change
-from sim.board.core.context import TIME_HZ
-from sim.board.core.engine import code_row
-from sim.board.debug.profile import code_counts
-from sim.board.debug.snapshot import Snapshot, restore_snapshot, take_snapshot
-from sim.board.peripherals.usart import Format
-from sim.board.serial.bridge import MSP_UART, UartLine
-from sim.board.serial.idle_board import IdleBoard, configured
-from toolchain.contract import MSP_VARIANT_BETAFLIGHT, Msp
-from toolchain.image.elf import read_flashable
+from neuroflight.flash.msp import Decoder, Direction, Message, Version, encode, request
+from neuroflight.flash.settings import parse_change
+from neuroflight.sim.board.core.context import TIME_HZ
+from neuroflight.sim.board.core.engine import code_row
+from neuroflight.sim.board.debug.profile import code_counts
+from neuroflight.sim.board.debug.snapshot import Snapshot, restore_snapshot, take_snapshot
+from neuroflight.sim.board.peripherals.usart import Format
+from neuroflight.sim.board.serial.bridge import MSP_UART, UartLine
+from neuroflight.sim.board.serial.idle_board import IdleBoard, configured
+from neuroflight.toolchain.contract import MSP_VARIANT_BETAFLIGHT, Msp
+from neuroflight.toolchain.image.elf import read_flashable
 
 UART3 = "USART3"
 BAUDS = {MSP_UART: 115200, UART3: 921600}

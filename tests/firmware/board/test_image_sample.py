@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from unicorn.arm_const import UC_ARM_REG_R1
 
-from toolchain.contract import GYRO_BAD_MS, GYRO_EDGE_RATE_HZ
+from neuroflight.toolchain.contract import GYRO_BAD_MS, GYRO_EDGE_RATE_HZ
 
 TRANSFER_BYTES = 15  # address byte, accelerometer, temperature, gyro
 ACCEL_XOUT_H, READ = 0x3B, 0x80

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 from unicorn.arm_const import UC_ARM_REG_SP
 
-from toolchain.cortex_m7.stack_use import StackUse, stack_use
+from neuroflight.toolchain.cortex_m7.stack_use import StackUse, stack_use
 
 STACK_BYTES = 7168
 SPARE_BYTES = 2048  # that nothing of ours may ever need

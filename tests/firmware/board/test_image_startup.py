@@ -9,8 +9,8 @@ import pytest
 from elftools.elf.elffile import ELFFile
 from unicorn.arm_const import UC_ARM_REG_CONTROL, UC_ARM_REG_R0, UC_ARM_REG_SP
 
-from sim.board.registers.core_registers import Register
-from toolchain.contract import DTCM, FLASH_BANK_A, SRAM2
+from neuroflight.sim.board.registers.core_registers import Register
+from neuroflight.toolchain.contract import DTCM, FLASH_BANK_A, SRAM2
 
 MakeSketch = Callable[..., Any]
 DELAY_BYTES = 64  # time_delay_ms is shorter

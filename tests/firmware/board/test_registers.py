@@ -12,8 +12,8 @@ from pathlib import Path
 
 import pytest
 
-from sim.board.registers.bus import load_table
-from sim.board.registers.core_registers import Register
+from neuroflight.sim.board.registers.bus import load_table
+from neuroflight.sim.board.registers.core_registers import Register
 from tests.firmware.board.registers import registers_in_use
 
 ROOT = Path(__file__).resolve().parents[3]

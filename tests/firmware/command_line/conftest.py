@@ -7,9 +7,9 @@ from typing import Any
 
 import pytest
 
-from flash import records, requests
-from flash.msp import Decoder, Direction, Message, Version, encode
-from toolchain.contract import BOOT_GRACE_MS, SETTINGS, ArmingReason, Msp, Task
+from neuroflight.flash import records, requests
+from neuroflight.flash.msp import Decoder, Direction, Message, Version, encode
+from neuroflight.toolchain.contract import BOOT_GRACE_MS, SETTINGS, ArmingReason, Msp, Task
 
 GYRO_HZ = 1000  # one control step a sample, one sample a millisecond
 G = 9.80665

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-from flash import requests
-from flash.msp import Direction, Message, Version, encode
+from neuroflight.flash import requests
+from neuroflight.flash.msp import Direction, Message, Version, encode
+from neuroflight.toolchain.contract import MOTOR_TEST_MAGIC, MOTOR_TEST_TIMEOUT_MS, ArmingReason, Msp
 from tests.firmware.command_line.conftest import Desk
-from toolchain.contract import MOTOR_TEST_MAGIC, MOTOR_TEST_TIMEOUT_MS, ArmingReason, Msp
 
 STOPPED = [0, 0, 0, 0]
 TENTH = 48 + 200  # DShot value of 1100 us

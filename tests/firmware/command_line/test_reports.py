@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from flash import records
+from neuroflight.flash import records
+from neuroflight.toolchain.contract import ArmingReason, Msp, Task
+from neuroflight.toolchain.rendering.msp_page import commands
 from tests.firmware.command_line.conftest import Desk
-from toolchain.contract import ArmingReason, Msp, Task
-from toolchain.rendering.msp_page import commands
 
 COMMANDS = ("help", "version", "status", "tasks", "get", "set", "diff", "dump", "save", "defaults", "motor")
 

@@ -6,9 +6,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from flash.msp import Direction, Message, Version, encode
+from neuroflight.flash.msp import Direction, Message, Version, encode
+from neuroflight.toolchain.contract import SETTINGS, ArmingReason, Msp, Refusal
 from tests.firmware.command_line.conftest import Desk
-from toolchain.contract import SETTINGS, ArmingReason, Msp, Refusal
 
 API = encode(Message(Version.V1, Direction.REQUEST, Msp.API_VERSION, b""))
 API_REPLY = b"$M>\x03\x01\x00\x01"

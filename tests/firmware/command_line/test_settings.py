@@ -8,8 +8,7 @@ from collections.abc import Callable
 
 import pytest
 
-from tests.firmware.command_line.conftest import Desk
-from toolchain.contract import (
+from neuroflight.toolchain.contract import (
     AUX_COUNT,
     MODE_LOW_US,
     MODE_STEP_US,
@@ -19,6 +18,7 @@ from toolchain.contract import (
     ModeRange,
     Setting,
 )
+from tests.firmware.command_line.conftest import Desk
 
 Desks = Callable[..., Desk]
 PRINTABLE = [chr(code) for code in range(ord(" "), ord("~") + 1)]

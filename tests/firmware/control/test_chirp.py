@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from toolchain.contract import (
+from neuroflight.toolchain.contract import (
     CHIRP_ERROR_FACTOR,
     CHIRP_FADE_MS,
     CHIRP_LAG_HZ,

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from toolchain.contract import DEADLINE_MISSES_MAX, HANDOVER_MS, ArmingReason, FallbackCause
+from neuroflight.toolchain.contract import DEADLINE_MISSES_MAX, HANDOVER_MS, ArmingReason, FallbackCause
 
 STILL = (0.0, 0.0, 0.0)
 BAD = [math.nan, math.inf, -math.inf, -1e-6, 1.0000001]

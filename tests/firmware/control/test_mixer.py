@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sim.control.motors import raised, throttle_mix
-from toolchain.contract import Mix
+from neuroflight.sim.control.motors import raised, throttle_mix
+from neuroflight.toolchain.contract import Mix
 
 EPSILON = float(np.finfo(np.float32).eps)
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from sim.control.observation import Observer
-from toolchain.contract import (
+from neuroflight.sim.control.observation import Observer
+from neuroflight.toolchain.contract import (
     OBSERVATION_AGE_MAX,
     OBSERVATION_BLOCKS,
     OBSERVATION_COUNT_MAX,

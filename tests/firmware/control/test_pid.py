@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sim.aircraft.model import PidSettings, load_aircraft
-from sim.control.pid import Pid, aircraft_pid
-from sim.control.pid_table import mixer, pid_settings, pid_table, settings_table
-from toolchain.contract import PID_COMPENSATION_MAX
-from toolchain.rendering.pid_table import render_pid_table
+from neuroflight.sim.aircraft.model import PidSettings, load_aircraft
+from neuroflight.sim.control.pid import Pid, aircraft_pid
+from neuroflight.sim.control.pid_table import mixer, pid_settings, pid_table, settings_table
+from neuroflight.toolchain.contract import PID_COMPENSATION_MAX
+from neuroflight.toolchain.rendering.pid_table import render_pid_table
 
 STEPS = 3000
 RATE_HZ = 1000

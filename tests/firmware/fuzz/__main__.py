@@ -11,9 +11,9 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from neuroflight.toolchain.errors import BuildError
 from tests.firmware.fuzz.build import TARGETS, Workbench
 from tests.firmware.fuzz.fuzzer import fuzz
-from toolchain.errors import BuildError
 
 SCRATCH = Path(__file__).resolve().parents[3] / "build" / "fuzz"
 

@@ -11,8 +11,8 @@ import subprocess
 from dataclasses import dataclass
 from pathlib import Path
 
+from neuroflight.toolchain.errors import BuildError
 from tests.firmware.conftest import FIRMWARE, write_scripted
-from toolchain.errors import BuildError
 
 FOLDER = Path(__file__).parent
 CHECKS = "address,undefined,float-cast-overflow,float-divide-by-zero"

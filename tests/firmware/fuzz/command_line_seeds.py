@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from neuroflight.toolchain import contract
+from neuroflight.toolchain.contract import SETTINGS, Msp
 from tests.firmware.fuzz.msp_seeds import (
     BOOTING,
     FLYING,
@@ -14,8 +16,6 @@ from tests.firmware.fuzz.msp_seeds import (
     raw,
     wait,
 )
-from toolchain import contract
-from toolchain.contract import SETTINGS, Msp
 
 OPENS, ENDS, FRAME, FRAME_END = b"#", b"\r\n", b"\x02", b"\x03"
 LISTEN = bytes([Step.LISTEN])

@@ -7,11 +7,11 @@ import struct
 from dataclasses import replace
 from enum import IntEnum
 
+from neuroflight.toolchain import contract
+from neuroflight.toolchain.contract import DshotCommand, Msp
+from neuroflight.toolchain.policy.blob import pack
 from tests.firmware.conftest import scripted_blob
 from tests.firmware.images import header_of, make_image
-from toolchain import contract
-from toolchain.contract import DshotCommand, Msp
-from toolchain.policy.blob import pack
 
 BOOTING, READY, FLYING, READY_MSP, FLYING_MSP = range(5)
 OTHER, V2, BAD, CUT, TWICE = 0x08, 0x10, 0x20, 0x40, 0x80  # bits of a request's step

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from toolchain import contract
-from toolchain.contract import CHANNEL_COUNT
+from neuroflight.toolchain import contract
+from neuroflight.toolchain.contract import CHANNEL_COUNT
 
 FRAME = 0x80  # the content of a true frame
 GAP, LOST, RECOVERED = 14, 0x40 | 0x3F, 0x40 | 0x20  # samples before a piece; times 8 with bit 6

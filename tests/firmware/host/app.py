@@ -7,10 +7,10 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
 
-from flash import layouts, requests
-from flash.client import Client, RefusedError
-from flash.transport import open_transport
-from toolchain.contract import CONFIGURATIONS, SETTINGS, Direction, Msp, layout_of
+from neuroflight.flash import layouts, requests
+from neuroflight.flash.client import Client, RefusedError
+from neuroflight.flash.transport import open_transport
+from neuroflight.toolchain.contract import CONFIGURATIONS, SETTINGS, Direction, Msp, layout_of
 
 Values = dict[str, Any]
 GETS = {pair.request.message: pair.reply.message for pair in CONFIGURATIONS if pair.request is not None}

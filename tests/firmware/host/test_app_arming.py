@@ -7,9 +7,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from flash import messages, records
+from neuroflight.flash import messages, records
+from neuroflight.toolchain.contract import ArmingReason, Msp
 from tests.firmware.host.app import App, connected
-from toolchain.contract import ArmingReason, Msp
 
 Start = Callable[..., Any]
 

@@ -9,11 +9,11 @@ from typing import Any
 
 import pytest
 
-from flash import layouts
-from flash.client import NoAnswerError
+from neuroflight.flash import layouts
+from neuroflight.flash.client import NoAnswerError
+from neuroflight.toolchain.contract import Direction, ModeRange, Msp, layout_of
+from neuroflight.toolchain.contract.modes import Mode
 from tests.firmware.host.app import GETS, App, connected
-from toolchain.contract import Direction, ModeRange, Msp, layout_of
-from toolchain.contract.modes import Mode
 
 Start = Callable[..., Any]
 

@@ -12,12 +12,12 @@ from typing import Any
 
 import pytest
 
-from flash import layouts
-from flash.client import Client, RefusedError
-from flash.transport import open_transport
-from sim.aircraft.model import load_aircraft
+from neuroflight.flash import layouts
+from neuroflight.flash.client import Client, RefusedError
+from neuroflight.flash.transport import open_transport
+from neuroflight.sim.aircraft.model import load_aircraft
+from neuroflight.toolchain.contract import Direction, Msp, layout_of
 from tests.firmware.host.app import GETS, App, connected, stored
-from toolchain.contract import Direction, Msp, layout_of
 
 Start = Callable[..., Any]
 REFUSED = (88, 135, 120, 241, 189, 84, 132, 106, 107, 164, 205, 246, 225)

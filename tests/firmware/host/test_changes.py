@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from toolchain.contract import SETTING_TEXT_BYTES, SETTINGS, Mode, ModeRange
+from neuroflight.toolchain.contract import SETTING_TEXT_BYTES, SETTINGS, Mode, ModeRange
 
 ARM = ModeRange(Mode.ARM, 1, 1700, 2100)
 

@@ -9,11 +9,11 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from flash import requests
-from flash.client import Client
-from flash.transport import open_transport
+from neuroflight.flash import requests
+from neuroflight.flash.client import Client
+from neuroflight.flash.transport import open_transport
+from neuroflight.toolchain.contract import SETTINGS, Msp
 from tests.firmware.command_line.test_settings import legal
-from toolchain.contract import SETTINGS, Msp
 
 Start = Callable[..., Any]
 WAIT_S = 5.0

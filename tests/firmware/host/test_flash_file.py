@@ -11,12 +11,12 @@ from typing import Any
 
 import pytest
 
-from flash import records, requests
-from flash.client import Client
-from flash.transport import open_transport
-from toolchain import contract
-from toolchain.contract import SETTINGS, Msp
-from toolchain.errors import LinkError
+from neuroflight.flash import records, requests
+from neuroflight.flash.client import Client
+from neuroflight.flash.transport import open_transport
+from neuroflight.toolchain import contract
+from neuroflight.toolchain.contract import SETTINGS, Msp
+from neuroflight.toolchain.errors import LinkError
 
 Start = Callable[..., Any]
 PORTS = [f"--{name}-port=0" for name in ("state", "receiver", "power", "msp")]

@@ -12,16 +12,24 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cli.main import main
-from flash.client import Client, RefusedError
-from flash.logs.catalogue import Wait, read_entries, read_info
-from flash.logs.messages import LogEntry, entry_request, erase_request, read_request
-from flash.logs.reading import read_bytes
-from flash.transport import open_transport
-from sim.blackbox.log import list_logs, read_log
-from sim.ports.host import HostPort
-from sim.ports.port import Sample
-from toolchain.contract import CHANNEL_ARM, CHANNEL_COUNT, LogError, LogEvent, LogState, Msp, Refusal
+from neuroflight.cli.main import main
+from neuroflight.flash.client import Client, RefusedError
+from neuroflight.flash.logs.catalogue import Wait, read_entries, read_info
+from neuroflight.flash.logs.messages import LogEntry, entry_request, erase_request, read_request
+from neuroflight.flash.logs.reading import read_bytes
+from neuroflight.flash.transport import open_transport
+from neuroflight.sim.blackbox.log import list_logs, read_log
+from neuroflight.sim.ports.host import HostPort
+from neuroflight.sim.ports.port import Sample
+from neuroflight.toolchain.contract import (
+    CHANNEL_ARM,
+    CHANNEL_COUNT,
+    LogError,
+    LogEvent,
+    LogState,
+    Msp,
+    Refusal,
+)
 
 GYRO_HZ, ARMED_S, END_S = 1000, 4.5, 4.9
 PERIOD_S = 1.0  # from one flight of a run to the next

@@ -16,16 +16,16 @@ import pytest
 import serial
 from yamspy import MSPy
 
-from flash import messages, records, requests
-from flash.client import Client
-from flash.info import read_info
-from flash.msp import Decoder, Message, encode, request
-from flash.transport import open_transport
+from neuroflight.flash import messages, records, requests
+from neuroflight.flash.client import Client
+from neuroflight.flash.info import read_info
+from neuroflight.flash.msp import Decoder, Message, encode, request
+from neuroflight.flash.transport import open_transport
+from neuroflight.toolchain import contract
+from neuroflight.toolchain.contract import SETTINGS, Msp
+from neuroflight.toolchain.errors import LinkError
+from neuroflight.toolchain.policy.blob import PolicyBlob, pack
 from tests.firmware.telemetry import gaps, samples
-from toolchain import contract
-from toolchain.contract import SETTINGS, Msp
-from toolchain.errors import LinkError
-from toolchain.policy.blob import PolicyBlob, pack
 
 WAIT_S = 5.0  # how long an answer may take before the test fails
 API_REQUEST, API_REPLY = b"$M<\x00\x01\x01", b"$M>\x03\x01\x00\x01\x2f\x2c"

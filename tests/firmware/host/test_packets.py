@@ -12,8 +12,8 @@ from typing import Any
 
 import pytest
 
+from neuroflight.toolchain import contract
 from tests.firmware.host.app import connected
-from toolchain import contract
 
 Start = Callable[..., Any]
 ON, OFF = 2000, 1000

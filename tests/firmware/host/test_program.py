@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from toolchain import contract
+from neuroflight.toolchain import contract
 
 WAIT_S = 5.0  # how long an answer may take before the test fails
 Start = Callable[..., Any]

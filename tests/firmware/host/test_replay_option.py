@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from sim.board.debug.variables import read_variables
+from neuroflight.sim.board.debug.variables import read_variables
 
 MAGIC = 0x5052464E
 

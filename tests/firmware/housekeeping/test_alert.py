@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from toolchain.contract import ARMING_COUNTS, SETTINGS, ArmingReason
+from neuroflight.toolchain.contract import ARMING_COUNTS, SETTINGS, ArmingReason
 
 SLOT_MS = 50
 NAMES = (

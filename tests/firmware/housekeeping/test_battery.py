@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sim.control.battery_voltage import BatteryVoltage
+from neuroflight.sim.control.battery_voltage import BatteryVoltage
 
 UNKNOWN, GOOD, WARN, LOW = range(4)
 RATE_HZ = 100

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from toolchain.contract import Task
+from neuroflight.toolchain.contract import Task
 
 GYRO_HZ = 1000
 

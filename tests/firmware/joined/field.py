@@ -5,11 +5,19 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from flash import messages, records
-from flash.client import Client
-from flash.records import FaultKind
-from toolchain import contract
-from toolchain.contract import CHANNEL_PITCH, CHANNEL_ROLL, CHANNEL_YAW, GESTURE_MS, FlightState, Msp, Task
+from neuroflight.flash import messages, records
+from neuroflight.flash.client import Client
+from neuroflight.flash.records import FaultKind
+from neuroflight.toolchain import contract
+from neuroflight.toolchain.contract import (
+    CHANNEL_PITCH,
+    CHANNEL_ROLL,
+    CHANNEL_YAW,
+    GESTURE_MS,
+    FlightState,
+    Msp,
+    Task,
+)
 
 G = 9.80665
 

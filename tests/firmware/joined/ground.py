@@ -8,10 +8,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from flash.msp import Decoder, Direction, Message, Version, encode
+from neuroflight.flash.msp import Decoder, Direction, Message, Version, encode
+from neuroflight.toolchain import contract
+from neuroflight.toolchain.contract import CHANNEL_ARM, CHANNEL_COUNT, CHANNEL_THROTTLE, ArmingReason, Msp
 from tests.firmware.conftest import Chip, Core
-from toolchain import contract
-from toolchain.contract import CHANNEL_ARM, CHANNEL_COUNT, CHANNEL_THROTTLE, ArmingReason, Msp
 
 GYRO_HZ = 1000
 FRAME_MS = 10

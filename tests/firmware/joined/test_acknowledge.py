@@ -9,11 +9,10 @@ from typing import Any
 
 import pytest
 
-from flash.acknowledge import Acknowledged, acknowledge
-from flash.client import Client
-from flash.records import FaultKind
-from tests.firmware.joined.field import Field
-from toolchain.contract import (
+from neuroflight.flash.acknowledge import Acknowledged, acknowledge
+from neuroflight.flash.client import Client
+from neuroflight.flash.records import FaultKind
+from neuroflight.toolchain.contract import (
     CHANNEL_PITCH,
     CHANNEL_ROLL,
     CHANNEL_YAW,
@@ -22,7 +21,8 @@ from toolchain.contract import (
     FlightState,
     Msp,
 )
-from toolchain.errors import LinkError
+from neuroflight.toolchain.errors import LinkError
+from tests.firmware.joined.field import Field
 
 ROOT = Path(__file__).resolve().parents[3]
 TOLD_MS = 3000  # how long a take-over has beeper and LED for itself

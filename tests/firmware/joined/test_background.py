@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from flash import messages, records
-from flash.client import Client
-from flash.settings import Settings
-from sim.control import sticks
-from sim.ports.library import Reference
-from sim.ports.port import flight_settings
-from toolchain.contract import (
+from neuroflight.flash import messages, records
+from neuroflight.flash.client import Client
+from neuroflight.flash.settings import Settings
+from neuroflight.sim.control import sticks
+from neuroflight.sim.ports.library import Reference
+from neuroflight.sim.ports.port import flight_settings
+from neuroflight.toolchain.contract import (
     ARMING_DELAY_MS,
     BOOT_GRACE_MS,
     MOTOR_TEST_MAGIC,
@@ -29,7 +29,7 @@ from toolchain.contract import (
     Msp,
     Task,
 )
-from toolchain.errors import LinkError
+from neuroflight.toolchain.errors import LinkError
 
 G = 9.80665
 Make = Callable[..., "Board"]

@@ -7,9 +7,9 @@ from typing import Any
 
 import pytest
 
-from flash.records import FaultKind
+from neuroflight.flash.records import FaultKind
+from neuroflight.toolchain.contract import CHANNEL_AUX1, CHANNEL_BEEPER, SETTINGS, Mode, ModeRange
 from tests.firmware.joined.field import Field
-from toolchain.contract import CHANNEL_AUX1, CHANNEL_BEEPER, SETTINGS, Mode, ModeRange
 
 MUTED = {setting.name: 0 for setting in SETTINGS if setting.name.startswith("beep_")}
 Make = Callable[..., Field]

@@ -7,9 +7,7 @@ from typing import Any
 
 import pytest
 
-from tests.firmware.conftest import G_COUNTS, scripted_blob
-from tests.firmware.storage.test_settings_store import as_set
-from toolchain.contract import (
+from neuroflight.toolchain.contract import (
     BOOT_GRACE_MS,
     FLASH_FAULT_RECORD,
     FLASH_POLICY_SLOTS,
@@ -21,7 +19,9 @@ from toolchain.contract import (
     Refusal,
     Task,
 )
-from toolchain.policy.blob import pack
+from neuroflight.toolchain.policy.blob import pack
+from tests.firmware.conftest import G_COUNTS, scripted_blob
+from tests.firmware.storage.test_settings_store import as_set
 
 GYRO_HZ = 1000
 CYCLES_HZ = 216_000_000

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from toolchain.contract import (
+from neuroflight.toolchain.contract import (
     CHANNEL_AUX1,
     CHANNEL_PID,
     RECEIVER_HOLD_MS,

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from toolchain.contract import (
+from neuroflight.toolchain.contract import (
     CHANNEL_PID,
     CRASH_ERROR_DEG_S,
     CRASH_MS,

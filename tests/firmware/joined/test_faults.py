@@ -15,18 +15,18 @@ from typing import Any
 import numpy as np
 import pytest
 
-from flash import messages, records
-from flash.client import Client
-from flash.transport import TcpPort, TcpTransport
-from sim.aircraft.model import load_aircraft
-from sim.analysis.metrics import figures
-from sim.flight.loop import fly
-from sim.flight.scenario import Scenario, Segment
-from sim.physics.twin import Twin
-from sim.physics.world import Mount
-from sim.ports.library import ReferencePort
-from toolchain.codegen.compiler import compile_policy
-from toolchain.contract import (
+from neuroflight.flash import messages, records
+from neuroflight.flash.client import Client
+from neuroflight.flash.transport import TcpPort, TcpTransport
+from neuroflight.sim.aircraft.model import load_aircraft
+from neuroflight.sim.analysis.metrics import figures
+from neuroflight.sim.flight.loop import fly
+from neuroflight.sim.flight.scenario import Scenario, Segment
+from neuroflight.sim.physics.twin import Twin
+from neuroflight.sim.physics.world import Mount
+from neuroflight.sim.ports.library import ReferencePort
+from neuroflight.toolchain.codegen.compiler import compile_policy
+from neuroflight.toolchain.contract import (
     DEADLINE_MISSES_MAX,
     FLASH_BASE,
     FLASH_FAULT_RECORD,
@@ -44,9 +44,9 @@ from toolchain.contract import (
     Msp,
     StopCause,
 )
-from toolchain.errors import LinkError
-from toolchain.files import locked
-from toolchain.policy.model import read_policy
+from neuroflight.toolchain.errors import LinkError
+from neuroflight.toolchain.files import locked
+from neuroflight.toolchain.policy.model import read_policy
 
 ROOT = Path(__file__).resolve().parents[3]
 STILL = (0.0, 0.0, 0.0)

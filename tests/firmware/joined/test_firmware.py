@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from toolchain.contract import (
+from neuroflight.toolchain.contract import (
     CHANNEL_ROLL,
     CHANNEL_YAW,
     GYRO_BAD_MS,

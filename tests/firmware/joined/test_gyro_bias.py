@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.firmware.conftest import Bench
-from toolchain.contract import (
+from neuroflight.toolchain.contract import (
     CALIBRATION_MS,
     CALIBRATION_STEP_DEG_S,
     DSHOT_ALL_MOTORS,
@@ -17,6 +16,7 @@ from toolchain.contract import (
     DshotCommand,
     Refusal,
 )
+from tests.firmware.conftest import Bench
 
 DRIFT = (10, -10, 5)  # counts, 0.6 deg/s
 STEP = np.deg2rad(CALIBRATION_STEP_DEG_S)

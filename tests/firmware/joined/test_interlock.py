@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from toolchain.contract import (
+from neuroflight.toolchain.contract import (
     RECEIVER_HOLD_MS,
     RECEIVER_LOST_MS,
     RECEIVER_OFF_FRAMES,

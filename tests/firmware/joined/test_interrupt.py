@@ -11,8 +11,8 @@ from typing import Any
 import pytest
 from cffi import FFI
 
+from neuroflight.toolchain.contract import ArmingReason, FlightState, Refusal
 from tests.firmware.joined.field import Field
-from toolchain.contract import ArmingReason, FlightState, Refusal
 
 NEEDED = ("attitude", "motor_test", "dshot_command", "status")  # in this order
 

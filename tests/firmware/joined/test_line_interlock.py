@@ -15,14 +15,11 @@ from itertools import product
 
 import pytest
 
-from flash import requests
-from flash.layouts import decode, encode
-from flash.msp import Decoder, Message, Version
-from tests.firmware.conftest import scripted_blob
-from tests.firmware.images import header_of, make_image
-from tests.firmware.joined.ground import API_VERSION, STANDING, Ground, Request, State
-from toolchain import contract
-from toolchain.contract import (
+from neuroflight.flash import requests
+from neuroflight.flash.layouts import decode, encode
+from neuroflight.flash.msp import Decoder, Message, Version
+from neuroflight.toolchain import contract
+from neuroflight.toolchain.contract import (
     MOTOR_TEST_MAGIC,
     MOTOR_TEST_TIMEOUT_MS,
     MSP_PAYLOAD_MAX,
@@ -32,10 +29,13 @@ from toolchain.contract import (
     Refusal,
     policy_header,
 )
-from toolchain.contract.msp_configuration import CONFIGURATIONS
-from toolchain.contract.msp_layouts import Direction
-from toolchain.contract.msp_messages import layout_of
-from toolchain.policy.blob import pack
+from neuroflight.toolchain.contract.msp_configuration import CONFIGURATIONS
+from neuroflight.toolchain.contract.msp_layouts import Direction
+from neuroflight.toolchain.contract.msp_messages import layout_of
+from neuroflight.toolchain.policy.blob import pack
+from tests.firmware.conftest import scripted_blob
+from tests.firmware.images import header_of, make_image
+from tests.firmware.joined.ground import API_VERSION, STANDING, Ground, Request, State
 
 IMAGE = pack(replace(scripted_blob(), sequence=1))  # a policy that it takes
 BANK_IMAGE = make_image(1, policy=policy_header(IMAGE))  # an image for its spare bank

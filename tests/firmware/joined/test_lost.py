@@ -7,9 +7,9 @@ from typing import Any
 
 import pytest
 
-from flash import records
+from neuroflight.flash import records
+from neuroflight.toolchain.contract import DEADLINE_MISSES_MAX, FallbackCause, FlightState, Msp, Task
 from tests.firmware.joined.field import Field
-from toolchain.contract import DEADLINE_MISSES_MAX, FallbackCause, FlightState, Msp, Task
 
 G = 9.80665
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from toolchain.contract import (
+from neuroflight.toolchain.contract import (
     AUX_COUNT,
     CHANNEL_AUX1,
     CHANNEL_COUNT,

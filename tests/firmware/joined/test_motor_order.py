@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from toolchain.contract import (
+from neuroflight.toolchain.contract import (
     DSHOT_ALL_MOTORS,
     MOTOR_TEST_MAGIC,
     DshotCommand,

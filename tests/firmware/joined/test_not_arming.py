@@ -8,10 +8,10 @@ from typing import Any
 
 import pytest
 
-from flash.client import Client
-from flash.records import FaultKind
+from neuroflight.flash.client import Client
+from neuroflight.flash.records import FaultKind
+from neuroflight.toolchain.contract import Msp
 from tests.firmware.joined.field import Field
-from toolchain.contract import Msp
 
 Make = Callable[..., Field]
 ROUND_MS = 3500  # longer than one of a count of 2

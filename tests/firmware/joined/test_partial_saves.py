@@ -7,11 +7,11 @@ import random
 
 import pytest
 
-from flash import layouts
-from flash.msp import Decoder, Message
+from neuroflight.flash import layouts
+from neuroflight.flash.msp import Decoder, Message
+from neuroflight.toolchain.contract import CONFIGURATIONS, SETTINGS, Direction, Msp, Refusal, layout_of
 from tests.firmware.conftest import Core
 from tests.firmware.joined.ground import Ground, Request, State
-from toolchain.contract import CONFIGURATIONS, SETTINGS, Direction, Msp, Refusal, layout_of
 
 PAIRS = [(pair.request.message, pair.reply.message) for pair in CONFIGURATIONS if pair.request is not None]
 SAVE = Request(Msp.EEPROM_WRITE)

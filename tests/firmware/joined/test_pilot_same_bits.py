@@ -12,8 +12,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from toolchain.contract import CHANNEL_COUNT, DTCM, FLASH_BASE, FLASH_BYTES, ITCM, SRAM1, SRAM2, Region
-from toolchain.cortex_m7.emulator import CortexM7, load_program
+from neuroflight.toolchain.contract import (
+    CHANNEL_COUNT,
+    DTCM,
+    FLASH_BASE,
+    FLASH_BYTES,
+    ITCM,
+    SRAM1,
+    SRAM2,
+    Region,
+)
+from neuroflight.toolchain.cortex_m7.emulator import CortexM7, load_program
 
 MEMORY = (ITCM, Region("flash", FLASH_BASE, FLASH_BYTES), DTCM, SRAM1, SRAM2)
 STRUCT_BYTES = 512  # struct receiver has some 210, struct rates 64

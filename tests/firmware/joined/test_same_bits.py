@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from sim.control.observation import Observer
-from toolchain.contract import (
+from neuroflight.sim.control.observation import Observer
+from neuroflight.toolchain.contract import (
     BOOT_GRACE_MS,
     DTCM,
     FLASH_BASE,
@@ -28,7 +28,7 @@ from toolchain.contract import (
     observation_blocks,
     observation_count,
 )
-from toolchain.cortex_m7.emulator import CortexM7, load_program
+from neuroflight.toolchain.cortex_m7.emulator import CortexM7, load_program
 
 MEMORY = (ITCM, Region("flash", FLASH_BASE, FLASH_BYTES), DTCM, SRAM1, SRAM2)
 FIRMWARE_BYTES = DTCM.size  # struct firmware with the weights lies there on the board

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from toolchain.contract import FilterKind
-from toolchain.cortex_m7.emulator import CortexM7, load_program
+from neuroflight.toolchain.contract import FilterKind
+from neuroflight.toolchain.cortex_m7.emulator import CortexM7, load_program
 
 GYRO_HZ, CONTROL_HZ = 1000, 1000
 CW90 = 1

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from toolchain import contract
-from toolchain.policy.blob import PolicyBlob, blob_terms, pack
+from neuroflight.toolchain import contract
+from neuroflight.toolchain.policy.blob import PolicyBlob, blob_terms, pack
 
 ROOT = Path(__file__).resolve().parents[3]
 SOURCE = ROOT / "firmware" / "src"

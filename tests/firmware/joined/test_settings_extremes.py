@@ -23,17 +23,16 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from flash import records
-from flash.client import Client
-from sim.aircraft.model import Aircraft, load_aircraft
-from sim.flight.loop import fly
-from sim.flight.scenario import Scenario, Segment
-from sim.flight.trace import Trace
-from sim.physics.twin import Twin
-from sim.ports.library import ReferencePort
-from sim.ports.port import Reply, Sample
-from tests.flights.wiring import on_turned_board, reversed_aircraft
-from toolchain.contract import (
+from neuroflight.flash import records
+from neuroflight.flash.client import Client
+from neuroflight.sim.aircraft.model import Aircraft, load_aircraft
+from neuroflight.sim.flight.loop import fly
+from neuroflight.sim.flight.scenario import Scenario, Segment
+from neuroflight.sim.flight.trace import Trace
+from neuroflight.sim.physics.twin import Twin
+from neuroflight.sim.ports.library import ReferencePort
+from neuroflight.sim.ports.port import Reply, Sample
+from neuroflight.toolchain.contract import (
     AUX_COUNT,
     AXES,
     CHANNEL_ARM,
@@ -60,7 +59,8 @@ from toolchain.contract import (
     Setting,
     StopCause,
 )
-from toolchain.errors import LinkError
+from neuroflight.toolchain.errors import LinkError
+from tests.flights.wiring import on_turned_board, reversed_aircraft
 
 TUMBLE_DEG = 60.0
 REST_DEG_S = 60.0

@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from flash import records
-from flash.msp import Decoder, Direction, Message, encode, request
-from sim.control import sticks
-from sim.ports.library import Reference
+from neuroflight.flash import records
+from neuroflight.flash.msp import Decoder, Direction, Message, encode, request
+from neuroflight.sim.control import sticks
+from neuroflight.sim.ports.library import Reference
+from neuroflight.toolchain.contract import BOOT_GRACE_MS, FlightState, Msp, Refusal
 from tests.firmware.telemetry import Sample, gaps, samples
-from toolchain.contract import BOOT_GRACE_MS, FlightState, Msp, Refusal
 
 G = 9.80665
 DIVISORS = (1, 2, 4, 5, 8, 10, 20, 25, 40, 50, 100, 125, 200, 250, 500)  # of 1000 Hz, up to the most

@@ -9,9 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.firmware.conftest import Bench
-from tests.firmware.joined.field import Field
-from toolchain.contract import (
+from neuroflight.toolchain.contract import (
     CHANNEL_PID,
     CRASH_ERROR_DEG_S,
     CRASH_MS,
@@ -29,6 +27,8 @@ from toolchain.contract import (
     FlightState,
     StopCause,
 )
+from tests.firmware.conftest import Bench
+from tests.firmware.joined.field import Field
 
 Make = Callable[..., Bench]
 COUNTS_PER_DEG_S = 32768 / 2000

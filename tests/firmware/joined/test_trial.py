@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from toolchain.contract import (
+from neuroflight.toolchain.contract import (
     CHANNEL_PID,
     CHANNEL_TRIAL,
     RECEIVER_HOLD_MS,

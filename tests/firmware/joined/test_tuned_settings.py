@@ -7,12 +7,12 @@ from typing import Any
 
 import pytest
 
-from flash import requests
+from neuroflight.flash import requests
+from neuroflight.toolchain.contract import SETTINGS, Msp
+from neuroflight.toolchain.contract.frame_time_sensors import AXES
 from tests.firmware.conftest import Core
 from tests.firmware.host.app import App, connected
 from tests.firmware.joined.ground import Ground, Request, State
-from toolchain.contract import SETTINGS, Msp
-from toolchain.contract.frame_time_sensors import AXES
 
 INDEX = {setting.name: index for index, setting in enumerate(SETTINGS)}
 PARTS = (("rate", 123.0), ("max", 450.0), ("expo", 0.25))

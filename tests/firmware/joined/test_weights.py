@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from neuroflight.toolchain.contract import FLASH_POLICY_SLOTS, FallbackCause, FlightState
+from neuroflight.toolchain.policy.blob import PolicyBlob, pack
 from tests.firmware.joined.field import Field
-from toolchain.contract import FLASH_POLICY_SLOTS, FallbackCause, FlightState
-from toolchain.policy.blob import PolicyBlob, pack
 
 SECOND_MS = 1000
 GOOD = [1.0, -2.0]

@@ -11,9 +11,15 @@ import struct
 
 import pytest
 
+from neuroflight.toolchain import contract
+from neuroflight.toolchain.contract import (
+    CHANNEL_ARM,
+    CHANNEL_MAX_US,
+    CHANNEL_MIN_US,
+    MOTOR_TEST_TIMEOUT_MS,
+    Msp,
+)
 from tests.firmware.joined.ground import FRAME_MS, STANDING, Ground, Request, State
-from toolchain import contract
-from toolchain.contract import CHANNEL_ARM, CHANNEL_MAX_US, CHANNEL_MIN_US, MOTOR_TEST_TIMEOUT_MS, Msp
 
 PORTS = range(contract.MSP_PORT_COUNT)
 SLOW = contract.DSHOT_MIN + round(contract.DSHOT_SPAN * contract.MOTOR_WIZARD_MAX)

@@ -11,9 +11,9 @@ import struct
 
 import pytest
 
+from neuroflight.toolchain import contract
+from neuroflight.toolchain.contract import CHANNEL_ARM, MOTOR_TEST_TIMEOUT_MS, ArmingReason, Msp
 from tests.firmware.joined.ground import STANDING, Ground, Request, State
-from toolchain import contract
-from toolchain.contract import CHANNEL_ARM, MOTOR_TEST_TIMEOUT_MS, ArmingReason, Msp
 
 LOCK = Request(Msp.ARMING_DISABLE, b"\1\0")
 UNLOCK = Request(Msp.ARMING_DISABLE, b"\0\0")

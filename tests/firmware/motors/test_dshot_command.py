@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from toolchain.contract import DSHOT_ALL_MOTORS, DshotCommand, Refusal
+from neuroflight.toolchain.contract import DSHOT_ALL_MOTORS, DshotCommand, Refusal
 
 STOPPED = [0, 0, 0, 0]
 BEACONS = {1: 260, 2: 260, 3: 280, 4: 280, 5: 1020}  # ms that they sound

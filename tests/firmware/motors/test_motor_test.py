@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from toolchain.contract import (
+from neuroflight.toolchain.contract import (
     MOTOR_BENCH_MAGIC,
     MOTOR_TEST_MAGIC,
     MOTOR_TEST_MAX,

@@ -12,13 +12,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from flash.layouts import decode, encode
-from flash.msp import Decoder, Direction, Message
+from neuroflight.flash.layouts import decode, encode
+from neuroflight.flash.msp import Decoder, Direction, Message
+from neuroflight.toolchain.contract import SETTINGS
+from neuroflight.toolchain.contract.msp_configuration import CONFIGURATIONS
+from neuroflight.toolchain.contract.msp_layouts import NUMBERS, Bound, Configuration, MspField, MspHow
 from tests.firmware.conftest import Core
 from tests.firmware.joined.ground import Ground, Request
-from toolchain.contract import SETTINGS
-from toolchain.contract.msp_configuration import CONFIGURATIONS
-from toolchain.contract.msp_layouts import NUMBERS, Bound, Configuration, MspField, MspHow
 
 STATES = 1000
 CHANGES = 6  # settings, from one state to the next

@@ -9,9 +9,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from flash.msp import JUMBO_MARK, V1_COMMAND_MAX, Decoder, Direction, Message, Version, encode
+from neuroflight.flash.msp import JUMBO_MARK, V1_COMMAND_MAX, Decoder, Direction, Message, Version, encode
+from neuroflight.toolchain.contract import MSP_PAYLOAD_MAX
 from tests.firmware.conftest import Core
-from toolchain.contract import MSP_PAYLOAD_MAX
 
 REPLY_MAX = 240  # MSP_REPLY_MAX of msp.h
 THOUSAND = settings(

@@ -12,13 +12,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from flash import layouts, requests
-from flash.msp import Direction, Message, Version, encode
-from tests.firmware.conftest import Chip, Core, scripted_blob
-from tests.firmware.images import crc_of, header_of, make_image
-from tests.firmware.msp.test_msp_commands import Server, server
-from tests.firmware.storage.bank_board import BankBoard, Held, confirmed
-from toolchain.contract import (
+from neuroflight.flash import layouts, requests
+from neuroflight.flash.msp import Direction, Message, Version, encode
+from neuroflight.toolchain.contract import (
     FLASH_BANKS,
     FLASH_POLICY_SLOTS,
     IMAGE_BUILD_BYTES,
@@ -32,10 +28,14 @@ from toolchain.contract import (
     Refusal,
     policy_header,
 )
-from toolchain.contract.msp_layouts import Direction as Speaks
-from toolchain.contract.msp_messages import layout_of
-from toolchain.image.bank_state import state
-from toolchain.policy.blob import PolicyBlob, pack
+from neuroflight.toolchain.contract.msp_layouts import Direction as Speaks
+from neuroflight.toolchain.contract.msp_messages import layout_of
+from neuroflight.toolchain.image.bank_state import state
+from neuroflight.toolchain.policy.blob import PolicyBlob, pack
+from tests.firmware.conftest import Chip, Core, scripted_blob
+from tests.firmware.images import crc_of, header_of, make_image
+from tests.firmware.msp.test_msp_commands import Server, server
+from tests.firmware.storage.bank_board import BankBoard, Held, confirmed
 
 __all__ = ["server"]  # the fixture
 POLICY = policy_header(pack(scripted_blob()))

@@ -8,11 +8,11 @@ from typing import Any
 
 import pytest
 
-from flash import layouts
+from neuroflight.flash import layouts
+from neuroflight.toolchain.contract import LOG_ERASE_MAGIC, LogDevice, LogError, LogState, Msp, Refusal
+from neuroflight.toolchain.contract.msp_layouts import Direction
+from neuroflight.toolchain.contract.msp_messages import layout_of
 from tests.firmware.msp.test_msp_commands import GOOD, Server, server
-from toolchain.contract import LOG_ERASE_MAGIC, LogDevice, LogError, LogState, Msp, Refusal
-from toolchain.contract.msp_layouts import Direction
-from toolchain.contract.msp_messages import layout_of
 
 __all__ = ["server"]  # the fixture
 KEPT = (Msp.LOG_ENTRY, Msp.LOG_READ, Msp.LOG_ERASE)

@@ -8,10 +8,10 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from flash.layouts import decode, encode
-from toolchain.contract.msp_layouts import NUMBERS, MspField, MspGroup, MspLayout
-from toolchain.contract.msp_messages import LAYOUTS
-from toolchain.errors import LinkError
+from neuroflight.flash.layouts import decode, encode
+from neuroflight.toolchain.contract.msp_layouts import NUMBERS, MspField, MspGroup, MspLayout
+from neuroflight.toolchain.contract.msp_messages import LAYOUTS
+from neuroflight.toolchain.errors import LinkError
 
 MANY = settings(max_examples=40, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
 THOUSAND = settings(MANY, max_examples=1000)

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from flash import layouts, messages, records
-from flash.messages import PolicyInfo, PolicySource
-from toolchain.contract import (
+from neuroflight.flash import layouts, messages, records
+from neuroflight.flash.messages import PolicyInfo, PolicySource
+from neuroflight.toolchain.contract import (
     MSP_PAYLOAD_MAX,
     ArmingReason,
     FallbackCause,

@@ -6,10 +6,10 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
-from flash.msp import Direction
+from neuroflight.flash.msp import Direction
+from neuroflight.toolchain.contract import Msp, Refusal
+from neuroflight.toolchain.contract.msp_access import Access, MspWhen, access_of, acknowledge_access
 from tests.firmware.msp.test_msp_commands import GOOD, STORED, Server, server
-from toolchain.contract import Msp, Refusal
-from toolchain.contract.msp_access import Access, MspWhen, access_of, acknowledge_access
 
 __all__ = ["server"]  # the fixture
 SIZES = (*range(45), 64, 100)

@@ -9,11 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from flash import messages, records, requests
-from flash.msp import Decoder, Direction, Message, Version, encode
-from tests.firmware.conftest import scripted_blob
-from tests.firmware.images import HEADER_BYTES, header_of, make_image
-from toolchain.contract import (
+from neuroflight.flash import messages, records, requests
+from neuroflight.flash.msp import Decoder, Direction, Message, Version, encode
+from neuroflight.toolchain.contract import (
     CHANNEL_UNTOLD_US,
     FLASH_POLICY_SLOTS,
     LOG_ERASE_MAGIC,
@@ -26,7 +24,9 @@ from toolchain.contract import (
     Refusal,
     Task,
 )
-from toolchain.policy.blob import PolicyBlob, pack
+from neuroflight.toolchain.policy.blob import PolicyBlob, pack
+from tests.firmware.conftest import scripted_blob
+from tests.firmware.images import HEADER_BYTES, header_of, make_image
 
 MakeChip = Callable[..., Any]
 IMAGE = make_image(1)

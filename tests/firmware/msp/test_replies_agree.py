@@ -9,12 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from flash import messages, records
-from flash.msp import Decoder, Direction, Message, Version
-from tests.firmware.conftest import Core
-from tests.firmware.joined.ground import Ground, Request
-from toolchain import contract
-from toolchain.contract import (
+from neuroflight.flash import messages, records
+from neuroflight.flash.msp import Decoder, Direction, Message, Version
+from neuroflight.toolchain import contract
+from neuroflight.toolchain.contract import (
     CHANNEL_COUNT,
     DSHOT_MAX,
     DSHOT_MIN,
@@ -27,6 +25,8 @@ from toolchain.contract import (
     StopCause,
     Task,
 )
+from tests.firmware.conftest import Core
+from tests.firmware.joined.ground import Ground, Request
 
 STATES = 1000
 SHORT = (-(2**15), 2**15 - 1)

@@ -13,15 +13,16 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
+from neuroflight.toolchain.errors import BuildError
 from tests.firmware.conftest import SCRIPTED_BUILD, make_scripted
 from tests.firmware.mutants.mutant import Mutant
-from toolchain.errors import BuildError
 
 ROOT = Path(__file__).resolve().parents[3]
 COPIED = (
     "cli",
     "firmware",
     "flash",
+    "neuroflight.py",
     "sim",
     "tests",
     "toolchain",

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from toolchain.contract import CRC8_DVB_S2_POLY
+from neuroflight.toolchain.contract import CRC8_DVB_S2_POLY
 
 SYNC, LINK, CHANNELS, BATTERY = 0xC8, 0x14, 0x16, 0x08
 VALUES = [172 + 103 * index for index in range(16)]

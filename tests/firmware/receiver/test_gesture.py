@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from toolchain.contract import (
+from neuroflight.toolchain.contract import (
     CHANNEL_COUNT,
     CHANNEL_PITCH,
     CHANNEL_ROLL,

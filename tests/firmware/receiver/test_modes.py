@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from toolchain.contract import (
+from neuroflight.toolchain.contract import (
     AUX_COUNT,
     CHANNEL_AUX1,
     CHANNEL_COUNT,

@@ -8,8 +8,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sim.ports.port import FLIGHT_RATES
-from toolchain.contract import CHANNEL_PITCH, CHANNEL_ROLL, CHANNEL_THROTTLE, CHANNEL_YAW, RATE_MAX_DEG_S
+from neuroflight.sim.ports.port import FLIGHT_RATES
+from neuroflight.toolchain.contract import (
+    CHANNEL_PITCH,
+    CHANNEL_ROLL,
+    CHANNEL_THROTTLE,
+    CHANNEL_YAW,
+    RATE_MAX_DEG_S,
+)
 
 CHANNELS = (CHANNEL_ROLL, CHANNEL_PITCH, CHANNEL_YAW)
 NAMES = ("roll", "pitch", "yaw")

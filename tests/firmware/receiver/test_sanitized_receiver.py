@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from toolchain.contract import CHANNEL_COUNT, CRC8_DVB_S2_POLY
+from neuroflight.toolchain.contract import CHANNEL_COUNT, CRC8_DVB_S2_POLY
 
 ROOT = Path(__file__).resolve().parents[3]
 SOURCE = ROOT / "firmware" / "src"

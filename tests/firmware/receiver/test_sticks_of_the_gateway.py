@@ -8,11 +8,9 @@ from typing import Any
 
 import pytest
 
-from flash.mavlink.sticks import HALF_STICK_US, Sticks, nearest, sticks_of
-from sim.ports.port import FLIGHT_RATES
-from tests.firmware.receiver.test_modes import Modes
-from tests.firmware.receiver.test_rates import ACTUAL, BETAFLIGHT, Rates
-from toolchain.contract import (
+from neuroflight.flash.mavlink.sticks import HALF_STICK_US, Sticks, nearest, sticks_of
+from neuroflight.sim.ports.port import FLIGHT_RATES
+from neuroflight.toolchain.contract import (
     CHANNEL_COUNT,
     CHANNEL_MAPPED_COUNT,
     CHANNEL_MID_US,
@@ -21,6 +19,8 @@ from toolchain.contract import (
     Mode,
     ModeRange,
 )
+from tests.firmware.receiver.test_modes import Modes
+from tests.firmware.receiver.test_rates import ACTUAL, BETAFLIGHT, Rates
 
 DEFAULTS = {setting.name: setting.default for setting in SETTINGS}
 STYLES: dict[str, dict[str, float]] = {

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sim.flight.scenario import Scenario, load_scenario
-from sim.flight.trace import Trace
-from toolchain.contract import (
+from neuroflight.sim.flight.scenario import Scenario, load_scenario
+from neuroflight.sim.flight.trace import Trace
+from neuroflight.toolchain.contract import (
     CRASH_ERROR_DEG_S,
     CRASH_MS,
     CRASH_SPREAD,
@@ -252,10 +252,10 @@ def flown_here(reference_library: Path) -> Callable[[Scenario], Trace]:
     """Flies the shipped policy in a fresh twin of the NF1."""
     from contextlib import closing
 
-    from sim.aircraft.model import load_aircraft
-    from sim.flight.loop import fly
-    from sim.physics.twin import Twin
-    from sim.ports.library import ReferencePort
+    from neuroflight.sim.aircraft.model import load_aircraft
+    from neuroflight.sim.flight.loop import fly
+    from neuroflight.sim.physics.twin import Twin
+    from neuroflight.sim.ports.library import ReferencePort
 
     def run(scenario: Scenario) -> Trace:
         port = ReferencePort(reference_library, 1000)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from toolchain.contract import (
+from neuroflight.toolchain.contract import (
     NO_RESPONSE_ERROR_DEG_S,
     NO_RESPONSE_MS,
     OSCILLATION_ERROR_DEG_S,

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from toolchain.contract import ArmingReason, FlightState, StopCause
+from neuroflight.toolchain.contract import ArmingReason, FlightState, StopCause
 
 INPUTS = {
     "on": "SAFETY_SWITCH_ON",

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from toolchain.contract import TAKEOFF_FORGETS_MS, TAKEOFF_MS, TAKEOFF_THROTTLE, TAKEOFF_TURN_DEG
+from neuroflight.toolchain.contract import TAKEOFF_FORGETS_MS, TAKEOFF_MS, TAKEOFF_THROTTLE, TAKEOFF_TURN_DEG
 
 ABOVE = TAKEOFF_THROTTLE + 0.001
 TURN_DEG_S = 200.0  # an aircraft that tips over

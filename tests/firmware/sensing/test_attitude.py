@@ -10,10 +10,10 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from sim.aircraft.model import load_aircraft
-from sim.physics.twin import Twin
-from sim.physics.world import Mount
-from toolchain.contract import GRAVITY
+from neuroflight.sim.aircraft.model import load_aircraft
+from neuroflight.sim.physics.twin import Twin
+from neuroflight.sim.physics.world import Mount
+from neuroflight.toolchain.contract import GRAVITY
 
 RATE_HZ = 1000
 SETTLING = RATE_HZ  # steps

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from neuroflight.toolchain.contract import CALIBRATION_MS, GyroHealth
 from tests.flights.wiring import board_axes
-from toolchain.contract import CALIBRATION_MS, GyroHealth
 
 RATE = math.radians(2000) / 32768  # rad/s of a count
 FORCE = 9.80665 / 2048  # m/s^2 of a count

@@ -11,9 +11,9 @@ import pytest
 from numpy.typing import NDArray
 from scipy import signal
 
-from toolchain import contract
-from toolchain.contract import GYRO_RATES_HZ, POLICY_FILTERS_NONE, FilterKind
-from toolchain.policy.blob import filters_hash
+from neuroflight.toolchain import contract
+from neuroflight.toolchain.contract import GYRO_RATES_HZ, POLICY_FILTERS_NONE, FilterKind
+from neuroflight.toolchain.policy.blob import filters_hash
 
 Array = NDArray[np.float64]
 STATE_BYTES_MAX = 600  # of DTCM

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from toolchain.contract import (
+from neuroflight.toolchain.contract import (
     CALIBRATION_CALM_DEG_S,
     CALIBRATION_DRIFT_DEG_S,
     CALIBRATION_MS,

@@ -10,12 +10,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from neuroflight.toolchain.contract import FLASH_BANKS, IMAGE_TAIL_BYTES, Refusal, image_header, policy_header
+from neuroflight.toolchain.image.bank_state import state
+from neuroflight.toolchain.policy.blob import pack
 from tests.firmware.conftest import scripted_blob
 from tests.firmware.images import IDENTITY, LEAST_BYTES, header_of, make_image
 from tests.firmware.storage.test_policy_slots import Slots, like
-from toolchain.contract import FLASH_BANKS, IMAGE_TAIL_BYTES, Refusal, image_header, policy_header
-from toolchain.image.bank_state import state
-from toolchain.policy.blob import pack
 
 NAME = b"HOST"
 BOARD = NAME.ljust(16, b"\0")

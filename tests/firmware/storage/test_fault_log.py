@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from flash.records import FAULT_FILE_BYTES, FAULT_REGISTERS, FaultKind
-from toolchain.contract import FLASH_FAULT_RECORD, Refusal
+from neuroflight.flash.records import FAULT_FILE_BYTES, FAULT_REGISTERS, FaultKind
+from neuroflight.toolchain.contract import FLASH_FAULT_RECORD, Refusal
 
 MakeChip = Callable[..., Any]
 ENTRY_BYTES = 104

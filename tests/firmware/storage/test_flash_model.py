@@ -7,7 +7,13 @@ from typing import Any
 
 import pytest
 
-from toolchain.contract import FLASH_BANKS, FLASH_BASE, FLASH_BYTES, FLASH_SECTORS, IMAGE_TAIL_BYTES
+from neuroflight.toolchain.contract import (
+    FLASH_BANKS,
+    FLASH_BASE,
+    FLASH_BYTES,
+    FLASH_SECTORS,
+    IMAGE_TAIL_BYTES,
+)
 
 MakeChip = Callable[..., Any]
 SECTOR = FLASH_SECTORS[1]

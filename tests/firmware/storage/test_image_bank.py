@@ -10,16 +10,16 @@ from typing import Any
 
 import pytest
 
-from tests.firmware.conftest import Core
-from tests.firmware.images import LEAST_BYTES, MOST_BYTES, changed, header_of, make_image
-from toolchain.contract import (
+from neuroflight.toolchain.contract import (
     FLASH_BANKS,
     IMAGE_NUMBER_ENTRIES,
     IMAGE_NUMBER_WORDS,
     IMAGE_STARTS_MAX,
     IMAGE_TAIL_BYTES,
 )
-from toolchain.image.bank_state import state
+from neuroflight.toolchain.image.bank_state import state
+from tests.firmware.conftest import Core
+from tests.firmware.images import LEAST_BYTES, MOST_BYTES, changed, header_of, make_image
 
 MakeChip = Callable[..., Any]
 NONE = 2  # as a bank

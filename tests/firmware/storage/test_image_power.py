@@ -17,11 +17,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from neuroflight.toolchain.contract import Refusal
+from neuroflight.toolchain.policy.blob import pack
 from tests.firmware.images import build_of
 from tests.firmware.storage.bank_board import BankBoard, Held, Started, confirmed, small_image
 from tests.firmware.storage.test_policy_slots import SLOT_A, SLOT_B, floats, like
-from toolchain.contract import Refusal
-from toolchain.policy.blob import pack
 
 MakeChip = Callable[..., Any]
 BEFORE, AFTER, BETWEEN, WORDS, NOISE = KINDS = range(5)

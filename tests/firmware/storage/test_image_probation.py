@@ -9,15 +9,15 @@ from typing import Any
 
 import pytest
 
-from tests.firmware.images import LEAST_BYTES, make_image
-from toolchain.contract import (
+from neuroflight.toolchain.contract import (
     FLASH_BANKS,
     IMAGE_PROBATION_MAX_MS,
     IMAGE_PROBATION_MS,
     IMAGE_STARTS_MAX,
     IMAGE_TAIL_BYTES,
 )
-from toolchain.image.bank_state import state
+from neuroflight.toolchain.image.bank_state import state
+from tests.firmware.images import LEAST_BYTES, make_image
 
 MakeChip = Callable[..., Any]
 A, B, NONE = range(3)

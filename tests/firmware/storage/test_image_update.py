@@ -11,14 +11,14 @@ from typing import Any
 import numpy as np
 import pytest
 
+from neuroflight.toolchain.contract import FLASH_BANKS, IMAGE_HEADER_OFFSET, Refusal, policy_header
+from neuroflight.toolchain.image.bank_state import state
+from neuroflight.toolchain.policy.blob import pack, parse
 from tests.firmware.conftest import scripted_blob
 from tests.firmware.images import HEADER_BYTES, LEAST_BYTES, MOST_BYTES, changed, crc_of, header_of
 from tests.firmware.images import make_image as any_image
 from tests.firmware.storage.bank_board import BankBoard, Held, confirmed
 from tests.firmware.storage.test_policy_slots import BUILD, NONE, SLOT_A, SLOT_B, floats, like
-from toolchain.contract import FLASH_BANKS, IMAGE_HEADER_OFFSET, Refusal, policy_header
-from toolchain.image.bank_state import state
-from toolchain.policy.blob import pack, parse
 
 MakeChip = Callable[..., Any]
 MAGIC, LAYOUT, BOARD, BANK, SIZE, HEADER, CRC, SHA256 = range(-17, -25, -1)  # enum nf_err

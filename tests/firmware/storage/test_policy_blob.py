@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from toolchain import contract
-from toolchain.errors import PolicyError
-from toolchain.policy.blob import PolicyBlob, blob_terms, pack, parse
-from toolchain.policy.model_constants import ModelConstants
-from toolchain.rendering.contract_header import blob_header_fields
+from neuroflight.toolchain import contract
+from neuroflight.toolchain.errors import PolicyError
+from neuroflight.toolchain.policy.blob import PolicyBlob, blob_terms, pack, parse
+from neuroflight.toolchain.policy.model_constants import ModelConstants
+from neuroflight.toolchain.rendering.contract_header import blob_header_fields
 
 Check = Callable[..., int]
 SUCCESS, SHORT, MAGIC, LAYOUT, SIZE, CRC, RATE, FILTERS, ARCHITECTURE, IDLE = 0, *range(-6, -15, -1)

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from flash.policy.slots import PLACES, Place, Policies, newer
-from flash.policy.swap import target
+from neuroflight.flash.policy.slots import PLACES, Place, Policies, newer
+from neuroflight.flash.policy.swap import target
+from neuroflight.toolchain.contract import FLASH_POLICY_SLOTS
+from neuroflight.toolchain.policy.blob import pack
 from tests.firmware.storage.test_policy_slots import NONE, Slots, like
-from toolchain.contract import FLASH_POLICY_SLOTS
-from toolchain.policy.blob import pack
 
 TOP, HALF = 2**32 - 1, 2**31
 SELFTEST = -5

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from toolchain.contract import FLASH_POLICY_SLOTS, Refusal
-from toolchain.ir.float32 import Float32
-from toolchain.policy.blob import PolicyBlob, pack, parse
+from neuroflight.toolchain.contract import FLASH_POLICY_SLOTS, Refusal
+from neuroflight.toolchain.ir.float32 import Float32
+from neuroflight.toolchain.policy.blob import PolicyBlob, pack, parse
 
 MakeChip = Callable[..., Any]
 SLOT_A, SLOT_B, NONE = range(3)

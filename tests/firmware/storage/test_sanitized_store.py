@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from flash import requests
-from flash.msp import Direction, Message, Version, encode
-from toolchain.contract import (
+from neuroflight.flash import requests
+from neuroflight.flash.msp import Direction, Message, Version, encode
+from neuroflight.toolchain.contract import (
     FLASH_BASE,
     FLASH_FAULT_RECORD,
     FLASH_POLICY_SLOTS,
@@ -19,7 +19,7 @@ from toolchain.contract import (
     SETTINGS,
     Msp,
 )
-from toolchain.policy.blob import PolicyBlob, pack
+from neuroflight.toolchain.policy.blob import PolicyBlob, pack
 
 ROOT = Path(__file__).resolve().parents[3]
 FIRMWARE = ROOT / "firmware"

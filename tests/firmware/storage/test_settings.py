@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from toolchain.contract import (
+from neuroflight.toolchain.contract import (
     SETTING_LEAST,
     SETTING_TEXT_BYTES,
     SETTINGS,

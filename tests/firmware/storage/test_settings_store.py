@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from toolchain.contract import (
+from neuroflight.toolchain.contract import (
     AXES,
     FLASH_SETTINGS,
     SETTING_TEXT_BYTES,

@@ -11,7 +11,7 @@ from hypothesis import example, given
 from hypothesis import settings as effort
 from hypothesis import strategies as st
 
-from toolchain.contract import (
+from neuroflight.toolchain.contract import (
     AUX_COUNT,
     MODE_LOW_US,
     MODE_STEP_US,

@@ -9,9 +9,8 @@ from hypothesis import example, given
 from hypothesis import settings as effort
 from hypothesis import strategies as st
 
-from flash.setting_text import Value, as_float32, parse_value, value_text
-from tests.firmware.storage.test_settings_text import BY_NAME, PRINTABLE, Error, format_, padded, parse
-from toolchain.contract import (
+from neuroflight.flash.setting_text import Value, as_float32, parse_value, value_text
+from neuroflight.toolchain.contract import (
     AUX_COUNT,
     MODE_LOW_US,
     MODE_STEP_US,
@@ -22,7 +21,8 @@ from toolchain.contract import (
     ModeRange,
     Setting,
 )
-from toolchain.contract.settings import Span
+from neuroflight.toolchain.contract.settings import Span
+from tests.firmware.storage.test_settings_text import BY_NAME, PRINTABLE, Error, format_, padded, parse
 
 
 @st.composite

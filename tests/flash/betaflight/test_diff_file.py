@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from flash.betaflight.diff_file import FILE_BYTES_MAX, read_diff
-from toolchain.errors import LinkError
+from neuroflight.flash.betaflight.diff_file import FILE_BYTES_MAX, read_diff
+from neuroflight.toolchain.errors import LinkError
 
 HEADER = "# Betaflight / MATEKF722 (MKF7) 4.0.0 Mar  8 2019 / 11:37:03 (52c4e96c8) MSP API: 1.41\n"
 

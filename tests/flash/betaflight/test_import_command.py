@@ -8,22 +8,22 @@ from pathlib import Path
 
 import pytest
 
-from cli.main import main
-from flash.betaflight.diff_file import read_diff
-from flash.betaflight.plan import fitted, needed
-from flash.betaflight.planner import make_plan
-from flash.client import Client
-from flash.msp import Decoder, Message, encode
-from flash.records import safety
-from flash.setting_text import Value, value_text
-from flash.settings import Settings
-from sim.board.core.context import TIME_HZ
-from sim.board.serial.bridge import LineTransport, UartLine
-from sim.board.serial.idle_board import IdleBoard, with_image
+from neuroflight.cli.main import main
+from neuroflight.flash.betaflight.diff_file import read_diff
+from neuroflight.flash.betaflight.plan import fitted, needed
+from neuroflight.flash.betaflight.planner import make_plan
+from neuroflight.flash.client import Client
+from neuroflight.flash.msp import Decoder, Message, encode
+from neuroflight.flash.records import safety
+from neuroflight.flash.setting_text import Value, value_text
+from neuroflight.flash.settings import Settings
+from neuroflight.sim.board.core.context import TIME_HZ
+from neuroflight.sim.board.serial.bridge import LineTransport, UartLine
+from neuroflight.sim.board.serial.idle_board import IdleBoard, with_image
+from neuroflight.toolchain.contract import FlightState, Msp
+from neuroflight.toolchain.errors import LinkError
+from neuroflight.toolchain.image.elf import read_flashable
 from tests.flash.lockstep import Lockstep
-from toolchain.contract import FlightState, Msp
-from toolchain.errors import LinkError
-from toolchain.image.elf import read_flashable
 
 Run = Callable[..., tuple[int, str, str]]
 LayLine = Callable[..., str]

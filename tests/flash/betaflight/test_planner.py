@@ -9,13 +9,13 @@ from pathlib import Path
 
 import pytest
 
-from flash.betaflight.diff_file import read_diff
-from flash.betaflight.motor_order import OUTPUT_PINS
-from flash.betaflight.plan import Plan
-from flash.betaflight.planner import make_plan
-from flash.setting_text import default_of, value_text
-from toolchain.contract import SETTINGS
-from toolchain.errors import LinkError
+from neuroflight.flash.betaflight.diff_file import read_diff
+from neuroflight.flash.betaflight.motor_order import OUTPUT_PINS
+from neuroflight.flash.betaflight.plan import Plan
+from neuroflight.flash.betaflight.planner import make_plan
+from neuroflight.flash.setting_text import default_of, value_text
+from neuroflight.toolchain.contract import SETTINGS
+from neuroflight.toolchain.errors import LinkError
 
 ROOT = Path(__file__).resolve().parents[3]
 DEFAULTS = {setting.name: default_of(setting) for setting in SETTINGS}

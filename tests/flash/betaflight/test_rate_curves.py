@@ -6,7 +6,7 @@ import random
 
 import pytest
 
-from flash.betaflight.rate_curves import AxisRates, Profile, Style, nearest_style
+from neuroflight.flash.betaflight.rate_curves import AxisRates, Profile, Style, nearest_style
 
 AXES = ("roll", "pitch", "yaw")
 STICKS = [at / 200 for at in range(201)]

@@ -45,7 +45,7 @@ def chains(image: Path, name: str) -> int:
 
 def put(image: Path, name: str, data: bytes) -> None:
     """Write at the front of a file of the card, as a firmware does: what lies behind stays."""
-    from flash.card.fat32 import Fat32
+    from neuroflight.flash.card.fat32 import Fat32
 
     with image.open("r+b") as file:
         system = Fat32(file, str(image))

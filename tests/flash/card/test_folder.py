@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from flash.card.files import carry_out, file_name, make_plan
-from flash.card.folder import FolderCard
-from flash.card.place import check_device, check_folder, disks_of, open_card, read_mounts
-from toolchain.errors import CardError
+from neuroflight.flash.card.files import carry_out, file_name, make_plan
+from neuroflight.flash.card.folder import FolderCard
+from neuroflight.flash.card.place import check_device, check_folder, disks_of, open_card, read_mounts
+from neuroflight.toolchain.errors import CardError
 
 SIZE = 3 << 20
 MOUNTS = r"""22 1 8:2 / / rw - ext4 /dev/sda2 rw

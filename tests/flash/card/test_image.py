@@ -9,13 +9,13 @@ from pathlib import Path
 
 import pytest
 
-from flash.card.copies import copy_of
-from flash.card.fat32 import Fat32
-from flash.card.files import Progress, carry_out, make_plan
-from flash.card.image import ImageCard
-from flash.card.place import open_card
+from neuroflight.flash.card.copies import copy_of
+from neuroflight.flash.card.fat32 import Fat32
+from neuroflight.flash.card.files import Progress, carry_out, make_plan
+from neuroflight.flash.card.image import ImageCard
+from neuroflight.flash.card.place import open_card
+from neuroflight.toolchain.errors import CardError
 from tests.flash.card.conftest import MEBIBYTE, MakeImage, chains, fsck, put, run
-from toolchain.errors import CardError
 
 LOG = b"H Product:Blackbox flight data recorder by Nicholas Sherlock\n" + bytes(range(1, 256)) * 900
 

@@ -6,11 +6,18 @@ import sys
 
 import pytest
 
-from flash.channels.gamepad import DEFAULT_AXES, DEFAULT_BUTTONS, Gamepad, Mapping, channels_of, parse_mapping
-from flash.channels.layout import NAMES, REST, Channels
-from flash.channels.source import Instead, SourceLostError
+from neuroflight.flash.channels.gamepad import (
+    DEFAULT_AXES,
+    DEFAULT_BUTTONS,
+    Gamepad,
+    Mapping,
+    channels_of,
+    parse_mapping,
+)
+from neuroflight.flash.channels.layout import NAMES, REST, Channels
+from neuroflight.flash.channels.source import Instead, SourceLostError
+from neuroflight.toolchain.errors import LinkError
 from tests.flash.virtual_pad import AXES, FULL, Pad
-from toolchain.errors import LinkError
 
 DEFAULT = parse_mapping(DEFAULT_AXES, DEFAULT_BUTTONS, throttle_from_centre=True)
 

@@ -6,10 +6,10 @@ from collections.abc import Callable
 
 import pytest
 
-from flash.channels.layout import NAMES, REST, Layout, read_layout, throttle_low
-from flash.setting_text import parse_mode
-from toolchain.contract import CHANNEL_COUNT
-from toolchain.errors import LinkError
+from neuroflight.flash.channels.layout import NAMES, REST, Layout, read_layout, throttle_low
+from neuroflight.flash.setting_text import parse_mode
+from neuroflight.toolchain.contract import CHANNEL_COUNT
+from neuroflight.toolchain.errors import LinkError
 
 
 def settings(**changes: float | str) -> Callable[[str], float]:

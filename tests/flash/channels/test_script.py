@@ -6,11 +6,11 @@ from pathlib import Path
 
 import pytest
 
-from flash.channels.layout import NAMES, REST
-from flash.channels.script import FILE_BYTES_MAX, check_script, parse_script, read_script
-from flash.channels.source import Instead
+from neuroflight.flash.channels.layout import NAMES, REST
+from neuroflight.flash.channels.script import FILE_BYTES_MAX, check_script, parse_script, read_script
+from neuroflight.flash.channels.source import Instead
+from neuroflight.toolchain.errors import LinkError
 from tests.flash.channels.test_layout import layout
-from toolchain.errors import LinkError
 
 CSV = b"""t_s, throttle, roll, aux1
 # at rest first

@@ -8,17 +8,17 @@ from typing import Any
 
 import pytest
 
-from flash import messages, records
-from flash.channels.layout import NAMES, REST, Channels
-from flash.channels.script import parse_script
-from flash.channels.sender import ENDING_FRAMES, LOST_S, Sender
-from flash.channels.source import Instead, Source, SourceLostError
-from flash.channels.timeline import Timeline
-from flash.client import Client
+from neuroflight.flash import messages, records
+from neuroflight.flash.channels.layout import NAMES, REST, Channels
+from neuroflight.flash.channels.script import parse_script
+from neuroflight.flash.channels.sender import ENDING_FRAMES, LOST_S, Sender
+from neuroflight.flash.channels.source import Instead, Source, SourceLostError
+from neuroflight.flash.channels.timeline import Timeline
+from neuroflight.flash.client import Client
+from neuroflight.toolchain.contract import FlightState, Msp, Refusal, StopCause
+from neuroflight.toolchain.errors import LinkError
 from tests.flash.channels.test_layout import layout, with_aux
 from tests.flash.lockstep import Lockstep, lockstep
-from toolchain.contract import FlightState, Msp, Refusal, StopCause
-from toolchain.errors import LinkError
 
 ARMED = with_aux(aux1=2000)
 FLYING = with_aux(aux1=2000, throttle=1500)

@@ -13,8 +13,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import Enum, auto
 
-from flash.msp import Decoder, Direction, Message, encode
-from toolchain.contract import (
+from neuroflight.flash.msp import Decoder, Direction, Message, encode
+from neuroflight.toolchain.contract import (
     FLASH_BANK_A,
     IMAGE_HEADER_FORMAT,
     IMAGE_LAYOUT,
@@ -25,7 +25,7 @@ from toolchain.contract import (
     image_header,
     policy_header,
 )
-from toolchain.errors import LinkError
+from neuroflight.toolchain.errors import LinkError
 
 BOARD = "MATEKF722"
 BOOT_S = 0.3

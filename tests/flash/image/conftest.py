@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from flash.image.files import Policy, read_images
-from toolchain.contract import (
+from neuroflight.flash.image.files import Policy, read_images
+from neuroflight.toolchain.contract import (
     IMAGE_BOARD_BYTES,
     bound_policy,
     image_checksum,

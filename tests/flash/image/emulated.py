@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from typing import Protocol
 
-from flash.client import Client
-from flash.image.board import check_ready, read_board
-from flash.image.files import ImageFile
-from flash.image.install import Installation, Installed
-from flash.image.plan import make_plan
-from flash.image.settings_kept import read_settings
-from flash.policy import swap as swaps
-from sim.board.board import Board
-from sim.board.core.context import TIME_HZ
-from sim.board.peripherals.usart import Format
-from sim.board.serial.bridge import LineTransport, UartLine
+from neuroflight.flash.client import Client
+from neuroflight.flash.image.board import check_ready, read_board
+from neuroflight.flash.image.files import ImageFile
+from neuroflight.flash.image.install import Installation, Installed
+from neuroflight.flash.image.plan import make_plan
+from neuroflight.flash.image.settings_kept import read_settings
+from neuroflight.flash.policy import swap as swaps
+from neuroflight.sim.board.board import Board
+from neuroflight.sim.board.core.context import TIME_HZ
+from neuroflight.sim.board.peripherals.usart import Format
+from neuroflight.sim.board.serial.bridge import LineTransport, UartLine
 
 BAUD = 921_600
 

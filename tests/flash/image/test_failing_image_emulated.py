@@ -8,9 +8,16 @@ from pathlib import Path
 
 import pytest
 
-from flash.image.files import Image, ImageFile, Policy
-from flash.image.trial import Ending
-from sim.board.serial.idle_board import configured
+from neuroflight.flash.image.files import Image, ImageFile, Policy
+from neuroflight.flash.image.trial import Ending
+from neuroflight.sim.board.serial.idle_board import configured
+from neuroflight.toolchain.contract import (
+    FLASH_BANKS,
+    IMAGE_STARTS_MAX,
+    bound_policy,
+    image_header,
+    policy_header,
+)
 from tests.firmware.board.banks import (
     LOOP,
     UNDEFINED,
@@ -24,7 +31,6 @@ from tests.firmware.board.banks import (
 )
 from tests.flash.image.conftest import stamped
 from tests.flash.image.emulated import BAUD, Wired
-from toolchain.contract import FLASH_BANKS, IMAGE_STARTS_MAX, bound_policy, image_header, policy_header
 
 UP_S = 2.0
 

@@ -10,10 +10,10 @@ from pathlib import Path
 
 import pytest
 
-from flash.image.files import NFI_BYTES_MAX, Policy, image_for, read_images
+from neuroflight.flash.image.files import NFI_BYTES_MAX, Policy, image_for, read_images
+from neuroflight.toolchain.contract import FLASH_BANK_A, FLASH_BASE, IMAGE_LAYOUT, image_header
+from neuroflight.toolchain.errors import NeuroflightError
 from tests.flash.image.conftest import for_board, policy_of_build, stamped
-from toolchain.contract import FLASH_BANK_A, FLASH_BASE, IMAGE_LAYOUT, image_header
-from toolchain.errors import NeuroflightError
 
 
 def refused(path: Path) -> str:

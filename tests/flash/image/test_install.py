@@ -9,18 +9,18 @@ from pathlib import Path
 
 import pytest
 
-from flash.client import Client
-from flash.image.board import check_ready, read_board
-from flash.image.files import Image, ImageFile, Policy
-from flash.image.install import Installation, Installed, Stage
-from flash.image.plan import make_plan
-from flash.image.settings_kept import read_settings
-from flash.image.trial import Ending
-from flash.transport import Transport
+from neuroflight.flash.client import Client
+from neuroflight.flash.image.board import check_ready, read_board
+from neuroflight.flash.image.files import Image, ImageFile, Policy
+from neuroflight.flash.image.install import Installation, Installed, Stage
+from neuroflight.flash.image.plan import make_plan
+from neuroflight.flash.image.settings_kept import read_settings
+from neuroflight.flash.image.trial import Ending
+from neuroflight.flash.transport import Transport
+from neuroflight.toolchain.contract import Msp, Refusal, image_header
+from neuroflight.toolchain.errors import LinkError, NeuroflightError
 from tests.flash.image.board_model import HANDLERS, BoardModel, Fate, ModelLine, Setting, board_with
 from tests.flash.image.conftest import policy_of_build, stamped
-from toolchain.contract import Msp, Refusal, image_header
-from toolchain.errors import LinkError, NeuroflightError
 
 OLD, NEW = b"oldbuild", b"newbuild"
 

@@ -9,14 +9,14 @@ from pathlib import Path
 
 import pytest
 
-from flash.client import Client
-from flash.image.files import Image
-from flash.image.messages import image_info
-from flash.image.update import hash_of, write_image
-from flash.transport import open_transport
+from neuroflight.flash.client import Client
+from neuroflight.flash.image.files import Image
+from neuroflight.flash.image.messages import image_info
+from neuroflight.flash.image.update import hash_of, write_image
+from neuroflight.flash.transport import open_transport
+from neuroflight.toolchain.contract import FLASH_BANK_B, FLASH_BASE, Msp, image_header
+from neuroflight.toolchain.errors import LinkError
 from tests.firmware.images import make_image
-from toolchain.contract import FLASH_BANK_B, FLASH_BASE, Msp, image_header
-from toolchain.errors import LinkError
 
 SPEED = 100  # so much faster than the real one is the client's time: silence of 5 s takes 50 ms
 FRAME_BYTES = 521  # the longest one

@@ -7,12 +7,12 @@ import struct
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from flash.client import Client
-from flash.logs.catalogue import Wait
-from flash.msp import Direction, Message, encode
+from neuroflight.flash.client import Client
+from neuroflight.flash.logs.catalogue import Wait
+from neuroflight.flash.msp import Direction, Message, encode
+from neuroflight.toolchain.contract import LOG_ERASE_MAGIC, LogError, LogState, Msp, Refusal
+from neuroflight.toolchain.errors import LinkError
 from tests.flash.image.board_model import Bank, BoardModel, ModelLine
-from toolchain.contract import LOG_ERASE_MAGIC, LogError, LogState, Msp, Refusal
-from toolchain.errors import LinkError
 
 REPLY_BYTES = 233  # of a log in one answer, as the firmware's buffer has room for
 SECTOR = 512

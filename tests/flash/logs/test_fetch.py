@@ -8,13 +8,13 @@ from typing import Any
 
 import pytest
 
-from flash.logs.catalogue import Wait, erase, read_entries, read_info, settled_info
-from flash.logs.fetch import Fetched, fetch
-from flash.logs.messages import LogEntry
+from neuroflight.flash.logs.catalogue import Wait, erase, read_entries, read_info, settled_info
+from neuroflight.flash.logs.fetch import Fetched, fetch
+from neuroflight.flash.logs.messages import LogEntry
+from neuroflight.toolchain.contract import LogError, LogState
+from neuroflight.toolchain.errors import LinkError
 from tests.flash.image.board_model import ModelLine
 from tests.flash.logs.log_model import Cable, LogBoard, client_of, log_board, log_of, wait_of
-from toolchain.contract import LogError, LogState
-from toolchain.errors import LinkError
 
 LOG = log_of(30_000)
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import pytest
 
-from flash.client import RefusedError
-from flash.logs.reading import PATIENCE_S, WINDOW, LogReader, read_bytes
+from neuroflight.flash.client import RefusedError
+from neuroflight.flash.logs.reading import PATIENCE_S, WINDOW, LogReader, read_bytes
+from neuroflight.toolchain.contract import Refusal
+from neuroflight.toolchain.errors import LinkError
 from tests.flash.image.board_model import ModelLine
 from tests.flash.logs.log_model import PacedLine, card_board, client_of, log_board, log_of, losing
-from toolchain.contract import Refusal
-from toolchain.errors import LinkError
 
 LOG = log_of(60_000)
 

@@ -18,18 +18,18 @@ os.environ["MAVLINK20"] = "1"  # of mavutil, which reads it when it is imported
 from pymavlink import mavutil
 from pymavlink.dialects.v20 import common as mavlink
 
-from flash.client import Client
-from flash.mavlink.endpoint import UdpPeer, parse_address
-from flash.mavlink.session import Options, Session
-from flash.setting_text import RATES, STYLE
-from flash.settings import Settings
-from flash.transport import TcpPort, TcpTransport, Transport
-from sim.aircraft.model import load_aircraft
-from sim.control.motors import motor_fractions
-from sim.physics.twin import Twin
-from sim.physics.world import Mount
-from sim.ports.host import HostPort
-from sim.ports.port import Reply, Sample
+from neuroflight.flash.client import Client
+from neuroflight.flash.mavlink.endpoint import UdpPeer, parse_address
+from neuroflight.flash.mavlink.session import Options, Session
+from neuroflight.flash.setting_text import RATES, STYLE
+from neuroflight.flash.settings import Settings
+from neuroflight.flash.transport import TcpPort, TcpTransport, Transport
+from neuroflight.sim.aircraft.model import load_aircraft
+from neuroflight.sim.control.motors import motor_fractions
+from neuroflight.sim.physics.twin import Twin
+from neuroflight.sim.physics.world import Mount
+from neuroflight.sim.ports.host import HostPort
+from neuroflight.sim.ports.port import Reply, Sample
 
 LOOPBACK = "127.0.0.1"
 GYRO_HZ = 2000

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
-from flash.mavlink.session import Options
+from neuroflight.flash.mavlink.session import Options
 from tests.flash.mavlink.conftest import GYRO_HZ, Lockstep, MakeLockstep
 
 WATCHING = Options()

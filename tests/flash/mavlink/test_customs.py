@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from flash.mavlink.customs import (
+from neuroflight.flash.mavlink.customs import (
     CUSTOM_MODE,
     HOLD,
     MODE_OFFBOARD,
@@ -15,7 +15,7 @@ from flash.mavlink.customs import (
     ModeError,
     message_mode,
 )
-from flash.mavlink.offboard import Source
+from neuroflight.flash.mavlink.offboard import Source
 
 ONE: Source = (0, 245, 190)
 OTHER: Source = (0, 255, 230)

@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
-from flash.mavlink.endpoint import DATAGRAM_MAX, MESSAGES_MAX, UdpPeer, Wire, parse, parse_address
-from toolchain.errors import LinkError
+from neuroflight.flash.mavlink.endpoint import DATAGRAM_MAX, MESSAGES_MAX, UdpPeer, Wire, parse, parse_address
+from neuroflight.toolchain.errors import LinkError
 
 ENCODER = mavlink.MAVLink(None, 255, 190)
 PING = bytes(mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3).pack(ENCODER))
@@ -102,7 +102,7 @@ def test_a_port_that_the_system_gave_to_both_ends_is_left_to_the_peer(
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as station:
         station.bind(("127.0.0.1", 0))
         number = station.getsockname()[1]
-    monkeypatch.setattr("flash.mavlink.endpoint.socket.socket", Unlucky)
+    monkeypatch.setattr("neuroflight.flash.mavlink.endpoint.socket.socket", Unlucky)
     peer = UdpPeer(parse_address(f"udp:127.0.0.1:{number}"))
     monkeypatch.undo()
     try:

@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
-from flash.mavlink.session import Options
-from tests.flash.mavlink.conftest import FLYING, GYRO_HZ, Lockstep, MakeLockstep
-from toolchain.contract import (
+from neuroflight.flash.mavlink.session import Options
+from neuroflight.toolchain.contract import (
     RECEIVER_HOLD_MS,
     RECEIVER_LOST_MS,
     FlightState,
     StopCause,
 )
+from tests.flash.mavlink.conftest import FLYING, GYRO_HZ, Lockstep, MakeLockstep
 
 ACCEPTED, REJECTED = mavlink.MAV_RESULT_ACCEPTED, mavlink.MAV_RESULT_TEMPORARILY_REJECTED
 IN_PROGRESS = mavlink.MAV_RESULT_IN_PROGRESS

@@ -14,9 +14,9 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
-from cli.main import main
+from neuroflight.cli.main import main
+from neuroflight.toolchain.contract import SETTINGS
 from tests.flash.mavlink.conftest import LOOPBACK, Station
-from toolchain.contract import SETTINGS
 
 ROOT = Path(__file__).resolve().parents[3]
 WAIT_S = 10.0  # how long anything may take before the test fails
@@ -41,7 +41,7 @@ def station() -> Iterator[Station]:
 
 
 def test_a_ground_station_sees_the_aircraft_and_its_parameters(resting_host: str, station: Station) -> None:
-    command = [sys.executable, "-m", "cli.main", "gateway", "--port", resting_host]
+    command = [sys.executable, "-m", "neuroflight.cli.main", "gateway", "--port", resting_host]
     with subprocess.Popen(
         [*command, "--mavlink", station.address],
         cwd=ROOT,
@@ -83,7 +83,16 @@ def test_the_gateway_outlives_a_restart_that_a_ground_station_asks_for(
     host_program: Path, tmp_path: Path, free_tcp_port: int, station: Station
 ) -> None:
     line = f"tcp:{LOOPBACK}:{free_tcp_port}"
-    command = [sys.executable, "-m", "cli.main", "gateway", "--port", line, "--mavlink", station.address]
+    command = [
+        sys.executable,
+        "-m",
+        "neuroflight.cli.main",
+        "gateway",
+        "--port",
+        line,
+        "--mavlink",
+        station.address,
+    ]
     reboot = mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN
     flash = tmp_path / "flash.bin"
     with ExitStack() as stack, host_at(host_program, flash, free_tcp_port) as host:

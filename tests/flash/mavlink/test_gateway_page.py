@@ -13,11 +13,11 @@ from pathlib import Path
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
-from flash.mavlink.endpoint import UdpPeer
-from flash.mavlink.parameter_names import SHORT
-from flash.mavlink.streams import DEFAULT_HZ
+from neuroflight.flash.mavlink.endpoint import UdpPeer
+from neuroflight.flash.mavlink.parameter_names import SHORT
+from neuroflight.flash.mavlink.streams import DEFAULT_HZ
+from neuroflight.toolchain.contract import SETTINGS
 from tests.flash.mavlink.conftest import LOOPBACK, MakeLockstep
-from toolchain.contract import SETTINGS
 
 PAGE = Path(__file__).resolve().parents[3] / "docs" / "gateway.md"
 ANSWER_S = 10.0  # how long the example may take for one setpoint before the test fails

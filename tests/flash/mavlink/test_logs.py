@@ -13,14 +13,14 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
-from flash.mavlink.ground import Ground
-from flash.mavlink.log_server import LogServer
-from flash.mavlink.session import Options
-from flash.msp import Decoder, Message, encode
-from flash.transport import Transport
+from neuroflight.flash.mavlink.ground import Ground
+from neuroflight.flash.mavlink.log_server import LogServer
+from neuroflight.flash.mavlink.session import Options
+from neuroflight.flash.msp import Decoder, Message, encode
+from neuroflight.flash.transport import Transport
+from neuroflight.toolchain.contract import LogError, Msp
 from tests.flash.logs.log_model import LOG_HANDLERS, LogBoard, PacedLine, client_of, log_board, log_of
 from tests.flash.mavlink.conftest import Lockstep, MakeLockstep, Station
-from toolchain.contract import LogError, Msp
 
 WATCHING = Options()
 PACKET, ALL = 90, 0xFFFFFFFF

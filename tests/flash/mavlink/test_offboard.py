@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from flash.mavlink.offboard import IDLE, OFF_S, SOURCES_MAX, Offboard, Setpoint, Source
-from toolchain.contract import CHANNEL_THROTTLE
+from neuroflight.flash.mavlink.offboard import IDLE, OFF_S, SOURCES_MAX, Offboard, Setpoint, Source
+from neuroflight.toolchain.contract import CHANNEL_THROTTLE
 
 ONE: Source = (0, 201, 191)
 OTHER: Source = (0, 202, 191)

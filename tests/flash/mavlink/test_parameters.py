@@ -7,8 +7,8 @@ import struct
 
 import pytest
 
-from flash.mavlink.parameter_names import NAME_MAX, SHORT, parameter_name
-from flash.mavlink.parameters import (
+from neuroflight.flash.mavlink.parameter_names import NAME_MAX, SHORT, parameter_name
+from neuroflight.flash.mavlink.parameters import (
     FLOAT32_WHOLE_MAX,
     INT32,
     REAL32,
@@ -19,8 +19,8 @@ from flash.mavlink.parameters import (
     encode_value,
     parameter_list,
 )
-from flash.requests import SettingInfo
-from toolchain.contract import SETTINGS
+from neuroflight.flash.requests import SettingInfo
+from neuroflight.toolchain.contract import SETTINGS
 
 INFOS = [SettingInfo(len(SETTINGS), s.name, s.unit, s.low, s.high, s.default, s.kind) for s in SETTINGS]
 ALL = parameter_list(INFOS)

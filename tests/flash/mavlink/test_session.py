@@ -11,18 +11,18 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
-from flash.client import Client
-from flash.mavlink.commands import CANCELLED
-from flash.mavlink.endpoint import UdpPeer, parse_address
-from flash.mavlink.ground import REFUSALS_MAX
-from flash.mavlink.parameter_names import parameter_name
-from flash.mavlink.parameter_server import TYPE_MISMATCH
-from flash.mavlink.session import LOOK_S, Options, Session
-from flash.setting_text import BY_NAME
-from flash.transport import LineGoneError, TcpPort, TcpTransport, Transport
+from neuroflight.flash.client import Client
+from neuroflight.flash.mavlink.commands import CANCELLED
+from neuroflight.flash.mavlink.endpoint import UdpPeer, parse_address
+from neuroflight.flash.mavlink.ground import REFUSALS_MAX
+from neuroflight.flash.mavlink.parameter_names import parameter_name
+from neuroflight.flash.mavlink.parameter_server import TYPE_MISMATCH
+from neuroflight.flash.mavlink.session import LOOK_S, Options, Session
+from neuroflight.flash.setting_text import BY_NAME
+from neuroflight.flash.transport import LineGoneError, TcpPort, TcpTransport, Transport
+from neuroflight.toolchain.contract import SETTINGS, FlightState, Mode, ModeRange
+from neuroflight.toolchain.errors import LinkError
 from tests.flash.mavlink.conftest import FLYING, GYRO_HZ, LOOPBACK, READY_MS, MakeLockstep, Station
-from toolchain.contract import SETTINGS, FlightState, Mode, ModeRange
-from toolchain.errors import LinkError
 
 ACCEPTED, REJECTED, DENIED, UNSUPPORTED, FAILED, IN_PROGRESS = range(6)
 WATCHING = Options()
@@ -424,7 +424,7 @@ def steer(gateway: Any) -> None:
 def test_no_channel_is_sent_unless_offboard_is_allowed_and_enabled(
     lockstep: MakeLockstep, options: Options, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from flash import requests
+    from neuroflight.flash import requests
 
     sent: list[object] = []
 
@@ -887,8 +887,8 @@ def test_a_line_that_does_not_come_back_ends_the_gateway_after_a_minute(lockstep
 
 
 def test_a_firmware_of_another_make_is_refused(tcp_server: Callable[[Callable[[bytes], bytes]], str]) -> None:
-    from flash.msp import Decoder, Message, encode, error, reply
-    from toolchain.contract import Msp
+    from neuroflight.flash.msp import Decoder, Message, encode, error, reply
+    from neuroflight.toolchain.contract import Msp
 
     def answer(data: bytes) -> bytes:
         (asked,) = [event for event in Decoder().feed(data) if isinstance(event, Message)]

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from flash.mavlink.setpoint_check import SAMPLES, SetpointCheck
-from flash.stream import Sample
-from toolchain.contract import FlightState
+from neuroflight.flash.mavlink.setpoint_check import SAMPLES, SetpointCheck
+from neuroflight.flash.stream import Sample
+from neuroflight.toolchain.contract import FlightState
 
 PERIOD_S = 0.02
 FLOWN = Sample(

@@ -9,9 +9,9 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
-from flash.mavlink.setpoints import attitude_target, channels_override, manual_control
-from flash.mavlink.sticks import sticks_of
-from toolchain.contract import (
+from neuroflight.flash.mavlink.setpoints import attitude_target, channels_override, manual_control
+from neuroflight.flash.mavlink.sticks import sticks_of
+from neuroflight.toolchain.contract import (
     CHANNEL_AUX1,
     CHANNEL_COUNT,
     CHANNEL_PITCH,
@@ -133,6 +133,6 @@ def test_channels_are_refused_when_a_stick_lacks_or_one_is_beyond(channels: tupl
 
 @pytest.mark.parametrize("read", [attitude_target, manual_control, channels_override])
 def test_messages_of_steering_are_those_of_the_table(read: Callable[..., object]) -> None:
-    from flash.mavlink.setpoints import STEERING
+    from neuroflight.flash.mavlink.setpoints import STEERING
 
     assert read in STEERING.values() and len(STEERING) == 3

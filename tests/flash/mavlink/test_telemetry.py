@@ -8,13 +8,13 @@ from dataclasses import replace
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
-from flash.mavlink import telemetry
-from flash.mavlink.customs import MODE_OFFBOARD, MODE_RECEIVER
-from flash.mavlink.frames import euler_frd, quaternion_frd, swap_frame
-from flash.mavlink.telemetry import UNKNOWN, Inertial, Vehicle
-from flash.messages import Attitude, BatteryLevel, BatteryState, Status, StatusEx
-from flash.records import Safety
-from toolchain.contract import FallbackCause, FlightState, GyroHealth, StopCause
+from neuroflight.flash.mavlink import telemetry
+from neuroflight.flash.mavlink.customs import MODE_OFFBOARD, MODE_RECEIVER
+from neuroflight.flash.mavlink.frames import euler_frd, quaternion_frd, swap_frame
+from neuroflight.flash.mavlink.telemetry import UNKNOWN, Inertial, Vehicle
+from neuroflight.flash.messages import Attitude, BatteryLevel, BatteryState, Status, StatusEx
+from neuroflight.flash.records import Safety
+from neuroflight.toolchain.contract import FallbackCause, FlightState, GyroHealth, StopCause
 
 NF1 = Vehicle(4, (1, 2, 3), "00112233445566778899aabb", 0)
 FULL = BatteryState(4, BatteryLevel.GOOD, 16.8, 250, 1.25)

@@ -6,12 +6,12 @@ from dataclasses import replace
 
 import pytest
 
-from flash.mavlink import texts
-from flash.mavlink.texts import CHUNK, Condition, Text, changes, status_texts
-from flash.messages import BatteryLevel
-from flash.records import FaultKind
+from neuroflight.flash.mavlink import texts
+from neuroflight.flash.mavlink.texts import CHUNK, Condition, Text, changes, status_texts
+from neuroflight.flash.messages import BatteryLevel
+from neuroflight.flash.records import FaultKind
+from neuroflight.toolchain.contract import ArmingReason, FallbackCause, FlightState, GyroHealth, StopCause
 from tests.flash.mavlink.test_telemetry import SAFE
-from toolchain.contract import ArmingReason, FallbackCause, FlightState, GyroHealth, StopCause
 
 CALM = Condition(SAFE, armed=False)
 FLYING = Condition(replace(SAFE, state=FlightState.ARMED), armed=True)

@@ -9,16 +9,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from flash.client import Client
-from flash.info import read_info
-from flash.monitoring import watch as watching
-from flash.monitoring.snapshot import CHANNELS, read_snapshot
-from flash.monitoring.watch import Watch
-from flash.msp import Decoder, Message, encode, error, reply
-from flash.transport import Transport, open_transport
+from neuroflight.flash.client import Client
+from neuroflight.flash.info import read_info
+from neuroflight.flash.monitoring import watch as watching
+from neuroflight.flash.monitoring.snapshot import CHANNELS, read_snapshot
+from neuroflight.flash.monitoring.watch import Watch
+from neuroflight.flash.msp import Decoder, Message, encode, error, reply
+from neuroflight.flash.transport import Transport, open_transport
+from neuroflight.toolchain.contract import Msp
+from neuroflight.toolchain.errors import LinkError
 from tests.flash.lockstep import Lockstep, lockstep
-from toolchain.contract import Msp
-from toolchain.errors import LinkError
 
 
 def test_everything_is_seen_of_a_firmware_in_flight(booted: Lockstep) -> None:

@@ -8,13 +8,13 @@ from dataclasses import dataclass, field
 
 import pytest
 
-from flash.rom.client import RomClient
-from flash.rom.segments import Segment
-from flash.transport import Transport
-from sim.board.peripherals.usart import Format
-from sim.board.serial.bridge import Bridge, End, LineTransport, UartLine
-from sim.board.serial.idle_board import STEP, IdleBoard
-from toolchain.contract import FLASH_BANK_A, FLASH_BASE, FLASH_BYTES, FLASH_POLICY_SLOTS
+from neuroflight.flash.rom.client import RomClient
+from neuroflight.flash.rom.segments import Segment
+from neuroflight.flash.transport import Transport
+from neuroflight.sim.board.peripherals.usart import Format
+from neuroflight.sim.board.serial.bridge import Bridge, End, LineTransport, UartLine
+from neuroflight.sim.board.serial.idle_board import STEP, IdleBoard
+from neuroflight.toolchain.contract import FLASH_BANK_A, FLASH_BASE, FLASH_BYTES, FLASH_POLICY_SLOTS
 
 BAUD = 115_200
 # Vectors and two instructions, which wait for ever; and what stands for a bank.

@@ -7,10 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from flash.rom.image_check import check_image
-from flash.rom.segments import Segment, read_segments
-from tests.flash.rom.conftest import BANK, BOOT
-from toolchain.contract import (
+from neuroflight.flash.rom.image_check import check_image
+from neuroflight.flash.rom.segments import Segment, read_segments
+from neuroflight.toolchain.contract import (
     FLASH_BANK_A,
     FLASH_BANK_B,
     FLASH_BASE,
@@ -20,7 +19,8 @@ from toolchain.contract import (
     image_field_offset,
     policy_header,
 )
-from toolchain.errors import LinkError
+from neuroflight.toolchain.errors import LinkError
+from tests.flash.rom.conftest import BANK, BOOT
 
 BOARD_OFFSET = image_field_offset("board")
 

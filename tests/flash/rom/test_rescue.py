@@ -8,24 +8,24 @@ from pathlib import Path
 
 import pytest
 
-from flash import messages
-from flash.restart import enter_rom
-from flash.rom.client import NoBootLoaderError, RefusedError, RomClient
-from flash.rom.rescue import Plan, install, make_plan, start, verify
-from flash.rom.segments import Segment, read_segments
-from flash.transport import Transport
-from sim.board.peripherals.flash import Cut
-from sim.board.serial.idle_board import IdleBoard
-from tests.flash.rom.conftest import BANK, BOOT, SLOT_B, SMALL, Rig, flash_with
-from toolchain.contract import (
+from neuroflight.flash import messages
+from neuroflight.flash.restart import enter_rom
+from neuroflight.flash.rom.client import NoBootLoaderError, RefusedError, RomClient
+from neuroflight.flash.rom.rescue import Plan, install, make_plan, start, verify
+from neuroflight.flash.rom.segments import Segment, read_segments
+from neuroflight.flash.transport import Transport
+from neuroflight.sim.board.peripherals.flash import Cut
+from neuroflight.sim.board.serial.idle_board import IdleBoard
+from neuroflight.toolchain.contract import (
     FLASH_BANK_A,
     FLASH_BASE,
     FLASH_BYTES,
     FLASH_SECTORS,
     Msp,
 )
-from toolchain.errors import LinkError
-from toolchain.image.elf import read_flashable
+from neuroflight.toolchain.errors import LinkError
+from neuroflight.toolchain.image.elf import read_flashable
+from tests.flash.rom.conftest import BANK, BOOT, SLOT_B, SMALL, Rig, flash_with
 
 PLAN = make_plan(SMALL)
 FULL = bytes(i % 251 + 1 for i in range(FLASH_BYTES))  # a chip in use

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from flash.rom.segments import (
+from neuroflight.flash.rom.segments import (
     ELF_BYTES_MAX,
     GAP_BYTES,
     HEX_BYTES_MAX,
@@ -20,8 +20,14 @@ from flash.rom.segments import (
     read_segments,
     touched_sectors,
 )
-from toolchain.contract import FLASH_BANK_A, FLASH_BASE, FLASH_BOOT, FLASH_BYTES, FLASH_POLICY_SLOTS
-from toolchain.errors import LinkError
+from neuroflight.toolchain.contract import (
+    FLASH_BANK_A,
+    FLASH_BASE,
+    FLASH_BOOT,
+    FLASH_BYTES,
+    FLASH_POLICY_SLOTS,
+)
+from neuroflight.toolchain.errors import LinkError
 
 END = b":00000001FF\n"
 HIGH = b":020000040800F2\n"  # data from 0x08000000 on

@@ -5,10 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sim.aircraft.advance import RATIO_LAST, AdvanceRatio
-from sim.aircraft.edit import edit_aircraft
-from sim.aircraft.model import FOLDER, Aircraft, load_aircraft, parse_aircraft
-from toolchain.errors import AircraftError
+from neuroflight.sim.aircraft.advance import RATIO_LAST, AdvanceRatio
+from neuroflight.sim.aircraft.edit import edit_aircraft
+from neuroflight.sim.aircraft.model import FOLDER, Aircraft, load_aircraft, parse_aircraft
+from neuroflight.toolchain.errors import AircraftError
 
 NF1 = (FOLDER / "nf1.toml").read_text()
 DIAMETER = "propeller_diameter_m = 0.12954 "

@@ -4,9 +4,9 @@ from pathlib import Path
 
 import pytest
 
-from sim.aircraft.edit import edit_aircraft
-from sim.aircraft.model import FILE_BYTES_MAX, FOLDER, load_aircraft
-from toolchain.errors import AircraftError
+from neuroflight.sim.aircraft.edit import edit_aircraft
+from neuroflight.sim.aircraft.model import FILE_BYTES_MAX, FOLDER, load_aircraft
+from neuroflight.toolchain.errors import AircraftError
 
 NF1 = (FOLDER / "nf1.toml").read_bytes()
 NOISE = (0.5, 0.25, 0.125)

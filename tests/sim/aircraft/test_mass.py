@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from sim.aircraft.mass import Part, Tensor, mass_properties, principal, rotation_matrix
-from sim.aircraft.model import load_aircraft
+from neuroflight.sim.aircraft.mass import Part, Tensor, mass_properties, principal, rotation_matrix
+from neuroflight.sim.aircraft.model import load_aircraft
 
 
 def diagonal(x: float, y: float, z: float) -> Tensor:

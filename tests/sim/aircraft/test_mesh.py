@@ -8,8 +8,8 @@ import pytest
 import trimesh
 from scipy.spatial.transform import Rotation
 
-from sim.aircraft.mass import MeshPose
-from sim.aircraft.mesh import BYTES_MAX, Solid, box, cylinder, equal_box, placed, read_solid
+from neuroflight.sim.aircraft.mass import MeshPose
+from neuroflight.sim.aircraft.mesh import BYTES_MAX, Solid, box, cylinder, equal_box, placed, read_solid
 
 MM = 0.001
 

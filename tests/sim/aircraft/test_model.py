@@ -17,10 +17,10 @@ import numpy as np
 import pytest
 import trimesh
 
-import sim.aircraft.model
-from sim.aircraft.digest import EARLIER, flown_sha256
-from sim.aircraft.mesh import BYTES_MAX
-from sim.aircraft.model import (
+import neuroflight.sim.aircraft.model
+from neuroflight.sim.aircraft.digest import EARLIER, flown_sha256
+from neuroflight.sim.aircraft.mesh import BYTES_MAX
+from neuroflight.sim.aircraft.model import (
     FOLDER,
     NAME,
     Aircraft,
@@ -31,11 +31,11 @@ from sim.aircraft.model import (
     thrust_coefficient,
     torque_ratio,
 )
-from sim.aircraft.pid_write import write_pid
-from sim.design.airworthiness import Level, examine
-from sim.strict_toml import StrictTable, Value
-from toolchain.errors import AircraftError
-from toolchain.policy.model import AIRCRAFT_NAME
+from neuroflight.sim.aircraft.pid_write import write_pid
+from neuroflight.sim.design.airworthiness import Level, examine
+from neuroflight.sim.strict_toml import StrictTable, Value
+from neuroflight.toolchain.errors import AircraftError
+from neuroflight.toolchain.policy.model import AIRCRAFT_NAME
 
 NF1 = (FOLDER / "nf1.toml").read_text()
 GUIDE = (Path(__file__).parents[3] / "docs" / "own-aircraft.md").read_text()
@@ -528,7 +528,7 @@ def test_guide_lists_every_key_with_its_range_and_default_when_compared_with_the
 ) -> None:
     asked: dict[str, set[tuple[str, str]]] = {}
     monkeypatch.setattr(Recording, "asked", asked, raising=False)
-    monkeypatch.setattr(sim.aircraft.model, "StrictTable", Recording)
+    monkeypatch.setattr(neuroflight.sim.aircraft.model, "StrictTable", Recording)
     for text in every_form(tmp_path):
         assert isinstance(parse_aircraft(text.encode(), "mine", tmp_path), Aircraft)
     other_pids = {name for name in asked if name.startswith("pid.") and not name.startswith("pid.NAME.")}

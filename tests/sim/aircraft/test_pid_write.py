@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from sim.aircraft.model import FOLDER, PidSettings, load_aircraft
-from sim.aircraft.pid_write import write_pid
-from toolchain.errors import AircraftError
+from neuroflight.sim.aircraft.model import FOLDER, PidSettings, load_aircraft
+from neuroflight.sim.aircraft.pid_write import write_pid
+from neuroflight.toolchain.errors import AircraftError
 
 NF1 = (FOLDER / "nf1.toml").read_text()
 BARE = NF1[: NF1.index("# Found by `neuroflight tune-pid")]

@@ -10,14 +10,14 @@ import numpy as np
 import pybullet
 import pytest
 
-from cli.main import main
-from sim.aircraft.mass import MassProperties, rotation_matrix
-from sim.aircraft.model import RPM, Aircraft, FirstOrderResponse, TorqueResponse, load_aircraft
-from sim.aircraft.robot import FILE_BYTES_MAX
-from sim.aircraft.robot_aircraft import import_aircraft
-from sim.design.airworthiness import Level, examine
-from toolchain.contract import GRAVITY
-from toolchain.errors import AircraftError
+from neuroflight.cli.main import main
+from neuroflight.sim.aircraft.mass import MassProperties, rotation_matrix
+from neuroflight.sim.aircraft.model import RPM, Aircraft, FirstOrderResponse, TorqueResponse, load_aircraft
+from neuroflight.sim.aircraft.robot import FILE_BYTES_MAX
+from neuroflight.sim.aircraft.robot_aircraft import import_aircraft
+from neuroflight.sim.design.airworthiness import Level, examine
+from neuroflight.toolchain.contract import GRAVITY
+from neuroflight.toolchain.errors import AircraftError
 
 Capture = pytest.CaptureFixture[str]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sim.analysis.confidence import mean_of, paired, share_of, student
+from neuroflight.sim.analysis.confidence import mean_of, paired, share_of, student
 
 
 @pytest.mark.parametrize(

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from sim.analysis.esc_plot import TITLES, draw_topics
-from sim.flight.esc_record import DIGITS
+from neuroflight.sim.analysis.esc_plot import TITLES, draw_topics
+from neuroflight.sim.flight.esc_record import DIGITS
 
 
 def test_every_topic_has_a_panel_with_its_unit_and_says_when_it_is_not_known() -> None:

@@ -10,9 +10,9 @@ import matplotlib.image
 import numpy as np
 import pytest
 
-from sim.analysis.flight_report import Flight, draw, save_plot, save_report, table
-from sim.analysis.metrics import figures
-from sim.flight.trace import Trace
+from neuroflight.sim.analysis.flight_report import Flight, draw, save_plot, save_report, table
+from neuroflight.sim.analysis.metrics import figures
+from neuroflight.sim.flight.trace import Trace
 
 
 def make_flight(name: str, steps: int = 3000, error_deg_s: float = 2.0) -> Flight:

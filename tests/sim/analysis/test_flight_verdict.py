@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from sim.analysis.flight_report import Flight
-from sim.analysis.flight_verdict import faults, verdict, verdict_of_several
-from sim.analysis.holding import holding
-from sim.analysis.metrics import figures
-from sim.flight.scenario import HOVER_S, flight
-from sim.flight.trace import Trace
+from neuroflight.sim.analysis.flight_report import Flight
+from neuroflight.sim.analysis.flight_verdict import faults, verdict, verdict_of_several
+from neuroflight.sim.analysis.holding import holding
+from neuroflight.sim.analysis.metrics import figures
+from neuroflight.sim.flight.scenario import HOVER_S, flight
+from neuroflight.sim.flight.trace import Trace
 
 Array = NDArray[np.float64]
 SCENARIO = flight(3, 5, 0.25)

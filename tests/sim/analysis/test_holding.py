@@ -5,8 +5,8 @@ import pybullet as p
 import pytest
 from scipy.spatial.transform import Rotation
 
-from sim.analysis.confidence import mean_of
-from sim.analysis.holding import holding, holding_figures
+from neuroflight.sim.analysis.confidence import mean_of
+from neuroflight.sim.analysis.holding import holding, holding_figures
 
 STEP_S = 0.01
 BEFORE, HOVER = 1000, 1000  # rows: five commands of 2 s each, 10 s of hover

@@ -9,11 +9,11 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from sim.analysis.manoeuvre import manoeuvre_figures, overshoot, shake
-from sim.analysis.stick_flight import descent_figures, stick_figures
-from sim.flight.motion import Motion
-from sim.flight.scenario import Scenario, Segment
-from sim.flight.trace import Trace
+from neuroflight.sim.analysis.manoeuvre import manoeuvre_figures, overshoot, shake
+from neuroflight.sim.analysis.stick_flight import descent_figures, stick_figures
+from neuroflight.sim.flight.motion import Motion
+from neuroflight.sim.flight.scenario import Scenario, Segment
+from neuroflight.sim.flight.trace import Trace
 
 HZ = 1000
 

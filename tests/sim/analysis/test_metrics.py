@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sim.analysis.metrics import controller_output, effort, figures, tracking
-from sim.control.motors import throttle_mix
-from sim.flight.trace import Trace
-from toolchain.contract import Mix
+from neuroflight.sim.analysis.metrics import controller_output, effort, figures, tracking
+from neuroflight.sim.control.motors import throttle_mix
+from neuroflight.sim.flight.trace import Trace
+from neuroflight.toolchain.contract import Mix
 
 STEP_S = 0.001
 

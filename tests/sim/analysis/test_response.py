@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from sim.analysis.response import Hold, hold, in_band, progress, response, response_figures
+from neuroflight.sim.analysis.response import Hold, hold, in_band, progress, response, response_figures
 
 Array = NDArray[np.float64]
 STEP_S = 0.001

@@ -8,11 +8,11 @@ import matplotlib.image
 import numpy as np
 import pytest
 
-from sim.analysis.response import Hold, hold, response_figures
-from sim.analysis.response_plot import draw
-from sim.analysis.spectrum import Spectrum
-from sim.analysis.spectrum_plot import Line
-from sim.plotting import png
+from neuroflight.sim.analysis.response import Hold, hold, response_figures
+from neuroflight.sim.analysis.response_plot import draw
+from neuroflight.sim.analysis.spectrum import Spectrum
+from neuroflight.sim.analysis.spectrum_plot import Line
+from neuroflight.sim.plotting import png
 
 LINE = Line("PID", Spectrum(np.array([1.0, 10.0, 100.0]), np.array([0.02, 0.01, 0.001])), 3.4e-5)
 

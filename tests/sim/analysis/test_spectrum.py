@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sim.analysis.spectrum import components, smoothness, spectrum
+from neuroflight.sim.analysis.spectrum import components, smoothness, spectrum
 
 STEP_S = 0.001
 T = np.arange(4000) * STEP_S

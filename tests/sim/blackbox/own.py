@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from sim.flight.trace import Trace
+from neuroflight.sim.flight.trace import Trace
+from neuroflight.toolchain.contract import FlightState
 from tests.sim.blackbox.writer import END, PRODUCT, Column, event, fields, flight, header, slow
-from toolchain.contract import FlightState
 
 AXES = range(3)
 LEAD = 7  # rows before the motors turn
@@ -16,7 +16,7 @@ LEAD = 7  # rows before the motors turn
 
 def trace(steps: int, seed: int = 1, rate_hz: int = 1000) -> Trace:
     """A flight of noise around a held command, as a trace."""
-    from sim.control.motors import motor_fractions
+    from neuroflight.sim.control.motors import motor_fractions
 
     rng = np.random.default_rng(seed)
     setpoint = np.zeros((steps, 3), np.float32)

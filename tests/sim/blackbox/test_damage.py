@@ -10,10 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cli.main import main
-from sim.blackbox.headers import FILE_BYTES_MAX
-from sim.blackbox.log import list_logs, read_log
-from sim.blackbox.quality import quality
+from neuroflight.cli.main import main
+from neuroflight.sim.blackbox.headers import FILE_BYTES_MAX
+from neuroflight.sim.blackbox.log import list_logs, read_log
+from neuroflight.sim.blackbox.quality import quality
+from neuroflight.toolchain.errors import TraceError
 from tests.sim.blackbox import damage
 from tests.sim.blackbox.writer import (
     END,
@@ -26,7 +27,6 @@ from tests.sim.blackbox.writer import (
     header,
     slow,
 )
-from toolchain.errors import TraceError
 
 COLUMNS = [
     *(Column(f"setpoint[{axis}]") for axis in range(4)),

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from numpy.random import Generator
 
-from sim.blackbox.log import Log, read_log
+from neuroflight.sim.blackbox.log import Log, read_log
 from tests.sim.blackbox.encoder import (
     AVERAGE,
     LINE,

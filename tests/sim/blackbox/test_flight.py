@@ -10,22 +10,22 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cli.main import main
-from sim.blackbox.commands import EDGES_DEG_S, Sticks, commands, log_sticks, trace_sticks
-from sim.blackbox.events import words
-from sim.blackbox.export import save_csv, save_headers
-from sim.blackbox.firmware import Maker
-from sim.blackbox.flight import Part, cut, log_flight, log_trace, trace_flight
-from sim.blackbox.log import read_log
-from sim.blackbox.quality import Answer, quality, replay_obstacles
-from sim.blackbox.units import channels
-from sim.flight.trace import save_trace
-from sim.identification.recording import read_recording
-from sim.recorded.files import load_commands
+from neuroflight.cli.main import main
+from neuroflight.sim.blackbox.commands import EDGES_DEG_S, Sticks, commands, log_sticks, trace_sticks
+from neuroflight.sim.blackbox.events import words
+from neuroflight.sim.blackbox.export import save_csv, save_headers
+from neuroflight.sim.blackbox.firmware import Maker
+from neuroflight.sim.blackbox.flight import Part, cut, log_flight, log_trace, trace_flight
+from neuroflight.sim.blackbox.log import read_log
+from neuroflight.sim.blackbox.quality import Answer, quality, replay_obstacles
+from neuroflight.sim.blackbox.units import channels
+from neuroflight.sim.flight.trace import save_trace
+from neuroflight.sim.identification.recording import read_recording
+from neuroflight.sim.recorded.files import load_commands
+from neuroflight.toolchain.contract import FallbackCause, FlightState, Mix, StopCause
+from neuroflight.toolchain.errors import TraceError
 from tests.sim.blackbox.own import LEAD, log_of, trace
 from tests.sim.blackbox.writer import event, slow
-from toolchain.contract import FallbackCause, FlightState, Mix, StopCause
-from toolchain.errors import TraceError
 
 IDLE = 0.055
 STEPS = 2500

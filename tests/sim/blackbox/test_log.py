@@ -10,10 +10,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cli.main import main
-from sim.blackbox.firmware import Maker
-from sim.blackbox.log import GLANCE_BYTES, floats, glance, list_logs, read_log
-from sim.blackbox.units import channels
+from neuroflight.cli.main import main
+from neuroflight.sim.blackbox.firmware import Maker
+from neuroflight.sim.blackbox.log import GLANCE_BYTES, floats, glance, list_logs, read_log
+from neuroflight.sim.blackbox.units import channels
+from neuroflight.toolchain.errors import TraceError
 from tests.sim.blackbox.writer import (
     END,
     GROUP,
@@ -29,7 +30,6 @@ from tests.sim.blackbox.writer import (
     slow,
     unsigned,
 )
-from toolchain.errors import TraceError
 
 COLUMNS = [*(Column(f"gyroADC[{axis}]") for axis in range(3)), *(Column(f"motor[{m}]") for m in range(4))]
 NUMBERS = header({"I interval": 32, "P interval": "1/1", "looptime": 125})

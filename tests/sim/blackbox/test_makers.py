@@ -10,15 +10,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cli.main import main
-from sim.blackbox.firmware import Firmware, Maker, firmware
-from sim.blackbox.flight import log_trace
-from sim.blackbox.log import Log, read_log
-from sim.blackbox.motors import IMPOSSIBLE
-from sim.blackbox.quality import Answer, quality
-from sim.blackbox.units import Channels, channels
+from neuroflight.cli.main import main
+from neuroflight.sim.blackbox.firmware import Firmware, Maker, firmware
+from neuroflight.sim.blackbox.flight import log_trace
+from neuroflight.sim.blackbox.log import Log, read_log
+from neuroflight.sim.blackbox.motors import IMPOSSIBLE
+from neuroflight.sim.blackbox.quality import Answer, quality
+from neuroflight.sim.blackbox.units import Channels, channels
+from neuroflight.toolchain.errors import TraceError
 from tests.sim.blackbox.writer import END, PRODUCT, Column, fields, flight, header, slow
-from toolchain.errors import TraceError
 
 BETAFLIGHT = "Betaflight 4.4.2 (abc) SITL"
 MINMOTOR, MINTHROTTLE = 11, 4  # predictors

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sim.blackbox.firmware import Firmware, Maker
-from sim.blackbox.proof import choose
-from sim.blackbox.rates import RatesError, Reading, readings
+from neuroflight.sim.blackbox.firmware import Firmware, Maker
+from neuroflight.sim.blackbox.proof import choose
+from neuroflight.sim.blackbox.rates import RatesError, Reading, readings
 
 RATE_HZ = 500.0
 ROWS = 3000

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sim.blackbox.firmware import Firmware, Maker
-from sim.blackbox.rates import RatesError, Style, readings
+from neuroflight.sim.blackbox.firmware import Firmware, Maker
+from neuroflight.sim.blackbox.rates import RatesError, Style, readings
 
 CASES = 1000
 SEED = 20260927

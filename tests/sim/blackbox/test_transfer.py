@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cli.main import main
-from sim.blackbox.log import list_logs, read_log
-from sim.blackbox.transfer import text_transfer
+from neuroflight.cli.main import main
+from neuroflight.sim.blackbox.log import list_logs, read_log
+from neuroflight.sim.blackbox.transfer import text_transfer
 from tests.sim.blackbox.encoder import encode
 from tests.sim.blackbox.test_encoded import few_and_all, fields_of, written
 from tests.sim.blackbox.writer import END, PRODUCT, Column, fields, flight, header

@@ -7,12 +7,12 @@ from typing import Any
 
 import pytest
 
-from sim.board.board import Hardware
-from sim.board.core.context import BoardError
-from sim.board.core.engine import Engine
-from sim.board.devices.gyro_chip import MPU6500
-from sim.board.native.library import native_library
-from sim.board.registers.bus import load_table
+from neuroflight.sim.board.board import Hardware
+from neuroflight.sim.board.core.context import BoardError
+from neuroflight.sim.board.core.engine import Engine
+from neuroflight.sim.board.devices.gyro_chip import MPU6500
+from neuroflight.sim.board.native.library import native_library
+from neuroflight.sim.board.registers.bus import load_table
 from tests.sim.board.programs import attach, boot, compile_program, results  # noqa: F401 - fixtures
 
 MICROSECOND = 216

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from sim.board.core.engine import Engine
+from neuroflight.sim.board.core.engine import Engine
 
 FLAGS = (
     *("-mcpu=cortex-m7", "-mthumb", "-mfpu=fpv5-sp-d16", "-mfloat-abi=hard", "-std=gnu11", "-O1", "-g"),

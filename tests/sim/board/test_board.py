@@ -10,11 +10,11 @@ from typing import Any
 
 import pytest
 
-from sim.board.board import Board
-from sim.board.core.context import BoardError
-from sim.board.debug.snapshot import restore_snapshot, take_snapshot
-from sim.board.devices.gyro_chip import MPU6500
-from sim.board.peripherals.usart import SBUS
+from neuroflight.sim.board.board import Board
+from neuroflight.sim.board.core.context import BoardError
+from neuroflight.sim.board.debug.snapshot import restore_snapshot, take_snapshot
+from neuroflight.sim.board.devices.gyro_chip import MPU6500
+from neuroflight.sim.board.peripherals.usart import SBUS
 
 BOOT_S = 0.0072
 QUICK = replace(MPU6500, start_ms=1, reset_ms=2)  # a chip that need not be waited for

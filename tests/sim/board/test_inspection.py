@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from sim.board.core.context import BoardError
+from neuroflight.sim.board.core.context import BoardError
 
 if TYPE_CHECKING:
     from tests.sim.board.conftest import Bench

@@ -8,18 +8,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sim.aircraft.model import load_aircraft
-from sim.control.controller import PolicyController
-from sim.control.estimator import Estimator
-from sim.control.motors import throttle_mix
-from sim.control.observation import Observer
-from toolchain.contract import Mix, observation_blocks
-from toolchain.ir.interpreter import evaluate
-from toolchain.ir.network import chain
-from toolchain.ir.operations import Clip, Linear
-from toolchain.policy.model import PolicyModel, read_policy
-from training.evaluation.evaluation import record
-from training.tasks.task import PulseTask
+from neuroflight.sim.aircraft.model import load_aircraft
+from neuroflight.sim.control.controller import PolicyController
+from neuroflight.sim.control.estimator import Estimator
+from neuroflight.sim.control.motors import throttle_mix
+from neuroflight.sim.control.observation import Observer
+from neuroflight.toolchain.contract import Mix, observation_blocks
+from neuroflight.toolchain.ir.interpreter import evaluate
+from neuroflight.toolchain.ir.network import chain
+from neuroflight.toolchain.ir.operations import Clip, Linear
+from neuroflight.toolchain.policy.model import PolicyModel, read_policy
+from neuroflight.training.evaluation.evaluation import record
+from neuroflight.training.tasks.task import PulseTask
 
 ZERO, NO_THRUST = np.zeros((2, 3), np.float32), np.zeros(2, np.float32)
 

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from sim.aircraft.model import Aircraft, FirstOrderResponse, load_aircraft
-from sim.control.estimator import Estimator, model_constants
-from sim.control.motors import dshot_values, motor_fractions, throttle_mix
-from sim.control.pid import aircraft_pid
-from sim.physics.rotor import target_speed
-from sim.physics.twin import Twin
-from toolchain.errors import AircraftError
-from toolchain.policy.model_constants import UNLIMITED, ModelConstants
+from neuroflight.sim.aircraft.model import Aircraft, FirstOrderResponse, load_aircraft
+from neuroflight.sim.control.estimator import Estimator, model_constants
+from neuroflight.sim.control.motors import dshot_values, motor_fractions, throttle_mix
+from neuroflight.sim.control.pid import aircraft_pid
+from neuroflight.sim.physics.rotor import target_speed
+from neuroflight.sim.physics.twin import Twin
+from neuroflight.toolchain.errors import AircraftError
+from neuroflight.toolchain.policy.model_constants import UNLIMITED, ModelConstants
 
 Float32 = NDArray[np.float32]
 EVERYONE = slice(None)

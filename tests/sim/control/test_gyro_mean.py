@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sim.control.gyro_mean import GyroMean, samples_per_step
+from neuroflight.sim.control.gyro_mean import GyroMean, samples_per_step
 
 RATES = st.floats(-40.0, 40.0, width=32)
 

@@ -5,9 +5,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sim.control.motors import dshot_values, each_fraction, motor_commands, motor_fractions, throttle_mix
-from toolchain.contract import Mix
-from toolchain.errors import LinkError
+from neuroflight.sim.control.motors import (
+    dshot_values,
+    each_fraction,
+    motor_commands,
+    motor_fractions,
+    throttle_mix,
+)
+from neuroflight.toolchain.contract import Mix
+from neuroflight.toolchain.errors import LinkError
 
 
 def test_the_mix_is_the_output_itself_when_the_throttle_is_zero() -> None:

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from sim.aircraft.model import load_aircraft
-from sim.control.estimator import Estimator, model_constants
-from sim.control.observation import Observer, limits
-from toolchain.contract import OBSERVATION_BLOCKS, ObservationTerm, observation_blocks
+from neuroflight.sim.aircraft.model import load_aircraft
+from neuroflight.sim.control.estimator import Estimator, model_constants
+from neuroflight.sim.control.observation import Observer, limits
+from neuroflight.toolchain.contract import OBSERVATION_BLOCKS, ObservationTerm, observation_blocks
 
 EVERYONE = slice(None)
 

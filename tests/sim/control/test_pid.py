@@ -13,14 +13,14 @@ import simple_pid
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from sim.aircraft.model import PidSettings, load_aircraft, shipped
-from sim.control import library
-from sim.control.pid import Pid, aircraft_pid
-from sim.control.pid_table import mixer, pid_mixer, pid_settings
-from sim.physics.world import Mount
-from toolchain.errors import AircraftError, BuildError
-from training.evaluation.evaluation import figures, record
-from training.tasks.task import PulseTask
+from neuroflight.sim.aircraft.model import PidSettings, load_aircraft, shipped
+from neuroflight.sim.control import library
+from neuroflight.sim.control.pid import Pid, aircraft_pid
+from neuroflight.sim.control.pid_table import mixer, pid_mixer, pid_settings
+from neuroflight.sim.physics.world import Mount
+from neuroflight.toolchain.errors import AircraftError, BuildError
+from neuroflight.training.evaluation.evaluation import figures, record
+from neuroflight.training.tasks.task import PulseTask
 
 RATE_HZ = 1000
 CUTOFF_HZ = 80.0

@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sim.control import sticks
-from sim.ports.library import Reference
-from sim.ports.port import flight_settings
-from toolchain.contract import (
+from neuroflight.sim.control import sticks
+from neuroflight.sim.ports.library import Reference
+from neuroflight.sim.ports.port import flight_settings
+from neuroflight.toolchain.contract import (
     CHANNEL_ARM,
     CHANNEL_COUNT,
     CHANNEL_PITCH,
@@ -20,7 +20,7 @@ from toolchain.contract import (
     RECEIVER_RECOVERY_MS,
     SWITCH_ON_US,
 )
-from toolchain.errors import ScenarioError
+from neuroflight.toolchain.errors import ScenarioError
 
 
 def test_setpoint_and_throttle_are_the_cores_bits_when_every_stick_is_tried(reference_library: Path) -> None:

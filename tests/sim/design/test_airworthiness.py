@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from scipy.optimize import linprog
 
-from sim.aircraft.mass import MassProperties
-from sim.aircraft.model import FOLDER, Aircraft, load_aircraft, parse_aircraft, shipped
-from sim.design.airworthiness import Level, Verdict, examine
-from sim.design.figures import balanced_thrust, greatest_moment
-from sim.physics.twin import Twin
-from sim.physics.world import Mount
-from toolchain.contract import GRAVITY
+from neuroflight.sim.aircraft.mass import MassProperties
+from neuroflight.sim.aircraft.model import FOLDER, Aircraft, load_aircraft, parse_aircraft, shipped
+from neuroflight.sim.design.airworthiness import Level, Verdict, examine
+from neuroflight.sim.design.figures import balanced_thrust, greatest_moment
+from neuroflight.sim.physics.twin import Twin
+from neuroflight.sim.physics.world import Mount
+from neuroflight.toolchain.contract import GRAVITY
 
 NF1 = (FOLDER / "nf1.toml").read_text()
 IRIS = (FOLDER / "iris.toml").read_text()

@@ -11,9 +11,9 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, FancyArrowPatch
 
-from sim.aircraft.model import Aircraft, load_aircraft, shipped
-from sim.design.airworthiness import examine
-from sim.design.drawing import draw_aircraft, save_drawing
+from neuroflight.sim.aircraft.model import Aircraft, load_aircraft, shipped
+from neuroflight.sim.design.airworthiness import examine
+from neuroflight.sim.design.drawing import draw_aircraft, save_drawing
 
 
 def drawn(aircraft: Aircraft) -> Figure:

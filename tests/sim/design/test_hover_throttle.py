@@ -7,11 +7,11 @@ from contextlib import closing
 import numpy as np
 import pytest
 
-from sim.aircraft.model import load_aircraft
-from sim.design.figures import hover_throttle
-from sim.physics.twin import Twin
-from sim.physics.world import Mount
-from toolchain.contract import GRAVITY
+from neuroflight.sim.aircraft.model import load_aircraft
+from neuroflight.sim.design.figures import hover_throttle
+from neuroflight.sim.physics.twin import Twin
+from neuroflight.sim.physics.world import Mount
+from neuroflight.toolchain.contract import GRAVITY
 
 
 @pytest.mark.parametrize("name", ["nf1", "hexa", "iris"])

@@ -11,9 +11,9 @@ import pytest
 import trimesh
 from numpy.typing import NDArray
 
-from sim.aircraft.mass import rotation_angles, rotation_matrix
-from sim.aircraft.model import FOLDER, load_aircraft
-from sim.design.airworthiness import Level, examine
+from neuroflight.sim.aircraft.mass import rotation_angles, rotation_matrix
+from neuroflight.sim.aircraft.model import FOLDER, load_aircraft
+from neuroflight.sim.design.airworthiness import Level, examine
 
 Array = NDArray[np.float64]
 RADIUS = 0.063  # [m], of a propeller of 5 inches

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sim.aircraft.model import RPM, Thermal, load_aircraft
-from sim.flight.esc_record import DIGITS, EscRecord, Range, save_topics, topic_ranges
-from sim.physics.twin import Twin
+from neuroflight.sim.aircraft.model import RPM, Thermal, load_aircraft
+from neuroflight.sim.flight.esc_record import DIGITS, EscRecord, Range, save_topics, topic_ranges
+from neuroflight.sim.physics.twin import Twin
 
 NF1 = load_aircraft("nf1")
 WARM = replace(NF1, esc=replace(NF1.esc, thermal=Thermal(0.1, 4.0, 5.0, 20.0)))

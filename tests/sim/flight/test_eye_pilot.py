@@ -7,18 +7,18 @@ from contextlib import closing
 import numpy as np
 import pytest
 
-from sim.aircraft.model import load_aircraft
-from sim.analysis.stick_flight import stick_figures
-from sim.control import sticks
-from sim.control.pid import aircraft_pid
-from sim.flight.eye_pilot import CLIMB_M_S, REACTION_S, EyePilot
-from sim.flight.loop import fly
-from sim.flight.motion import Motion
-from sim.flight.scenario import Scenario, Segment, load_scenario
-from sim.physics.twin import Twin
-from sim.physics.world import Mount
-from sim.ports.python_controller import ControllerPort
-from toolchain.contract import Mix
+from neuroflight.sim.aircraft.model import load_aircraft
+from neuroflight.sim.analysis.stick_flight import stick_figures
+from neuroflight.sim.control import sticks
+from neuroflight.sim.control.pid import aircraft_pid
+from neuroflight.sim.flight.eye_pilot import CLIMB_M_S, REACTION_S, EyePilot
+from neuroflight.sim.flight.loop import fly
+from neuroflight.sim.flight.motion import Motion
+from neuroflight.sim.flight.scenario import Scenario, Segment, load_scenario
+from neuroflight.sim.physics.twin import Twin
+from neuroflight.sim.physics.world import Mount
+from neuroflight.sim.ports.python_controller import ControllerPort
+from neuroflight.toolchain.contract import Mix
 
 RATE_HZ = 1000
 LEVEL = np.eye(3)

@@ -8,16 +8,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sim.aircraft.model import load_aircraft
-from sim.control import sticks
-from sim.flight.loop import fly, stand
-from sim.flight.scenario import Scenario, Segment
-from sim.flight.trace import Trace
-from sim.physics.twin import Twin
-from sim.physics.world import Mount
-from sim.ports.port import Reply, Sample
-from toolchain.contract import CHANNEL_ARM, CHANNEL_THROTTLE, SWITCH_ON_US, THROTTLE_LOW_US
-from toolchain.errors import LinkError
+from neuroflight.sim.aircraft.model import load_aircraft
+from neuroflight.sim.control import sticks
+from neuroflight.sim.flight.loop import fly, stand
+from neuroflight.sim.flight.scenario import Scenario, Segment
+from neuroflight.sim.flight.trace import Trace
+from neuroflight.sim.physics.twin import Twin
+from neuroflight.sim.physics.world import Mount
+from neuroflight.sim.ports.port import Reply, Sample
+from neuroflight.toolchain.contract import CHANNEL_ARM, CHANNEL_THROTTLE, SWITCH_ON_US, THROTTLE_LOW_US
+from neuroflight.toolchain.errors import LinkError
 
 UNHEARD = sticks.channels((0.0, 0.0, 0.0), 0.0, armed=False).tolist()
 HOLD = Scenario("hold", (Segment(0.02), Segment(0.03, (100.0, -50.0, 20.0), 0.4), Segment(0.05)))

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sim.control import sticks
-from sim.flight.manoeuvres import (
+from neuroflight.sim.control import sticks
+from neuroflight.sim.flight.manoeuvres import (
     DESCENT,
     FULL,
     MANOEUVRES,
@@ -18,8 +18,8 @@ from sim.flight.manoeuvres import (
     ThrustCurve,
     stairs,
 )
-from sim.flight.scenario import load_scenario
-from sim.physics.world import Mount
+from neuroflight.sim.flight.scenario import load_scenario
+from neuroflight.sim.physics.world import Mount
 
 FILES = Path(__file__).parents[3] / "sim" / "scenarios"
 CURVE = ThrustCurve((0.0, 0.2, 1.0), (0.25, 1.0, 4.0))

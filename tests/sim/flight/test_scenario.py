@@ -5,11 +5,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sim.control import sticks
-from sim.flight.scenario import AT_THROTTLE, Scenario, Segment, load_scenario, parse_scenario, pulses
-from sim.physics.world import Mount
-from toolchain.contract import CHANNEL_THROTTLE
-from toolchain.errors import ScenarioError
+from neuroflight.sim.control import sticks
+from neuroflight.sim.flight.scenario import (
+    AT_THROTTLE,
+    Scenario,
+    Segment,
+    load_scenario,
+    parse_scenario,
+    pulses,
+)
+from neuroflight.sim.physics.world import Mount
+from neuroflight.toolchain.contract import CHANNEL_THROTTLE
+from neuroflight.toolchain.errors import ScenarioError
 
 GOOD = """
 name = "left then silence"

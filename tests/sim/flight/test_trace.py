@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sim.flight.trace import COLUMNS, Trace, load_trace, save_trace
-from toolchain.errors import TraceError
+from neuroflight.sim.flight.trace import COLUMNS, Trace, load_trace, save_trace
+from neuroflight.toolchain.errors import TraceError
 
 
 def make_trace(steps: int = 50, motors: int = 4) -> Trace:
@@ -109,6 +109,6 @@ def test_loading_is_refused_when_the_arrays_would_not_fit_in_memory(
     save_trace(tmp_path / "a.npz", make_trace())
     with zipfile.ZipFile(tmp_path / "a.npz") as archive:
         size = sum(member.file_size for member in archive.infolist())
-    monkeypatch.setattr("sim.flight.trace.BYTES_MAX", size - 1)
+    monkeypatch.setattr("neuroflight.sim.flight.trace.BYTES_MAX", size - 1)
     with pytest.raises(TraceError, match=f"expected at most {size - 1}"):
         load_trace(tmp_path / "a.npz")

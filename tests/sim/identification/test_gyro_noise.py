@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from sim.aircraft.model import Gyro
-from sim.identification.gyro_noise import aircraft_keys, allan_deviation, doubts, measure_noise
-from sim.identification.gyro_noise_plot import draw
-from sim.identification.recording import Recording
-from sim.physics.imu import GyroModel, quantised_rate
-from toolchain.errors import TraceError
+from neuroflight.sim.aircraft.model import Gyro
+from neuroflight.sim.identification.gyro_noise import aircraft_keys, allan_deviation, doubts, measure_noise
+from neuroflight.sim.identification.gyro_noise_plot import draw
+from neuroflight.sim.identification.recording import Recording
+from neuroflight.sim.physics.imu import GyroModel, quantised_rate
+from neuroflight.toolchain.errors import TraceError
 
 Array = NDArray[np.float64]
 SIGMA, MEAN = np.array([1.3373, 0.9990, 1.4516]), np.array([-0.2546, 0.2419, 0.0790])

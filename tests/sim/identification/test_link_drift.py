@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cli.main import main
-from sim.aircraft.model import Aircraft, load_aircraft
-from sim.identification.link_drift import (
+from neuroflight.cli.main import main
+from neuroflight.sim.aircraft.model import Aircraft, load_aircraft
+from neuroflight.sim.identification.link_drift import (
     FORMULATIONS,
     ONSET_M,
     RATE_MAX,
@@ -21,10 +21,10 @@ from sim.identification.link_drift import (
     onset,
     worst_by_rate,
 )
-from sim.identification.link_drift_plot import draw, draw_map
-from sim.physics.twin import Twin
-from sim.physics.world import Mount
-from toolchain.errors import AircraftError
+from neuroflight.sim.identification.link_drift_plot import draw, draw_map
+from neuroflight.sim.physics.twin import Twin
+from neuroflight.sim.physics.world import Mount
+from neuroflight.toolchain.errors import AircraftError
 
 NF1 = load_aircraft("nf1")
 

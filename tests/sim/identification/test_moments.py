@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sim.aircraft.model import Aircraft, load_aircraft, parse_aircraft
-from sim.identification.moments import Factors, Turning, adapted_text, turning_factors
-from sim.physics.twin import Twin
-from toolchain.errors import AircraftError, TraceError
+from neuroflight.sim.aircraft.model import Aircraft, load_aircraft, parse_aircraft
+from neuroflight.sim.identification.moments import Factors, Turning, adapted_text, turning_factors
+from neuroflight.sim.physics.twin import Twin
+from neuroflight.toolchain.errors import AircraftError, TraceError
 
 NF1 = load_aircraft("nf1")
 

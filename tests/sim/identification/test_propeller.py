@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sim.identification.propeller import doubts, fit_propeller, read_measurements
-from sim.identification.propeller_plot import draw
-from sim.identification.propeller_tables import Measurements
-from toolchain.errors import DynoError
+from neuroflight.sim.identification.propeller import doubts, fit_propeller, read_measurements
+from neuroflight.sim.identification.propeller_plot import draw
+from neuroflight.sim.identification.propeller_tables import Measurements
+from neuroflight.toolchain.errors import DynoError
 
 
 def measured(noise: float = 0.0, last: float = 1.05, count: int = 60) -> Measurements:

@@ -11,10 +11,10 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from cli.main import main
-from sim.aircraft.model import FOLDER, load_aircraft
-from sim.identification.propeller_tables import read_tables
-from toolchain.errors import DynoError
+from neuroflight.cli.main import main
+from neuroflight.sim.aircraft.model import FOLDER, load_aircraft
+from neuroflight.sim.identification.propeller_tables import read_tables
+from neuroflight.toolchain.errors import DynoError
 
 Rows = list[tuple[float, float, float]]  # J or rpm, C_T, C_P
 UNITS = "(mph)     (Adv_Ratio)     -          -           -          (Hp)        (In-Lbf)     (Lbf)      (W)"

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from sim.flight.trace import Trace, save_trace
-from sim.identification import recording
-from sim.identification.recording import SAMPLES_MIN, Choice, read_recording
-from toolchain.errors import TraceError
+from neuroflight.sim.flight.trace import Trace, save_trace
+from neuroflight.sim.identification import recording
+from neuroflight.sim.identification.recording import SAMPLES_MIN, Choice, read_recording
+from neuroflight.toolchain.errors import TraceError
 
 Array = NDArray[np.float64]
 OURS = "t_s,gyro_x_deg_s,gyro_y_deg_s,gyro_z_deg_s"

@@ -14,13 +14,13 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from cli.main import main
-from sim.aircraft.model import FOLDER
-from sim.blackbox.flight import Part
-from sim.identification.recording import EXPLORER_LOST, Choice, read_recording
+from neuroflight.cli.main import main
+from neuroflight.sim.aircraft.model import FOLDER
+from neuroflight.sim.blackbox.flight import Part
+from neuroflight.sim.identification.recording import EXPLORER_LOST, Choice, read_recording
+from neuroflight.toolchain.contract import GRAVITY
+from neuroflight.toolchain.errors import TraceError
 from tests.sim.blackbox.writer import END, PRODUCT, Column, fields, flight, header
-from toolchain.contract import GRAVITY
-from toolchain.errors import TraceError
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]

@@ -7,13 +7,13 @@ import pytest
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
-from sim.aircraft.model import load_aircraft
-from sim.identification.recording import Recording
-from sim.identification.swing import bifilar_stiffness, find_swing, moment, reference_stiffness
-from sim.physics.imu import quantised_rate
-from sim.physics.world import Mount, World
-from toolchain.contract import AXES, GRAVITY
-from toolchain.errors import TraceError
+from neuroflight.sim.aircraft.model import load_aircraft
+from neuroflight.sim.identification.recording import Recording
+from neuroflight.sim.identification.swing import bifilar_stiffness, find_swing, moment, reference_stiffness
+from neuroflight.sim.physics.imu import quantised_rate
+from neuroflight.sim.physics.world import Mount, World
+from neuroflight.toolchain.contract import AXES, GRAVITY
+from neuroflight.toolchain.errors import TraceError
 
 Array = NDArray[np.float64]
 MASS, DISTANCE, LENGTH = 0.391, 0.15, 1.0

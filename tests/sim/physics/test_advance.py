@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sim.aircraft.model import FOLDER, Aircraft, parse_aircraft
-from sim.flight.motion import Motion
-from sim.physics.rotor import advance_factors, rotor_geometry, rotor_wrench
-from sim.physics.twin import Twin
-from sim.physics.world import Mount
+from neuroflight.sim.aircraft.model import FOLDER, Aircraft, parse_aircraft
+from neuroflight.sim.flight.motion import Motion
+from neuroflight.sim.physics.rotor import advance_factors, rotor_geometry, rotor_wrench
+from neuroflight.sim.physics.twin import Twin
+from neuroflight.sim.physics.world import Mount
 
 TEXT = (FOLDER / "nf1.toml").read_text()
 POLYNOMIAL = TEXT.replace("= 9.37e-7 ", "= [9.4e-7, -1e-12] ")

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from sim.physics.air import Wind, body_drag, turbulence_intensity, turbulence_scale
+from neuroflight.sim.physics.air import Wind, body_drag, turbulence_intensity, turbulence_scale
 
 Array = NDArray[np.float64]
 ALTITUDE, GUST, AIRSPEED = 30.48, 10.0, 12.0  # [m] (100 ft), [m/s], [m/s]

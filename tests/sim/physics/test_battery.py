@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sim.aircraft.model import Battery
-from sim.physics.battery import BatteryState, loaded_voltage, open_circuit_voltage
+from neuroflight.sim.aircraft.model import Battery
+from neuroflight.sim.physics.battery import BatteryState, loaded_voltage, open_circuit_voltage
 
 PACK = Battery(cells=4, capacity=3600 * 1.5, rest_voltage=16.78, resistance=0.05, electronics_power=6.21)
 DT = 1e-3

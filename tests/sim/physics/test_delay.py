@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sim.physics.delay import CommandDelay
+from neuroflight.sim.physics.delay import CommandDelay
 
 
 def given(sample: int, count: int = 2) -> np.ndarray:

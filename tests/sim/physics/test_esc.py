@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from sim.aircraft.model import EscTelemetry
-from sim.physics.esc import telemetry
+from neuroflight.sim.aircraft.model import EscTelemetry
+from neuroflight.sim.physics.esc import telemetry
 
 SPEED, VOLTAGE, CURRENT = np.array([[1234.5, 2000.4]]), np.array([[16.78]]), np.array([[12.34, 0.049]])
 FORCE, TORQUE = np.array([[1.4281, 3.7495]]), np.array([[0.012339, 0.032396]])

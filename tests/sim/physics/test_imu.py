@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from sim.aircraft.model import Accelerometer, Gyro, load_aircraft
-from sim.physics.imu import AccelerometerModel, GyroModel, counts, draw_bias, quantised_rate
+from neuroflight.sim.aircraft.model import Accelerometer, Gyro, load_aircraft
+from neuroflight.sim.physics.imu import AccelerometerModel, GyroModel, counts, draw_bias, quantised_rate
 
 NF1 = load_aircraft("nf1")
 QUIET = Gyro(noise=(0.0, 0.0, 0.0), bias=0.0)

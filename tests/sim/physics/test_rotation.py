@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sim.physics.rotation import quaternion
+from neuroflight.sim.physics.rotation import quaternion
 
 
 @pytest.mark.parametrize("seed", range(40))

@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sim.aircraft.model import RPM, TorqueResponse, load_aircraft
-from sim.physics.rotor import next_speed, rotor_geometry, rotor_wrench, speeds_along, target_speed
+from neuroflight.sim.aircraft.model import RPM, TorqueResponse, load_aircraft
+from neuroflight.sim.physics.rotor import next_speed, rotor_geometry, rotor_wrench, speeds_along, target_speed
 
 NF1 = load_aircraft("nf1")
 PROPULSION = NF1.propulsion

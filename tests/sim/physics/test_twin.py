@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sim.aircraft.model import Battery, Body, Thermal, load_aircraft
-from sim.physics.rotor import target_speed, thrust_and_torque
-from sim.physics.twin import Twin
-from sim.physics.variation import Variation
-from sim.physics.world import Mount
-from toolchain.contract import GRAVITY
-from toolchain.errors import AircraftError
+from neuroflight.sim.aircraft.model import Battery, Body, Thermal, load_aircraft
+from neuroflight.sim.physics.rotor import target_speed, thrust_and_torque
+from neuroflight.sim.physics.twin import Twin
+from neuroflight.sim.physics.variation import Variation
+from neuroflight.sim.physics.world import Mount
+from neuroflight.toolchain.contract import GRAVITY
+from neuroflight.toolchain.errors import AircraftError
 
 BODY = Body(size=(0.2, 0.16, 0.06), centre=(0.0, 0.0, 0.03), drag_area=(0.01, 0.01, 0.02))
 PACK = Battery(cells=4, capacity=5580.0, rest_voltage=16.78, resistance=0.03, electronics_power=6.0)

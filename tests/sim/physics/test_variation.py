@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sim.aircraft.mass import MassProperties
-from sim.aircraft.model import Aircraft, TorqueResponse, load_aircraft
-from sim.physics.battery import open_circuit_voltage
-from sim.physics.twin import Twin
-from sim.physics.variation import Variation
-from sim.physics.world import Mount
-from toolchain.errors import AircraftError
+from neuroflight.sim.aircraft.mass import MassProperties
+from neuroflight.sim.aircraft.model import Aircraft, TorqueResponse, load_aircraft
+from neuroflight.sim.physics.battery import open_circuit_voltage
+from neuroflight.sim.physics.twin import Twin
+from neuroflight.sim.physics.variation import Variation
+from neuroflight.sim.physics.world import Mount
+from neuroflight.toolchain.errors import AircraftError
 
 NF1 = load_aircraft("nf1")
 HEXA = load_aircraft("hexa")

@@ -13,16 +13,16 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from sim.aircraft.model import Aircraft, load_aircraft
-from sim.analysis.manoeuvre import shake
-from sim.control.motors import motor_commands
-from sim.control.pid import aircraft_pid
-from sim.control.pid_table import pid_settings
-from sim.physics.air import Wash, wash_band
-from sim.physics.library import library, pointer
-from sim.physics.rotor import propulsion_struct, target_speed, thrust_and_torque
-from sim.physics.twin import Twin
-from sim.physics.world import Mount
+from neuroflight.sim.aircraft.model import Aircraft, load_aircraft
+from neuroflight.sim.analysis.manoeuvre import shake
+from neuroflight.sim.control.motors import motor_commands
+from neuroflight.sim.control.pid import aircraft_pid
+from neuroflight.sim.control.pid_table import pid_settings
+from neuroflight.sim.physics.air import Wash, wash_band
+from neuroflight.sim.physics.library import library, pointer
+from neuroflight.sim.physics.rotor import propulsion_struct, target_speed, thrust_and_torque
+from neuroflight.sim.physics.twin import Twin
+from neuroflight.sim.physics.world import Mount
 
 Array = NDArray[np.float64]
 NF1 = load_aircraft("nf1")

@@ -8,10 +8,10 @@ import pybullet
 import pytest
 from scipy.integrate import solve_ivp
 
-from sim.aircraft.model import Body, load_aircraft
-from sim.physics.world import COUNT_MAX, Mount, World
-from toolchain.contract import GRAVITY
-from toolchain.errors import AircraftError
+from neuroflight.sim.aircraft.model import Body, load_aircraft
+from neuroflight.sim.physics.world import COUNT_MAX, Mount, World
+from neuroflight.toolchain.contract import GRAVITY
+from neuroflight.toolchain.errors import AircraftError
 
 NF1 = load_aircraft("nf1")
 MASS, INERTIA = NF1.mass_properties.mass, NF1.mass_properties.inertia

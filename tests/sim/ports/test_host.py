@@ -11,15 +11,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sim.control import sticks
-from sim.physics.imu import rotation_by
-from sim.physics.rotation import quaternion
-from sim.ports import host as host_port
-from sim.ports.host import HostPort
-from sim.ports.port import Sample
-from sim.ports.simulator_link import load_link
-from toolchain.contract import RECEIVER_RECOVERY_MS
-from toolchain.errors import LinkError
+from neuroflight.sim.control import sticks
+from neuroflight.sim.physics.imu import rotation_by
+from neuroflight.sim.physics.rotation import quaternion
+from neuroflight.sim.ports import host as host_port
+from neuroflight.sim.ports.host import HostPort
+from neuroflight.sim.ports.port import Sample
+from neuroflight.sim.ports.simulator_link import load_link
+from neuroflight.toolchain.contract import RECEIVER_RECOVERY_MS
+from neuroflight.toolchain.errors import LinkError
 
 STILL = Sample(0.0, np.zeros(3), np.eye(3), np.zeros(3), np.zeros(3), np.zeros(3))
 

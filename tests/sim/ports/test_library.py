@@ -5,11 +5,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sim.control import sticks
-from sim.ports.library import ReferencePort
-from sim.ports.port import Reply, Sample
-from toolchain.contract import RECEIVER_RECOVERY_MS
-from toolchain.errors import LinkError
+from neuroflight.sim.control import sticks
+from neuroflight.sim.ports.library import ReferencePort
+from neuroflight.sim.ports.port import Reply, Sample
+from neuroflight.toolchain.contract import RECEIVER_RECOVERY_MS
+from neuroflight.toolchain.errors import LinkError
 
 STILL = Sample(0.0, np.zeros(3), np.eye(3), np.zeros(3), np.zeros(3), np.zeros(3))
 

@@ -2,8 +2,8 @@ from __future__ import annotations
 
 import pytest
 
-from sim.ports.port import control_divider
-from toolchain.errors import LinkError
+from neuroflight.sim.ports.port import control_divider
+from neuroflight.toolchain.errors import LinkError
 
 
 def test_control_divider_is_whole_when_the_rates_fit() -> None:

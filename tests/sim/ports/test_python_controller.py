@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from sim.control import sticks
-from sim.ports.library import ReferencePort
-from sim.ports.port import Reply, Sample
-from sim.ports.python_controller import ControllerPort
-from toolchain.contract import RECEIVER_HOLD_MS, RECEIVER_LOST_MS, Mix
+from neuroflight.sim.control import sticks
+from neuroflight.sim.ports.library import ReferencePort
+from neuroflight.sim.ports.port import Reply, Sample
+from neuroflight.sim.ports.python_controller import ControllerPort
+from neuroflight.toolchain.contract import RECEIVER_HOLD_MS, RECEIVER_LOST_MS, Mix
 
 Array = NDArray[np.float32]
 RATE_HZ = 1000  # gyro and control alike, for short tests

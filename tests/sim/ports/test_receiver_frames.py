@@ -7,8 +7,8 @@ from collections.abc import Callable
 
 import pytest
 
-from sim.ports.receiver_frames import crsf_frame, sbus_frame
-from toolchain.contract import CHANNEL_COUNT
+from neuroflight.sim.ports.receiver_frames import crsf_frame, sbus_frame
+from neuroflight.toolchain.contract import CHANNEL_COUNT
 
 CHANNELS = [880, 881, 988, 1000, 1500, 1501, 1999, 2000, 2012, 2159, 1234, 1357, 1111, 1789, 1023, 1777]
 # A frame that others published, its address turned to the flight controller's, and its channels.

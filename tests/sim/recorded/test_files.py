@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sim.blackbox.flight import Part
-from sim.control import sticks
-from sim.recorded.files import load_commands, load_flight
-from toolchain.contract import CHANNEL_THROTTLE
-from toolchain.errors import ScenarioError
+from neuroflight.sim.blackbox.flight import Part
+from neuroflight.sim.control import sticks
+from neuroflight.sim.recorded.files import load_commands, load_flight
+from neuroflight.toolchain.contract import CHANNEL_THROTTLE
+from neuroflight.toolchain.errors import ScenarioError
 
 # As the Blackbox Explorer exports a log: settings, then the heading, then rows; time in microseconds.
 EXPLORER = """"Product","Blackbox flight data recorder by Nicholas Sherlock"

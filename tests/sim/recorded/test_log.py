@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sim.blackbox.flight import Part
-from sim.control import sticks
-from sim.recorded.files import load_commands, load_flight
+from neuroflight.sim.blackbox.flight import Part
+from neuroflight.sim.control import sticks
+from neuroflight.sim.recorded.files import load_commands, load_flight
+from neuroflight.toolchain.errors import ScenarioError
 from tests.sim.blackbox.writer import END, PRODUCT, Column, fields, flight, header, slow
-from toolchain.errors import ScenarioError
 
 BETAFLIGHT: dict[str, object] = {
     "Firmware revision": "Betaflight 4.6.0 (abc) SITL",

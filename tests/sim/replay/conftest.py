@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sim.flight.scenario import load_scenario
-from sim.ports.port import Sample
-from sim.replay.inputs import Flight
+from neuroflight.sim.flight.scenario import load_scenario
+from neuroflight.sim.ports.port import Sample
+from neuroflight.sim.replay.inputs import Flight
 from tests.sim.replay.recorder import Recorder, recorded
 
 LATE, ON_TIME = 6000, 6012  # gyro samples; three control steps in between

@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from sim.aircraft.model import load_aircraft
-from sim.flight.loop import fly
-from sim.flight.scenario import Scenario
-from sim.physics.twin import Twin
-from sim.ports.library import ReferencePort
-from sim.ports.port import Sample, twin_settings
-from toolchain.errors import LinkError
+from neuroflight.sim.aircraft.model import load_aircraft
+from neuroflight.sim.flight.loop import fly
+from neuroflight.sim.flight.scenario import Scenario
+from neuroflight.sim.physics.twin import Twin
+from neuroflight.sim.ports.library import ReferencePort
+from neuroflight.sim.ports.port import Sample, twin_settings
+from neuroflight.toolchain.errors import LinkError
 
 DRAIN = 20  # gyro samples between two looks for bytes of the log
 AFTER = (

@@ -10,20 +10,20 @@ from typing import Any
 
 import numpy as np
 
-from sim.aircraft.model import load_aircraft
-from sim.board.debug.variables import read_variables
-from sim.board.devices.gyro_mount import accel_counts, gyro_counts
-from sim.board.matekf722 import GYRO
-from sim.flight.loop import fly
-from sim.flight.scenario import Scenario
-from sim.physics.twin import Twin
-from sim.ports.library import ReferencePort
-from sim.ports.port import Reply, Sample, flight_settings, twin_settings
-from sim.ports.receiver_frames import sbus_frame
-from sim.replay.inputs import Answers, Edge, Flight, Inputs
-from sim.replay.library import ReplayLibrary
-from toolchain.contract import LOG_RECEIVER_BYTES
-from toolchain.errors import LinkError
+from neuroflight.sim.aircraft.model import load_aircraft
+from neuroflight.sim.board.debug.variables import read_variables
+from neuroflight.sim.board.devices.gyro_mount import accel_counts, gyro_counts
+from neuroflight.sim.board.matekf722 import GYRO
+from neuroflight.sim.flight.loop import fly
+from neuroflight.sim.flight.scenario import Scenario
+from neuroflight.sim.physics.twin import Twin
+from neuroflight.sim.ports.library import ReferencePort
+from neuroflight.sim.ports.port import Reply, Sample, flight_settings, twin_settings
+from neuroflight.sim.ports.receiver_frames import sbus_frame
+from neuroflight.sim.replay.inputs import Answers, Edge, Flight, Inputs
+from neuroflight.sim.replay.library import ReplayLibrary
+from neuroflight.toolchain.contract import LOG_RECEIVER_BYTES
+from neuroflight.toolchain.errors import LinkError
 
 START_S = 0.9  # after the boot, the gyro calibrated and nothing armed: the flight's state is of then
 CONTROL_HZ = 1000

@@ -8,20 +8,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cli.main import main
-from sim.blackbox.log import read_log
-from sim.flight.scenario import load_scenario
-from sim.ports.library import ReferencePort
-from sim.ports.port import Sample
-from sim.replay.comparison import compare
-from sim.replay.emulator import replay_on_board
-from sim.replay.flight import replayable
-from sim.replay.host import replay_on_host
-from sim.replay.inputs import Edge, Flight
-from sim.replay.library import replay_on_library
+from neuroflight.cli.main import main
+from neuroflight.sim.blackbox.log import read_log
+from neuroflight.sim.flight.scenario import load_scenario
+from neuroflight.sim.ports.library import ReferencePort
+from neuroflight.sim.ports.port import Sample
+from neuroflight.sim.replay.comparison import compare
+from neuroflight.sim.replay.emulator import replay_on_board
+from neuroflight.sim.replay.flight import replayable
+from neuroflight.sim.replay.host import replay_on_host
+from neuroflight.sim.replay.inputs import Edge, Flight
+from neuroflight.sim.replay.library import replay_on_library
+from neuroflight.toolchain.contract import DSHOT_STOP, FallbackCause, FlightState, LogGroup
+from neuroflight.toolchain.errors import TraceError
 from tests.sim.replay.logs import LoggingPort, logged
-from toolchain.contract import DSHOT_STOP, FallbackCause, FlightState, LogGroup
-from toolchain.errors import TraceError
 
 LATE, ON_TIME, NO_NUMBER, SILENT = 6000, 6012, 7003, 8001
 

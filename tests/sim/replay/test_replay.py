@@ -10,15 +10,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sim.flight.scenario import load_scenario
-from sim.replay.comparison import compare
-from sim.replay.emulator import replay_on_board
-from sim.replay.host import replay_on_host
-from sim.replay.inputs import Answers, Edge, Flight
-from sim.replay.library import replay_on_library
+from neuroflight.sim.flight.scenario import load_scenario
+from neuroflight.sim.replay.comparison import compare
+from neuroflight.sim.replay.emulator import replay_on_board
+from neuroflight.sim.replay.host import replay_on_host
+from neuroflight.sim.replay.inputs import Answers, Edge, Flight
+from neuroflight.sim.replay.library import replay_on_library
+from neuroflight.toolchain.contract import DSHOT_STOP
+from neuroflight.toolchain.errors import LinkError, TraceError
 from tests.sim.replay.recorder import recorded
-from toolchain.contract import DSHOT_STOP
-from toolchain.errors import LinkError, TraceError
 
 Replay = Callable[[Flight], Answers]
 

@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from PIL import Image
 from playwright.sync_api import Browser, Page, sync_playwright
 
-from cli.main import main
-from sim.aircraft.model import load_aircraft
-from sim.flight.trace import load_trace, save_trace
-from sim.viewing.poses import attitudes
+from neuroflight.cli.main import main
+from neuroflight.sim.aircraft.model import load_aircraft
+from neuroflight.sim.flight.trace import load_trace, save_trace
+from neuroflight.sim.viewing.poses import attitudes
 from tests.sim.viewing.test_view import rolling_trace
 
 pytestmark = pytest.mark.slow

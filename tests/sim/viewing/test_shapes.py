@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sim.aircraft.mesh import box
-from sim.aircraft.model import load_aircraft
-from sim.viewing.shapes import TRIANGLES_MAX, Kind, aircraft_faces, disc_colour
+from neuroflight.sim.aircraft.mesh import box
+from neuroflight.sim.aircraft.model import load_aircraft
+from neuroflight.sim.viewing.shapes import TRIANGLES_MAX, Kind, aircraft_faces, disc_colour
 
 NF1 = load_aircraft("nf1")
 

@@ -11,11 +11,11 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from PIL import Image, ImageSequence
 
-from cli.main import main
-from sim.aircraft.model import load_aircraft
-from sim.flight.trace import Trace, save_trace
-from sim.viewing.pictures import draw_pose
-from sim.viewing.poses import attitudes
+from neuroflight.cli.main import main
+from neuroflight.sim.aircraft.model import load_aircraft
+from neuroflight.sim.flight.trace import Trace, save_trace
+from neuroflight.sim.viewing.pictures import draw_pose
+from neuroflight.sim.viewing.poses import attitudes
 from tests.sim.blackbox.own import log_of, trace
 
 QUARTER = np.pi / 2

@@ -9,14 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cli.main import main
-from sim.aircraft.model import load_aircraft
-from sim.physics.bullet import pybullet
-from sim.viewing import window
-from sim.viewing.scene import recorded
-from sim.viewing.shapes import reach
+from neuroflight.cli.main import main
+from neuroflight.sim.aircraft.model import load_aircraft
+from neuroflight.sim.physics.bullet import pybullet
+from neuroflight.sim.viewing import window
+from neuroflight.sim.viewing.scene import recorded
+from neuroflight.sim.viewing.shapes import reach
+from neuroflight.toolchain.errors import NeuroflightError
 from tests.sim.viewing.test_view import rolling, rolling_trace
-from toolchain.errors import NeuroflightError
 
 
 class Hand:

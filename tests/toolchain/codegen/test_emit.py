@@ -16,14 +16,14 @@ import pytest
 from elftools.elf.elffile import ELFFile
 from elftools.elf.sections import SymbolTableSection
 
-from toolchain.codegen.compiler import compile_network
-from toolchain.codegen.emit import literal
-from toolchain.contract import observation_blocks
-from toolchain.cortex_m7.arm_policy import build_policy_elf
-from toolchain.cortex_m7.disassembly import disassemble
-from toolchain.ir.float32 import Float32
-from toolchain.ir.network import Network, Node
-from toolchain.ir.operations import (
+from neuroflight.toolchain.codegen.compiler import compile_network
+from neuroflight.toolchain.codegen.emit import literal
+from neuroflight.toolchain.contract import observation_blocks
+from neuroflight.toolchain.cortex_m7.arm_policy import build_policy_elf
+from neuroflight.toolchain.cortex_m7.disassembly import disassemble
+from neuroflight.toolchain.ir.float32 import Float32
+from neuroflight.toolchain.ir.network import Network, Node
+from neuroflight.toolchain.ir.operations import (
     Add,
     Affine,
     Clip,
@@ -45,8 +45,8 @@ from toolchain.ir.operations import (
     Softplus,
     Softsign,
 )
-from toolchain.policy.blob import parse
-from toolchain.policy.model import PolicyModel, parse_policy
+from neuroflight.toolchain.policy.blob import parse
+from neuroflight.toolchain.policy.model import PolicyModel, parse_policy
 
 if TYPE_CHECKING:
     from tests.toolchain.conftest import Chain, Kit
@@ -55,10 +55,10 @@ GOLDEN = Path(__file__).parent / "golden"
 COMPILE = """
 import sys
 from pathlib import Path
-from toolchain.cortex_m7.arm_policy import build_policy_elf
-from toolchain.policy.blob import parse
-from toolchain.codegen.compiler import compile_policy
-from toolchain.policy.model import read_policy
+from neuroflight.toolchain.cortex_m7.arm_policy import build_policy_elf
+from neuroflight.toolchain.policy.blob import parse
+from neuroflight.toolchain.codegen.compiler import compile_policy
+from neuroflight.toolchain.policy.model import read_policy
 emission = compile_policy(read_policy(Path(sys.argv[1]))).emission
 sys.stdout.write(emission.header + emission.source)
 """

@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 from onnx import helper
 
-from cli.main import main
-from toolchain.codegen.explain import describe, explain_policy
-from toolchain.ir.network import Network, Node
-from toolchain.ir.onnx_export import to_model
-from toolchain.ir.operations import (
+from neuroflight.cli.main import main
+from neuroflight.toolchain.codegen.explain import describe, explain_policy
+from neuroflight.toolchain.ir.network import Network, Node
+from neuroflight.toolchain.ir.onnx_export import to_model
+from neuroflight.toolchain.ir.operations import (
     Affine,
     Clip,
     Concat,
@@ -30,8 +30,8 @@ from toolchain.ir.operations import (
     Softsign,
     Tanh,
 )
-from toolchain.passes import PASSES
-from toolchain.policy.model import parse_policy
+from neuroflight.toolchain.passes import PASSES
+from neuroflight.toolchain.policy.model import parse_policy
 
 if TYPE_CHECKING:
     from tests.toolchain.conftest import Kit
@@ -175,7 +175,8 @@ def test_explained_policy_is_the_same_when_it_is_written(
 
 
 def test_onnxruntime_is_not_waited_for_when_nothing_is_explained(policy_file: Path, tmp_path: Path) -> None:
-    code = "import sys; from cli.main import main; main(sys.argv[1:]); sys.exit('onnxruntime' in sys.modules)"
+    code = "import sys; from neuroflight.cli.main import main; main(sys.argv[1:]); "
+    code += "sys.exit('onnxruntime' in sys.modules)"
     words = ["compile", str(policy_file), "--out", str(tmp_path / "out")]
     subprocess.run([sys.executable, "-c", code, *words], check=True, capture_output=True)
 

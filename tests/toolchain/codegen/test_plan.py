@@ -10,14 +10,25 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from toolchain.codegen.kernel_calls import Call
-from toolchain.codegen.plan import Plan, lower
-from toolchain.contract import observation_blocks
-from toolchain.ir.activation_tables import TANH
-from toolchain.ir.lanes import LANES
-from toolchain.ir.network import Network, Node, chain
-from toolchain.ir.operations import Add, Clip, Concat, Gru, Linear, Lstm, Operation, Relu, Slice, Tanh
-from toolchain.policy.model import PolicyModel
+from neuroflight.toolchain.codegen.kernel_calls import Call
+from neuroflight.toolchain.codegen.plan import Plan, lower
+from neuroflight.toolchain.contract import observation_blocks
+from neuroflight.toolchain.ir.activation_tables import TANH
+from neuroflight.toolchain.ir.lanes import LANES
+from neuroflight.toolchain.ir.network import Network, Node, chain
+from neuroflight.toolchain.ir.operations import (
+    Add,
+    Clip,
+    Concat,
+    Gru,
+    Linear,
+    Lstm,
+    Operation,
+    Relu,
+    Slice,
+    Tanh,
+)
+from neuroflight.toolchain.policy.model import PolicyModel
 
 if TYPE_CHECKING:
     from tests.toolchain.conftest import Kit

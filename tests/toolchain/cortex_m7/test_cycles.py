@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-from toolchain.cortex_m7.cycles import Route, RouteCost, route_costs, route_of
-from toolchain.cortex_m7.disassembly import Instruction
-from toolchain.cortex_m7.llvm_mca import block_cycles, find_pricer
-from toolchain.errors import BuildError
+from neuroflight.toolchain.cortex_m7.cycles import Route, RouteCost, route_costs, route_of
+from neuroflight.toolchain.cortex_m7.disassembly import Instruction
+from neuroflight.toolchain.cortex_m7.llvm_mca import block_cycles, find_pricer
+from neuroflight.toolchain.errors import BuildError
 
 # start: two instructions; loop: three, the last a branch back to it; end: two.
 TEXTS = (

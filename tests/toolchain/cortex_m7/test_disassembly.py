@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from toolchain.cortex_m7.arm_policy import compile_arm
-from toolchain.cortex_m7.disassembly import Instruction, disassemble
-from toolchain.cortex_m7.emulator import load_program
-from toolchain.errors import BuildError
+from neuroflight.toolchain.cortex_m7.arm_policy import compile_arm
+from neuroflight.toolchain.cortex_m7.disassembly import Instruction, disassemble
+from neuroflight.toolchain.cortex_m7.emulator import load_program
+from neuroflight.toolchain.errors import BuildError
 
 ASSEMBLY = """
     .syntax unified

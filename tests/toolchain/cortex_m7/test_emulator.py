@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from toolchain.contract import Region
-from toolchain.cortex_m7.arm_policy import compile_arm
-from toolchain.cortex_m7.emulator import STACK, CortexM7, FaultError, Program, load_program
-from toolchain.errors import BuildError
+from neuroflight.toolchain.contract import Region
+from neuroflight.toolchain.cortex_m7.arm_policy import compile_arm
+from neuroflight.toolchain.cortex_m7.emulator import STACK, CortexM7, FaultError, Program, load_program
+from neuroflight.toolchain.errors import BuildError
 
 CODE = """
 const int constant = 7;

@@ -6,8 +6,14 @@ from pathlib import Path
 
 import pytest
 
-from toolchain.cortex_m7.disassembly import Instruction
-from toolchain.cortex_m7.llvm_mca import PricingError, assembly, block_cycles, find_pricer, pricer_version
+from neuroflight.toolchain.cortex_m7.disassembly import Instruction
+from neuroflight.toolchain.cortex_m7.llvm_mca import (
+    PricingError,
+    assembly,
+    block_cycles,
+    find_pricer,
+    pricer_version,
+)
 
 needs_pricer = pytest.mark.skipif(find_pricer() is None, reason="llvm-mca is not installed")
 

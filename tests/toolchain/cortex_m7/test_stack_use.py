@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from toolchain.cortex_m7.arm_policy import compile_arm
-from toolchain.cortex_m7.stack_use import EXCEPTION_BYTES, StackError, StackUse, stack_use
+from neuroflight.toolchain.cortex_m7.arm_policy import compile_arm
+from neuroflight.toolchain.cortex_m7.stack_use import EXCEPTION_BYTES, StackError, StackUse, stack_use
 
 # Functions of a known appetite: `take` reserves at least so many bytes that the compiler cannot do without.
 PROGRAM = """

@@ -10,18 +10,18 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from cli.main import main
-from toolchain.codegen.compiler import compile_policy
-from toolchain.contract import DTCM, FLASH_BASE, FLASH_BYTES, ITCM, Region, observation_blocks
-from toolchain.cortex_m7.arm_policy import ArmPolicy, build_policy_elf, compile_arm, state_bytes
-from toolchain.cortex_m7.cycles import CORE_HZ
-from toolchain.cortex_m7.emulator import load_program
-from toolchain.cortex_m7.llvm_mca import find_pricer
-from toolchain.cortex_m7.timing import mixed_observations, step_cost, time_policy
-from toolchain.errors import BuildError
-from toolchain.ir.interpreter import evaluate
-from toolchain.ir.network import chain
-from toolchain.ir.operations import (
+from neuroflight.cli.main import main
+from neuroflight.toolchain.codegen.compiler import compile_policy
+from neuroflight.toolchain.contract import DTCM, FLASH_BASE, FLASH_BYTES, ITCM, Region, observation_blocks
+from neuroflight.toolchain.cortex_m7.arm_policy import ArmPolicy, build_policy_elf, compile_arm, state_bytes
+from neuroflight.toolchain.cortex_m7.cycles import CORE_HZ
+from neuroflight.toolchain.cortex_m7.emulator import load_program
+from neuroflight.toolchain.cortex_m7.llvm_mca import find_pricer
+from neuroflight.toolchain.cortex_m7.timing import mixed_observations, step_cost, time_policy
+from neuroflight.toolchain.errors import BuildError
+from neuroflight.toolchain.ir.interpreter import evaluate
+from neuroflight.toolchain.ir.network import chain
+from neuroflight.toolchain.ir.operations import (
     Clip,
     Elu,
     Gru,
@@ -36,7 +36,7 @@ from toolchain.ir.operations import (
     Softsign,
     Tanh,
 )
-from toolchain.policy.model import PolicyModel, read_policy
+from neuroflight.toolchain.policy.model import PolicyModel, read_policy
 
 if TYPE_CHECKING:
     from tests.toolchain.conftest import Float32, Kit

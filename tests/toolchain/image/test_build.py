@@ -14,15 +14,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from toolchain.codegen.compiler import compile_policy
-from toolchain.contract import MOTOR_COUNT_MAX, Mix, image_header
-from toolchain.cortex_m7.llvm_mca import find_pricer
-from toolchain.errors import BuildError, NeuroflightError, PolicyError
-from toolchain.image.build import TARGETS, MakeError, build, check_fit
-from toolchain.image.elf import read_image
-from toolchain.image.report import MotorFacts, built_motors
-from toolchain.policy.model import read_policy
-from toolchain.rendering.pid_table import PidTable
+from neuroflight.toolchain.codegen.compiler import compile_policy
+from neuroflight.toolchain.contract import MOTOR_COUNT_MAX, Mix, image_header
+from neuroflight.toolchain.cortex_m7.llvm_mca import find_pricer
+from neuroflight.toolchain.errors import BuildError, NeuroflightError, PolicyError
+from neuroflight.toolchain.image.build import TARGETS, MakeError, build, check_fit
+from neuroflight.toolchain.image.elf import read_image
+from neuroflight.toolchain.image.report import MotorFacts, built_motors
+from neuroflight.toolchain.policy.model import read_policy
+from neuroflight.toolchain.rendering.pid_table import PidTable
 
 if TYPE_CHECKING:
     from tests.toolchain.conftest import Chain, Kit

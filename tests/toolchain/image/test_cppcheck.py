@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from toolchain.errors import BuildError
-from toolchain.image.cppcheck import ANALYSER, FIRMWARE, SOURCES, analyse, main
+from neuroflight.toolchain.errors import BuildError
+from neuroflight.toolchain.image.cppcheck import ANALYSER, FIRMWARE, SOURCES, analyse, main
 
 needs_analyser = pytest.mark.skipif(shutil.which(ANALYSER) is None, reason=f"{ANALYSER} is not installed")
 

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from toolchain.contract import FLASH_BANK_A, FLASH_BASE, FLASH_POLICY_SLOTS
-from toolchain.image.dfu import Loaded, dfu_file, loaded_parts, main
+from neuroflight.toolchain.contract import FLASH_BANK_A, FLASH_BASE, FLASH_POLICY_SLOTS
+from neuroflight.toolchain.image.dfu import Loaded, dfu_file, loaded_parts, main
 
 PARTS = (Loaded(FLASH_BASE, b"boot" * 3), Loaded(FLASH_BANK_A.address, b"bank" * 70))
 

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from flash.rom.segments import read_segments
-from toolchain.contract import DTCM, FLASH_BANK_A, FLASH_BASE, FLASH_POLICY_SLOTS
-from toolchain.errors import BuildError
-from toolchain.image.elf import BANK, RAM, image_budgets, memory_use, read_image
+from neuroflight.flash.rom.segments import read_segments
+from neuroflight.toolchain.contract import DTCM, FLASH_BANK_A, FLASH_BASE, FLASH_POLICY_SLOTS
+from neuroflight.toolchain.errors import BuildError
+from neuroflight.toolchain.image.elf import BANK, RAM, image_budgets, memory_use, read_image
 
 CORTEX_M7 = ("-mcpu=cortex-m7", "-mthumb", "-mfpu=fpv5-sp-d16")
 HEAP = {"malloc", "calloc", "realloc", "free", "_sbrk", "_sbrk_r", "_malloc_r"}

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from toolchain.image.elf import Section, memory_use, read_image
-from toolchain.image.fit import ALIGNMENT, POLICY_ITCM_BYTES, VENEER_BYTES, split
+from neuroflight.toolchain.image.elf import Section, memory_use, read_image
+from neuroflight.toolchain.image.fit import ALIGNMENT, POLICY_ITCM_BYTES, VENEER_BYTES, split
 
 KIB = 1024
 IMAGE_BYTES_MAX = 100 * KIB  # of the bank

@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 from rich.console import Console
 
-from toolchain.image.report import BuildReport, PolicyFacts, print_report
+from neuroflight.toolchain.image.report import BuildReport, PolicyFacts, print_report
 
 POLICY = PolicyFacts(
     "p.onnx",

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from flash.rom.segments import read_segments
-from toolchain.contract import (
+from neuroflight.flash.rom.segments import read_segments
+from neuroflight.toolchain.contract import (
     FLASH_BANKS,
     FLASH_BASE,
     FLASH_POLICY_SLOTS,
@@ -20,8 +20,8 @@ from toolchain.contract import (
     IMAGE_MAGIC,
     policy_header,
 )
-from toolchain.errors import BuildError
-from toolchain.image.stamp import stamp
+from neuroflight.toolchain.errors import BuildError
+from neuroflight.toolchain.image.stamp import stamp
 
 
 def header(image: bytes) -> dict[str, object]:

@@ -15,10 +15,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from toolchain.ir import activation_tables_fit as lookup_fit
-from toolchain.ir.activation_tables import ERF, EXPM1, SOFTPLUS, TANH, ActivationTable, apply
-from toolchain.ir.float32 import Float32
-from toolchain.ir.float64_functions import erf, softplus
+from neuroflight.toolchain.ir import activation_tables_fit as lookup_fit
+from neuroflight.toolchain.ir.activation_tables import ERF, EXPM1, SOFTPLUS, TANH, ActivationTable, apply
+from neuroflight.toolchain.ir.float32 import Float32
+from neuroflight.toolchain.ir.float64_functions import erf, softplus
 
 INFINITY_BITS = 0x7F800000
 NAMES = (EXPM1, TANH, ERF)  # `function` of activation_tables_every.c

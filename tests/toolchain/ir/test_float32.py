@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from toolchain.ir.float32 import fma
+from neuroflight.toolchain.ir.float32 import fma
 
 SOURCE = """
 void fma_all(unsigned n, const float *a, const float *b, const float *c, float *out)

@@ -10,10 +10,10 @@ import onnxruntime
 import pytest
 from onnx import helper
 
-from toolchain.ir.interpreter import advance, clear_state, evaluate, replay
-from toolchain.ir.network import Network, Node, chain
-from toolchain.ir.onnx_export import to_model
-from toolchain.ir.operations import (
+from neuroflight.toolchain.ir.interpreter import advance, clear_state, evaluate, replay
+from neuroflight.toolchain.ir.network import Network, Node, chain
+from neuroflight.toolchain.ir.onnx_export import to_model
+from neuroflight.toolchain.ir.operations import (
     Add,
     Affine,
     Clip,
@@ -38,8 +38,8 @@ from toolchain.ir.operations import (
     Softsign,
     Tanh,
 )
-from toolchain.passes import optimize
-from toolchain.policy.model import parse_policy
+from neuroflight.toolchain.passes import optimize
+from neuroflight.toolchain.policy.model import parse_policy
 
 if TYPE_CHECKING:
     from tests.toolchain.conftest import Kit

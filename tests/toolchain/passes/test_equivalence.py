@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from toolchain.ir.network import Network, chain
-from toolchain.ir.operations import (
+from neuroflight.toolchain.ir.network import Network, chain
+from neuroflight.toolchain.ir.operations import (
     Affine,
     Clip,
     Gru,
@@ -22,7 +22,7 @@ from toolchain.ir.operations import (
     Softsign,
     Tanh,
 )
-from toolchain.passes.equivalence import (
+from neuroflight.toolchain.passes.equivalence import (
     BOUND,
     MAGNITUDES,
     ROWS,

@@ -7,10 +7,10 @@ from dataclasses import astuple
 import numpy as np
 import pytest
 
-from toolchain.errors import PolicyError
-from toolchain.ir.interpreter import replay
-from toolchain.ir.network import Network, Node, chain
-from toolchain.ir.operations import (
+from neuroflight.toolchain.errors import PolicyError
+from neuroflight.toolchain.ir.interpreter import replay
+from neuroflight.toolchain.ir.network import Network, Node, chain
+from neuroflight.toolchain.ir.operations import (
     Add,
     Affine,
     Clip,
@@ -30,8 +30,8 @@ from toolchain.ir.operations import (
     Softsign,
     Tanh,
 )
-from toolchain.passes import PASSES, Saving, optimize, size
-from toolchain.passes.equivalence import check_equivalence
+from neuroflight.toolchain.passes import PASSES, Saving, optimize, size
+from neuroflight.toolchain.passes.equivalence import check_equivalence
 
 CLIP = Clip(0.0, 1.0)
 RUN = {step.name: step.run for step in PASSES}

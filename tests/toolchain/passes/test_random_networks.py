@@ -10,12 +10,12 @@ import pytest
 from numpy.random import Generator
 from numpy.typing import NDArray
 
-from toolchain.ir.float64_reference import reference
-from toolchain.ir.interpreter import advance, clear_state, replay
-from toolchain.ir.intervals import value_intervals
-from toolchain.ir.network import Network, Node, output_width
-from toolchain.ir.onnx_export import STATE, to_model
-from toolchain.ir.operations import (
+from neuroflight.toolchain.ir.float64_reference import reference
+from neuroflight.toolchain.ir.interpreter import advance, clear_state, replay
+from neuroflight.toolchain.ir.intervals import value_intervals
+from neuroflight.toolchain.ir.network import Network, Node, output_width
+from neuroflight.toolchain.ir.onnx_export import STATE, to_model
+from neuroflight.toolchain.ir.operations import (
     Add,
     Affine,
     Clip,
@@ -40,8 +40,8 @@ from toolchain.ir.operations import (
     Softsign,
     Tanh,
 )
-from toolchain.passes import PASSES, optimize, size
-from toolchain.passes.equivalence import BOUND, check_equivalence
+from neuroflight.toolchain.passes import PASSES, optimize, size
+from neuroflight.toolchain.passes.equivalence import BOUND, check_equivalence
 
 SEEDS, SEEDS_PROVEN = range(150), range(1000, 5000)
 WIDEST = 8

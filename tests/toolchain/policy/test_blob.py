@@ -15,10 +15,10 @@ import jinja2
 import numpy as np
 import pytest
 
-from toolchain import contract
-from toolchain.codegen.emit import header_literals
-from toolchain.errors import PolicyError
-from toolchain.policy.blob import (
+from neuroflight.toolchain import contract
+from neuroflight.toolchain.codegen.emit import header_literals
+from neuroflight.toolchain.errors import PolicyError
+from neuroflight.toolchain.policy.blob import (
     PolicyBlob,
     blob_terms,
     filters_hash,
@@ -27,8 +27,8 @@ from toolchain.policy.blob import (
     parse,
     same_architecture,
 )
-from toolchain.policy.model_constants import ModelConstants
-from toolchain.rendering.contract_header import blob_header_fields
+from neuroflight.toolchain.policy.model_constants import ModelConstants
+from neuroflight.toolchain.rendering.contract_header import blob_header_fields
 
 PAGE = Path(__file__).resolve().parents[3] / "docs" / "policy-blob.md"
 HEADER_BYTES = 584
@@ -403,7 +403,7 @@ def test_filters_hash_tells_chains_apart_but_not_the_order_of_keys() -> None:
 
 
 # --- C and the page ---------------------------------------------------------------------------
-MACROS = jinja2.Environment(loader=jinja2.PackageLoader("toolchain.rendering"), trim_blocks=True)
+MACROS = jinja2.Environment(loader=jinja2.PackageLoader("neuroflight.toolchain.rendering"), trim_blocks=True)
 COMPILERS = (("gcc", "objcopy"), ("arm-none-eabi-gcc", "arm-none-eabi-objcopy"))
 
 

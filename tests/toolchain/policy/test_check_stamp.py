@@ -9,9 +9,9 @@ from typing import Any
 
 import pytest
 
-from toolchain.errors import PolicyError
-from toolchain.policy import check_stamp
-from toolchain.policy.check_stamp import (
+from neuroflight.toolchain.errors import PolicyError
+from neuroflight.toolchain.policy import check_stamp
+from neuroflight.toolchain.policy.check_stamp import (
     RULES,
     STAMP_BYTES_MAX,
     fault,

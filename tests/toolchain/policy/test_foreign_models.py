@@ -13,9 +13,9 @@ import pytest
 from numpy.typing import NDArray
 from onnx import TensorProto, helper, numpy_helper
 
-from toolchain.ir.interpreter import evaluate
-from toolchain.policy.import_onnx import PolicyClaims, imported_model
-from toolchain.policy.model import parse_policy
+from neuroflight.toolchain.ir.interpreter import evaluate
+from neuroflight.toolchain.policy.import_onnx import PolicyClaims, imported_model
+from neuroflight.toolchain.policy.model import parse_policy
 
 TERMS = ("rate", "rate_error", "rate_error_delta", "gravity", "rate@1", "rate@2")  # of three values each
 MOTORS = 4

@@ -17,11 +17,11 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from toolchain.errors import PolicyError
-from toolchain.ir.interpreter import replay
-from toolchain.policy.import_onnx import PolicyClaims, imported_model
-from toolchain.policy.model import parse_policy
-from toolchain.verification.original import compare
+from neuroflight.toolchain.errors import PolicyError
+from neuroflight.toolchain.ir.interpreter import replay
+from neuroflight.toolchain.policy.import_onnx import PolicyClaims, imported_model
+from neuroflight.toolchain.policy.model import parse_policy
+from neuroflight.toolchain.verification.original import compare
 
 Float32 = NDArray[np.float32]
 CLAIMS = PolicyClaims("rate_error,rate_error_delta", 1000, "[]", "nf1", "ab" * 32, 4)

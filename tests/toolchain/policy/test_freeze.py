@@ -14,14 +14,14 @@ import pytest
 import torch
 from stable_baselines3.common.policies import ActorCriticPolicy
 
-from sim.aircraft.model import load_aircraft
-from sim.control.estimator import model_constants
-from toolchain.contract import Mix
-from toolchain.errors import PolicyError
-from toolchain.ir.interpreter import evaluate
-from toolchain.passes import optimize, size
-from toolchain.policy.freeze import freeze, to_onnx
-from toolchain.policy.model import parse_policy, read_policy
+from neuroflight.sim.aircraft.model import load_aircraft
+from neuroflight.sim.control.estimator import model_constants
+from neuroflight.toolchain.contract import Mix
+from neuroflight.toolchain.errors import PolicyError
+from neuroflight.toolchain.ir.interpreter import evaluate
+from neuroflight.toolchain.passes import optimize, size
+from neuroflight.toolchain.policy.freeze import freeze, to_onnx
+from neuroflight.toolchain.policy.model import parse_policy, read_policy
 
 SCALE = [0.3, 0.3, 0.3, 10.0, 10.0, 10.0]
 

@@ -9,10 +9,10 @@ import onnxruntime
 import pytest
 import torch
 
-from toolchain.errors import PolicyError
-from toolchain.ir.interpreter import advance, clear_state
-from toolchain.policy.freeze import to_onnx
-from toolchain.policy.model import parse_policy
+from neuroflight.toolchain.errors import PolicyError
+from neuroflight.toolchain.ir.interpreter import advance, clear_state
+from neuroflight.toolchain.policy.freeze import to_onnx
+from neuroflight.toolchain.policy.model import parse_policy
 
 SCALE = [0.3, 0.3, 0.3, 10.0, 10.0, 10.0]
 UNITS, HIDDEN, MOTORS = 5, 7, 4

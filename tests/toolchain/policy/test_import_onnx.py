@@ -15,16 +15,16 @@ import onnxruntime
 import pytest
 import torch
 
-from cli.main import main
-from sim.aircraft.model import load_aircraft
-from sim.control.estimator import model_constants
-from toolchain import contract
-from toolchain.contract import POLICY_FILE_BYTES_MAX, Mix
-from toolchain.errors import PolicyError
-from toolchain.ir.interpreter import evaluate
-from toolchain.policy.import_onnx import PolicyClaims, import_onnx, imported_model
-from toolchain.policy.model import parse_policy, read_policy
-from toolchain.reader.external import embed_weights
+from neuroflight.cli.main import main
+from neuroflight.sim.aircraft.model import load_aircraft
+from neuroflight.sim.control.estimator import model_constants
+from neuroflight.toolchain import contract
+from neuroflight.toolchain.contract import POLICY_FILE_BYTES_MAX, Mix
+from neuroflight.toolchain.errors import PolicyError
+from neuroflight.toolchain.ir.interpreter import evaluate
+from neuroflight.toolchain.policy.import_onnx import PolicyClaims, import_onnx, imported_model
+from neuroflight.toolchain.policy.model import parse_policy, read_policy
+from neuroflight.toolchain.reader.external import embed_weights
 
 if TYPE_CHECKING:
     from tests.toolchain.conftest import Chain, Kit

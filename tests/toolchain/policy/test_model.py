@@ -14,11 +14,11 @@ import onnxruntime
 import pytest
 from onnx import TensorProto, helper
 
-from toolchain import contract
-from toolchain.errors import PolicyError
-from toolchain.ir.interpreter import evaluate
-from toolchain.passes import optimize
-from toolchain.policy.model import parse_policy, read_policy
+from neuroflight.toolchain import contract
+from neuroflight.toolchain.errors import PolicyError
+from neuroflight.toolchain.ir.interpreter import evaluate
+from neuroflight.toolchain.passes import optimize
+from neuroflight.toolchain.policy.model import parse_policy, read_policy
 
 if TYPE_CHECKING:
     from tests.toolchain.conftest import Chain, Kit

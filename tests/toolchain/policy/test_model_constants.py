@@ -10,9 +10,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sim.aircraft.model import load_aircraft
-from sim.control.estimator import model_constants
-from toolchain.policy.model_constants import UNLIMITED, ModelConstants
+from neuroflight.sim.aircraft.model import load_aircraft
+from neuroflight.sim.control.estimator import model_constants
+from neuroflight.toolchain.policy.model_constants import UNLIMITED, ModelConstants
 
 GOOD: dict[str, Any] = {
     "delay_steps": 2,

@@ -17,10 +17,10 @@ import numpy as np
 import pytest
 import torch
 
+from neuroflight.toolchain.errors import PolicyError, TrainingError
+from neuroflight.toolchain.policy.plain_checkpoint import load_plain
+from neuroflight.training.runs.checkpoint import load_learned, load_run
 from tests.conftest import ROOT
-from toolchain.errors import PolicyError, TrainingError
-from toolchain.policy.plain_checkpoint import load_plain
-from training.runs.checkpoint import load_learned, load_run
 
 HUGE = 1 << 30  # bytes that each of the files asks for
 ALLOWED_KB = 160 << 10  # more than at rest, of a file of any kind: it is read once, parsed twice
@@ -29,8 +29,8 @@ MEASURE = """
 import json, resource, sys
 import torch
 from pathlib import Path
-from toolchain.errors import PolicyError
-from toolchain.policy.plain_checkpoint import load_plain
+from neuroflight.toolchain.errors import PolicyError
+from neuroflight.toolchain.policy.plain_checkpoint import load_plain
 before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 words = []
 for name in sys.argv[1:]:

@@ -10,10 +10,10 @@ import onnxruntime
 import pytest
 from onnx import TensorProto, helper, numpy_helper
 
-from toolchain.errors import PolicyError
-from toolchain.ir.interpreter import evaluate
-from toolchain.policy.import_onnx import PolicyClaims, imported_model
-from toolchain.policy.model import parse_policy
+from neuroflight.toolchain.errors import PolicyError
+from neuroflight.toolchain.ir.interpreter import evaluate
+from neuroflight.toolchain.policy.import_onnx import PolicyClaims, imported_model
+from neuroflight.toolchain.policy.model import parse_policy
 
 CLAIMS = PolicyClaims("rate_error,rate_error_delta", 1000, "[]", "nf1", "ab" * 32, 4)
 TOLERANCE = 1e-6

@@ -19,10 +19,10 @@ from onnx import helper
 from stable_baselines3.common.policies import ActorCriticPolicy
 from torch import nn
 
-from toolchain.errors import PolicyError
-from toolchain.ir.interpreter import evaluate, replay
-from toolchain.policy.import_onnx import PolicyClaims, imported_model
-from toolchain.policy.model import parse_policy
+from neuroflight.toolchain.errors import PolicyError
+from neuroflight.toolchain.ir.interpreter import evaluate, replay
+from neuroflight.toolchain.policy.import_onnx import PolicyClaims, imported_model
+from neuroflight.toolchain.policy.model import parse_policy
 
 if TYPE_CHECKING:
     from tests.toolchain.conftest import Kit

@@ -12,10 +12,19 @@ import onnxruntime
 import pytest
 from numpy.typing import NDArray
 
-from toolchain.ir.interpreter import evaluate
-from toolchain.ir.operations import Affine, Clip, Erf, LayerNorm, RmsNorm, Silu, Softplus, Softsign
-from toolchain.policy.model import parse_policy
-from toolchain.reader.operators import KNOWN
+from neuroflight.toolchain.ir.interpreter import evaluate
+from neuroflight.toolchain.ir.operations import (
+    Affine,
+    Clip,
+    Erf,
+    LayerNorm,
+    RmsNorm,
+    Silu,
+    Softplus,
+    Softsign,
+)
+from neuroflight.toolchain.policy.model import parse_policy
+from neuroflight.toolchain.reader.operators import KNOWN
 
 if TYPE_CHECKING:
     from tests.toolchain.conftest import Kit

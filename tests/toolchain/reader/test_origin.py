@@ -25,9 +25,9 @@ from onnxruntime.quantization import (
 )
 from onnxruntime.transformers.float16 import convert_float_to_float16
 
-from cli.main import main
-from toolchain.errors import PolicyError
-from toolchain.policy.model import parse_policy, read_policy
+from neuroflight.cli.main import main
+from neuroflight.toolchain.errors import PolicyError
+from neuroflight.toolchain.policy.model import parse_policy, read_policy
 
 if TYPE_CHECKING:
     from tests.toolchain.conftest import Kit

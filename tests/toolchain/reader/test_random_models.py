@@ -11,10 +11,10 @@ import pytest
 from onnx import NodeProto, TensorProto, helper, numpy_helper
 from pytest import param
 
-from toolchain.ir.float64_reference import reference
-from toolchain.ir.interpreter import evaluate
-from toolchain.policy.model import parse_policy
-from toolchain.verification.tolerance import ROUNDING, TOLERANCE
+from neuroflight.toolchain.ir.float64_reference import reference
+from neuroflight.toolchain.ir.interpreter import evaluate
+from neuroflight.toolchain.policy.model import parse_policy
+from neuroflight.toolchain.verification.tolerance import ROUNDING, TOLERANCE
 
 if TYPE_CHECKING:
     from tests.toolchain.conftest import Kit

@@ -12,10 +12,10 @@ import pytest
 from numpy.typing import NDArray
 from onnx import TensorProto, helper, numpy_helper
 
-from toolchain.errors import PolicyError
-from toolchain.ir.interpreter import replay
-from toolchain.ir.operations import Gru, Lstm
-from toolchain.policy.model import parse_policy
+from neuroflight.toolchain.errors import PolicyError
+from neuroflight.toolchain.ir.interpreter import replay
+from neuroflight.toolchain.ir.operations import Gru, Lstm
+from neuroflight.toolchain.policy.model import parse_policy
 
 if TYPE_CHECKING:
     from tests.toolchain.conftest import Kit

@@ -12,8 +12,8 @@ import pytest
 from numpy.typing import NDArray
 from onnx import TensorProto, helper, numpy_helper
 
-from toolchain.errors import PolicyError
-from toolchain.policy.model import parse_policy
+from neuroflight.toolchain.errors import PolicyError
+from neuroflight.toolchain.policy.model import parse_policy
 
 if TYPE_CHECKING:
     from tests.toolchain.conftest import Kit

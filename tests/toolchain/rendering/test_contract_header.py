@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from toolchain import contract
-from toolchain.rendering.contract_header import render_contract
+from neuroflight.toolchain import contract
+from neuroflight.toolchain.rendering.contract_header import render_contract
 
 EXPRESSIONS = {
     "NF_GYRO_COUNTS": contract.GYRO_COUNTS,

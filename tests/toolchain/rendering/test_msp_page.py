@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from cli.flash.msp import COMMANDS as SUBCOMMANDS
-from cli.main import parser
-from toolchain.contract import LAYOUTS, Msp
-from toolchain.rendering.msp_page import EXAMPLES, commands, msp_page
+from neuroflight.cli.flash.msp import COMMANDS as SUBCOMMANDS
+from neuroflight.cli.main import parser
+from neuroflight.toolchain.contract import LAYOUTS, Msp
+from neuroflight.toolchain.rendering.msp_page import EXAMPLES, commands, msp_page
 
 PAGE = Path(__file__).resolve().parents[3] / "docs" / "msp.md"
 
@@ -22,7 +22,9 @@ def rows() -> list[list[str]]:
 
 
 def test_the_page_is_up_to_date_when_the_contract_changes() -> None:
-    assert PAGE.read_text() == msp_page(), "run: python -m toolchain.rendering.msp_page docs/msp.md"
+    assert PAGE.read_text() == msp_page(), (
+        "run: python -m neuroflight.toolchain.rendering.msp_page docs/msp.md"
+    )
 
 
 def test_every_message_and_layout_has_a_row_when_rendered() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from toolchain.contract import ARMING_COUNTS, ArmingReason
+from neuroflight.toolchain.contract import ARMING_COUNTS, ArmingReason
 
 PAGE = Path(__file__).resolve().parents[3] / "docs" / "safety.md"
 TOLD_OTHERWISE = {"RECEIVER_LOST", "FAULT", "CRASHED"}  # by rhythms of their own

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from toolchain.contract import SETTINGS
-from toolchain.rendering.settings_page import settings_page
+from neuroflight.toolchain.contract import SETTINGS
+from neuroflight.toolchain.rendering.settings_page import settings_page
 
 PAGE = Path(__file__).resolve().parents[3] / "docs" / "settings.md"
 
 
 def test_the_page_is_up_to_date_when_the_contract_changes() -> None:
     assert PAGE.read_text() == settings_page(), (
-        "run: python -m toolchain.rendering.settings_page docs/settings.md"
+        "run: python -m neuroflight.toolchain.rendering.settings_page docs/settings.md"
     )
 
 

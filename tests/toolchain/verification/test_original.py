@@ -10,12 +10,12 @@ import onnx
 import pytest
 from onnx import helper, numpy_helper
 
-from toolchain.errors import PolicyError
-from toolchain.ir.network import Network, Node
-from toolchain.ir.operations import Linear
-from toolchain.policy.foreign_ends import Ends
-from toolchain.policy.foreign_network import Adopted, read_foreign
-from toolchain.verification.original import compare
+from neuroflight.toolchain.errors import PolicyError
+from neuroflight.toolchain.ir.network import Network, Node
+from neuroflight.toolchain.ir.operations import Linear
+from neuroflight.toolchain.policy.foreign_ends import Ends
+from neuroflight.toolchain.policy.foreign_network import Adopted, read_foreign
+from neuroflight.toolchain.verification.original import compare
 
 
 def model(*, flat: bool = False, dead: bool = False) -> bytes:

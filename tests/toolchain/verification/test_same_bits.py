@@ -12,7 +12,7 @@ import onnxruntime
 import pytest
 import torch
 
-from toolchain.ir.interpreter import evaluate
+from neuroflight.toolchain.ir.interpreter import evaluate
 
 if TYPE_CHECKING:
     from tests.toolchain.conftest import Chain, Float32, Kit

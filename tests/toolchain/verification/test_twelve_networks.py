@@ -13,10 +13,9 @@ import numpy as np
 import pytest
 from onnx import helper
 
-from tests.random_networks import Maker, gru, lstm, norm, perceptron
-from toolchain.ir.network import OBSERVATION, Network
-from toolchain.ir.onnx_export import to_model
-from toolchain.ir.operations import (
+from neuroflight.toolchain.ir.network import OBSERVATION, Network
+from neuroflight.toolchain.ir.onnx_export import to_model
+from neuroflight.toolchain.ir.operations import (
     Add,
     Affine,
     Clip,
@@ -36,8 +35,9 @@ from toolchain.ir.operations import (
     Softsign,
     Tanh,
 )
-from toolchain.verification.inputs import make_inputs
-from toolchain.verification.verify import MachineReport, all_candidates, verify
+from neuroflight.toolchain.verification.inputs import make_inputs
+from neuroflight.toolchain.verification.verify import MachineReport, all_candidates, verify
+from tests.random_networks import Maker, gru, lstm, norm, perceptron
 
 if TYPE_CHECKING:
     from tests.toolchain.conftest import Kit

@@ -14,19 +14,19 @@ import onnx
 import pytest
 import torch
 
-from cli.main import main
-from toolchain.codegen.compiler import CompiledPolicy
-from toolchain.codegen.emit import literal
-from toolchain.contract import CHECKPOINT_FORMAT, CHECKPOINT_VERSION
-from toolchain.ir.interpreter import State, advance
-from toolchain.ir.network import Network, chain
-from toolchain.ir.onnx_export import to_model
-from toolchain.ir.operations import Clip, Gru, Linear
-from toolchain.policy.freeze import freeze
-from toolchain.verification.inputs import Inputs, make_inputs
-from toolchain.verification.machines import Machine, open_evaluator
-from toolchain.verification.tolerance import standard
-from toolchain.verification.verify import Candidate, Finding, Verification, all_candidates, verify
+from neuroflight.cli.main import main
+from neuroflight.toolchain.codegen.compiler import CompiledPolicy
+from neuroflight.toolchain.codegen.emit import literal
+from neuroflight.toolchain.contract import CHECKPOINT_FORMAT, CHECKPOINT_VERSION
+from neuroflight.toolchain.ir.interpreter import State, advance
+from neuroflight.toolchain.ir.network import Network, chain
+from neuroflight.toolchain.ir.onnx_export import to_model
+from neuroflight.toolchain.ir.operations import Clip, Gru, Linear
+from neuroflight.toolchain.policy.freeze import freeze
+from neuroflight.toolchain.verification.inputs import Inputs, make_inputs
+from neuroflight.toolchain.verification.machines import Machine, open_evaluator
+from neuroflight.toolchain.verification.tolerance import standard
+from neuroflight.toolchain.verification.verify import Candidate, Finding, Verification, all_candidates, verify
 
 if TYPE_CHECKING:
     from tests.toolchain.conftest import Chain, Float32, Kit
@@ -267,7 +267,7 @@ def test_state_is_named_when_it_does_not_stay_finite(
         actions, after = advance(network, x, state)
         return actions, (np.where(np.isfinite(x[:, :1]), after[0], np.nan),)
 
-    monkeypatch.setattr("toolchain.verification.machines.advance", leaking)
+    monkeypatch.setattr("neuroflight.toolchain.verification.machines.advance", leaking)
     found = finding(seen_on(("evaluator",), compiled, remembering, tmp_path))
     assert (found.machine, found.law) == ("evaluator", "state")
 

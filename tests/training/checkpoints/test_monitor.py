@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 import torch
 
-from sim.aircraft.model import load_aircraft
-from toolchain.errors import PolicyError
-from training.checkpoints.monitor import FLIGHT, flown, fly
-from training.checkpoints.monitor_process import Monitor
-from training.config.algorithms import PpoConfig
-from training.config.randomization import Randomization
-from training.config.training_config import TrainingConfig, WorldConfig
-from training.tasks.random_steps import RandomStepsTask
-from training.tasks.task import ContinuousTask, EpisodicTask, PulseTask
+from neuroflight.sim.aircraft.model import load_aircraft
+from neuroflight.toolchain.errors import PolicyError
+from neuroflight.training.checkpoints.monitor import FLIGHT, flown, fly
+from neuroflight.training.checkpoints.monitor_process import Monitor
+from neuroflight.training.config.algorithms import PpoConfig
+from neuroflight.training.config.randomization import Randomization
+from neuroflight.training.config.training_config import TrainingConfig, WorldConfig
+from neuroflight.training.tasks.random_steps import RandomStepsTask
+from neuroflight.training.tasks.task import ContinuousTask, EpisodicTask, PulseTask
 
 NF1 = load_aircraft("nf1")
 PPO = PpoConfig(aircraft=8, horizon=16, minibatch=64)

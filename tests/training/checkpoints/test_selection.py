@@ -6,15 +6,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sim.aircraft.model import load_aircraft
-from sim.plotting import png
-from toolchain.errors import TrainingError
-from training.checkpoints.metrics import CheckpointMetrics, Spread
-from training.checkpoints.monitor_plot import Monitored, draw, read_monitor
-from training.config.selection import SelectionLimits
-from training.config.training_config import TrainingConfig
-from training.runs.checkpoint import MonitorState
-from training.runs.seeds import best_seed, plan
+from neuroflight.sim.aircraft.model import load_aircraft
+from neuroflight.sim.plotting import png
+from neuroflight.toolchain.errors import TrainingError
+from neuroflight.training.checkpoints.metrics import CheckpointMetrics, Spread
+from neuroflight.training.checkpoints.monitor_plot import Monitored, draw, read_monitor
+from neuroflight.training.config.selection import SelectionLimits
+from neuroflight.training.config.training_config import TrainingConfig
+from neuroflight.training.runs.checkpoint import MonitorState
+from neuroflight.training.runs.seeds import best_seed, plan
 
 LIMITS = SelectionLimits(output=0.1, change=0.01)
 

@@ -6,14 +6,14 @@ from pathlib import Path
 
 import pytest
 
-from sim.aircraft.model import load_aircraft
-from toolchain.errors import TrainingError
-from training.config.algorithms import PpoConfig
-from training.config.config_file import load_config, recipes
-from training.config.randomization import Randomization
-from training.config.training_config import OutputMap, TrainingConfig, WorldConfig
-from training.tasks.reward import TrackingReward
-from training.tasks.task import EnvelopeTask, PulseTask
+from neuroflight.sim.aircraft.model import load_aircraft
+from neuroflight.toolchain.errors import TrainingError
+from neuroflight.training.config.algorithms import PpoConfig
+from neuroflight.training.config.config_file import load_config, recipes
+from neuroflight.training.config.randomization import Randomization
+from neuroflight.training.config.training_config import OutputMap, TrainingConfig, WorldConfig
+from neuroflight.training.tasks.reward import TrackingReward
+from neuroflight.training.tasks.task import EnvelopeTask, PulseTask
 
 NF1 = load_aircraft("nf1")
 OTHER = TrainingConfig(

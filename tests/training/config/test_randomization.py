@@ -5,12 +5,12 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
-from sim.aircraft.model import load_aircraft
-from toolchain.errors import AircraftError, TrainingError
-from training.config.randomization import Randomization
-from training.config.training_config import TrainingConfig, WorldConfig
-from training.envs.simulation import AttitudeSimulation
-from training.tasks.task import PulseTask
+from neuroflight.sim.aircraft.model import load_aircraft
+from neuroflight.toolchain.errors import AircraftError, TrainingError
+from neuroflight.training.config.randomization import Randomization
+from neuroflight.training.config.training_config import TrainingConfig, WorldConfig
+from neuroflight.training.envs.simulation import AttitudeSimulation
+from neuroflight.training.tasks.task import PulseTask
 
 NF1 = load_aircraft("nf1")
 WIDE = Randomization(

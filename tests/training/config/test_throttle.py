@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from training.config.throttle import RAMP_S, moving_throttle
-from training.config.training_config import WorldConfig
+from neuroflight.training.config.throttle import RAMP_S, moving_throttle
+from neuroflight.training.config.training_config import WorldConfig
 
 
 def test_throttle_begins_where_it_is_to_and_stays_in_range() -> None:

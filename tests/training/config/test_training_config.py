@@ -6,13 +6,13 @@ from typing import Any
 
 import pytest
 
-from sim.aircraft.model import load_aircraft
-from sim.control.estimator import model_constants
-from toolchain.errors import TrainingError
-from training.config.algorithms import PpoConfig
-from training.config.randomization import Randomization
-from training.config.training_config import OutputMap, TrainingConfig, WorldConfig
-from training.tasks.task import EpisodicTask, PulseTask
+from neuroflight.sim.aircraft.model import load_aircraft
+from neuroflight.sim.control.estimator import model_constants
+from neuroflight.toolchain.errors import TrainingError
+from neuroflight.training.config.algorithms import PpoConfig
+from neuroflight.training.config.randomization import Randomization
+from neuroflight.training.config.training_config import OutputMap, TrainingConfig, WorldConfig
+from neuroflight.training.tasks.task import EpisodicTask, PulseTask
 
 NF1 = load_aircraft("nf1")
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from training.dissertation.quotes import AXES, FILE, QuoteError, Quotes, quotes, read_quotes
+from neuroflight.training.dissertation.quotes import AXES, FILE, QuoteError, Quotes, quotes, read_quotes
 
 Q = quotes()
 METRICS = ("4.3", "4.7", "4.8", "4.9", "5.6", "5.7", "5.8", "5.9")

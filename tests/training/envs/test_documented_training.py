@@ -11,9 +11,9 @@ from pathlib import Path
 
 import pytest
 
-from cli.main import main
+from neuroflight.cli.main import main
+from neuroflight.toolchain.policy.model import read_policy
 from tests.conftest import ROOT
-from toolchain.policy.model import read_policy
 
 PAGE = ROOT / "docs" / "gymnasium.md"
 MAE_MAX_DEG_S = 10.0  # mean of the axes, on 1000 unseen pulses; the first policy of a run has hundreds

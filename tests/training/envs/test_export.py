@@ -10,15 +10,15 @@ import torch
 from stable_baselines3 import PPO, SAC
 from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor
 
-from sim.control.controller import PolicyController
-from toolchain.contract import needs_model
-from toolchain.errors import PolicyError, TrainingError
-from toolchain.ir.interpreter import evaluate
-from toolchain.policy.model import read_policy
-from training.config.training_config import OutputMap
-from training.envs.export import batch_of, export_policy
-from training.envs.gym_vector import AttitudeVectorEnv
-from training.envs.sb3_vector import AttitudeVecEnv
+from neuroflight.sim.control.controller import PolicyController
+from neuroflight.toolchain.contract import needs_model
+from neuroflight.toolchain.errors import PolicyError, TrainingError
+from neuroflight.toolchain.ir.interpreter import evaluate
+from neuroflight.toolchain.policy.model import read_policy
+from neuroflight.training.config.training_config import OutputMap
+from neuroflight.training.envs.export import batch_of, export_policy
+from neuroflight.training.envs.gym_vector import AttitudeVectorEnv
+from neuroflight.training.envs.sb3_vector import AttitudeVecEnv
 
 ID = "neuroflight/Attitude-v0"
 

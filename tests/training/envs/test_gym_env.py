@@ -16,13 +16,13 @@ from gymnasium.utils.env_checker import check_env
 from stable_baselines3 import PPO
 from stable_baselines3.common.env_checker import check_env as check_env_of_sb3
 
+from neuroflight.toolchain.errors import AircraftError, TrainingError
+from neuroflight.training.config.config_file import recipes
+from neuroflight.training.config.training_config import TrainingConfig, WorldConfig
+from neuroflight.training.envs.gym_env import AttitudeEnv
+from neuroflight.training.tasks.reward import NormalizedReward
+from neuroflight.training.tasks.task import EpisodicTask
 from tests.conftest import ROOT
-from toolchain.errors import AircraftError, TrainingError
-from training.config.config_file import recipes
-from training.config.training_config import TrainingConfig, WorldConfig
-from training.envs.gym_env import AttitudeEnv
-from training.tasks.reward import NormalizedReward
-from training.tasks.task import EpisodicTask
 
 ID = "neuroflight/Attitude-v0"
 AIRCRAFT = {"hexa": "hexa", "iris-ppo": "iris"}

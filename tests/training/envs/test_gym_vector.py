@@ -12,11 +12,11 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.wrappers.vector import NormalizeObservation, RecordEpisodeStatistics
 from numpy.typing import NDArray
 
-from toolchain.errors import TrainingError
-from training.envs.gym_env import AttitudeEnv
-from training.envs.gym_vector import AttitudeVectorEnv
-from training.envs.sb3_vector import AttitudeVecEnv
-from training.envs.simulation import AttitudeSimulation
+from neuroflight.toolchain.errors import TrainingError
+from neuroflight.training.envs.gym_env import AttitudeEnv
+from neuroflight.training.envs.gym_vector import AttitudeVectorEnv
+from neuroflight.training.envs.sb3_vector import AttitudeVecEnv
+from neuroflight.training.envs.simulation import AttitudeSimulation
 
 ID = "neuroflight/Attitude-v0"
 SHORT = {"name": "episodic", "hold_s": 0.03}  # 30 control steps

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from sim.aircraft.model import load_aircraft
-from sim.control.observation import Observer
-from training.config.training_config import TrainingConfig
-from training.learners.ppo import observation_noise
+from neuroflight.sim.aircraft.model import load_aircraft
+from neuroflight.sim.control.observation import Observer
+from neuroflight.training.config.training_config import TrainingConfig
+from neuroflight.training.learners.ppo import observation_noise
 
 TERMS = "rate,rate_error~15Hz,rate_error_delta,rate_error_delta~40Hz@2,rate~200Hz@1,throttle,previous_action"
 COUNT, STEPS = 400, 300

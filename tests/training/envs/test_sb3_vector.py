@@ -12,12 +12,12 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.vec_env import VecMonitor, VecNormalize
 
-from sim.aircraft.model import load_aircraft
-from training.config.algorithms import PpoConfig
-from training.config.training_config import OutputMap, TrainingConfig, WorldConfig
-from training.envs.sb3_vector import AttitudeVecEnv, BatchVecEnv, LearnerVecEnv
-from training.tasks.reward import Transition
-from training.tasks.task import PulseTask
+from neuroflight.sim.aircraft.model import load_aircraft
+from neuroflight.training.config.algorithms import PpoConfig
+from neuroflight.training.config.training_config import OutputMap, TrainingConfig, WorldConfig
+from neuroflight.training.envs.sb3_vector import AttitudeVecEnv, BatchVecEnv, LearnerVecEnv
+from neuroflight.training.tasks.reward import Transition
+from neuroflight.training.tasks.task import PulseTask
 
 NF1 = load_aircraft("nf1")
 SMALL = PpoConfig(aircraft=8, horizon=16, minibatch=128)

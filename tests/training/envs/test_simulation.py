@@ -11,13 +11,13 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
-from sim.aircraft.model import load_aircraft
-from training.config.training_config import TrainingConfig, WorldConfig
-from training.envs.simulation import AttitudeSimulation
-from training.tasks.recorded import RecordedTask
-from training.tasks.registry import TASKS
-from training.tasks.reward import REWARDS, Rewards, TrackingReward, Transition
-from training.tasks.task import EpisodicTask, PulseTask
+from neuroflight.sim.aircraft.model import load_aircraft
+from neuroflight.training.config.training_config import TrainingConfig, WorldConfig
+from neuroflight.training.envs.simulation import AttitudeSimulation
+from neuroflight.training.tasks.recorded import RecordedTask
+from neuroflight.training.tasks.registry import TASKS
+from neuroflight.training.tasks.reward import REWARDS, Rewards, TrackingReward, Transition
+from neuroflight.training.tasks.task import EpisodicTask, PulseTask
 
 NF1 = load_aircraft("nf1")
 

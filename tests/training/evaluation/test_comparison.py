@@ -10,13 +10,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from cli.main import main
-from sim.aircraft.model import load_aircraft
-from sim.analysis.metrics import Tracking
-from sim.analysis.spectrum import Spectrum
-from tests.training.evaluation.constant import Constant
-from toolchain.errors import AircraftError, PolicyError
-from training.evaluation.comparison import (
+from neuroflight.cli.main import main
+from neuroflight.sim.aircraft.model import load_aircraft
+from neuroflight.sim.analysis.metrics import Tracking
+from neuroflight.sim.analysis.spectrum import Spectrum
+from neuroflight.toolchain.errors import AircraftError, PolicyError
+from neuroflight.training.evaluation.comparison import (
     change_percent,
     curves,
     differences,
@@ -26,10 +25,11 @@ from training.evaluation.comparison import (
     percent,
     significant,
 )
-from training.evaluation.comparison_plot import draw
-from training.evaluation.controllers import Conditions, ControllerSpec, load_controller
-from training.evaluation.evaluation import Flights, Scores, scores
-from training.tasks.task import EnvelopeTask, PulseTask
+from neuroflight.training.evaluation.comparison_plot import draw
+from neuroflight.training.evaluation.controllers import Conditions, ControllerSpec, load_controller
+from neuroflight.training.evaluation.evaluation import Flights, Scores, scores
+from neuroflight.training.tasks.task import EnvelopeTask, PulseTask
+from tests.training.evaluation.constant import Constant
 
 Capture = pytest.CaptureFixture[str]
 NF1 = load_aircraft("nf1")
@@ -265,7 +265,7 @@ def test_compare_gives_the_figures_of_evaluate(capsys: Capture) -> None:
 def test_compare_rejects_in_one_line_before_it_flies(
     words: list[str], message: str, capsys: Capture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("training.evaluation.controllers.record", None)
+    monkeypatch.setattr("neuroflight.training.evaluation.controllers.record", None)
     assert main(["compare", *words]) == 1
     captured = capsys.readouterr()
     assert message in captured.err

@@ -8,20 +8,20 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from sim.aircraft.model import load_aircraft
-from sim.control.controller import PolicyController
-from sim.control.pid import aircraft_pid
-from sim.control.pid_table import pid_settings
-from sim.physics.rotor import target_speed, thrust_and_torque
-from toolchain.contract import Mix
-from toolchain.ir.interpreter import advance, clear_state
-from toolchain.passes import optimize
-from toolchain.policy.model import read_policy
-from training.config.training_config import TrainingConfig, WorldConfig
-from training.envs.simulation import AttitudeSimulation
-from training.evaluation.controllers import Conditions, load_controller
-from training.evaluation.evaluation import Flights, figures, record, scores
-from training.tasks.task import EnvelopeTask, EpisodicTask, PulseTask
+from neuroflight.sim.aircraft.model import load_aircraft
+from neuroflight.sim.control.controller import PolicyController
+from neuroflight.sim.control.pid import aircraft_pid
+from neuroflight.sim.control.pid_table import pid_settings
+from neuroflight.sim.physics.rotor import target_speed, thrust_and_torque
+from neuroflight.toolchain.contract import Mix
+from neuroflight.toolchain.ir.interpreter import advance, clear_state
+from neuroflight.toolchain.passes import optimize
+from neuroflight.toolchain.policy.model import read_policy
+from neuroflight.training.config.training_config import TrainingConfig, WorldConfig
+from neuroflight.training.envs.simulation import AttitudeSimulation
+from neuroflight.training.evaluation.controllers import Conditions, load_controller
+from neuroflight.training.evaluation.evaluation import Flights, figures, record, scores
+from neuroflight.training.tasks.task import EnvelopeTask, EpisodicTask, PulseTask
 
 NF1 = load_aircraft("nf1")
 

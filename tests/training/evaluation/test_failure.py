@@ -5,13 +5,13 @@ import math
 import numpy as np
 import pytest
 
-from sim.aircraft.model import load_aircraft
-from sim.aircraft.payload import Payload, loaded, parse_payload
-from sim.physics.twin import Twin
-from sim.physics.world import Mount
-from toolchain.errors import AircraftError
-from training.evaluation.evaluation import Flights
-from training.evaluation.failure import case_result, nothing_happens
+from neuroflight.sim.aircraft.model import load_aircraft
+from neuroflight.sim.aircraft.payload import Payload, loaded, parse_payload
+from neuroflight.sim.physics.twin import Twin
+from neuroflight.sim.physics.world import Mount
+from neuroflight.toolchain.errors import AircraftError
+from neuroflight.training.evaluation.evaluation import Flights
+from neuroflight.training.evaluation.failure import case_result, nothing_happens
 
 NF1 = load_aircraft("nf1")
 STEPS, AT = 2000, 1000

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from sim.aircraft.model import load_aircraft
-from training.evaluation.controllers import Conditions, load_controller
-from training.evaluation.evaluation import scores
-from training.evaluation.floor import changes, floors, floors_of
-from training.tasks.task import EpisodicTask, PulseTask, Setpoints
+from neuroflight.sim.aircraft.model import load_aircraft
+from neuroflight.training.evaluation.controllers import Conditions, load_controller
+from neuroflight.training.evaluation.evaluation import scores
+from neuroflight.training.evaluation.floor import changes, floors, floors_of
+from neuroflight.training.tasks.task import EpisodicTask, PulseTask, Setpoints
 
 NF1 = load_aircraft("nf1")
 PULSES = PulseTask(idle_s=0.5, command_s=0.4, rest_s=0.4)

@@ -9,16 +9,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cli.main import main
-from sim.aircraft.model import load_aircraft
-from sim.physics.rotor import target_speed, thrust_and_torque
+from neuroflight.cli.main import main
+from neuroflight.sim.aircraft.model import load_aircraft
+from neuroflight.sim.physics.rotor import target_speed, thrust_and_torque
+from neuroflight.training.evaluation.controllers import Conditions, ControllerSpec
+from neuroflight.training.evaluation.evaluation import drawn as drawn_streams
+from neuroflight.training.evaluation.power import Draw, disarmed, document, power
+from neuroflight.training.evaluation.power_plot import draw
+from neuroflight.training.tasks.task import PulseTask
 from tests.conftest import ROOT
 from tests.training.evaluation.constant import Constant
-from training.evaluation.controllers import Conditions, ControllerSpec
-from training.evaluation.evaluation import drawn as drawn_streams
-from training.evaluation.power import Draw, disarmed, document, power
-from training.evaluation.power_plot import draw
-from training.tasks.task import PulseTask
 
 NF1 = load_aircraft("nf1")
 NF1_FILE = ROOT / "sim" / "aircraft" / "nf1.toml"

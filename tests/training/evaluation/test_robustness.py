@@ -7,14 +7,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cli.main import main
-from sim.aircraft.model import load_aircraft
-from training.config.randomization import Randomization
-from training.evaluation.controllers import ControllerSpec, load_controller
-from training.evaluation.evaluation import Flights
-from training.evaluation.robustness import Plan, episode_figures, examine, quantile_of, ratio_of
-from training.tasks.flight import Course, FlightTask
-from training.tasks.task import PulseTask
+from neuroflight.cli.main import main
+from neuroflight.sim.aircraft.model import load_aircraft
+from neuroflight.training.config.randomization import Randomization
+from neuroflight.training.evaluation.controllers import ControllerSpec, load_controller
+from neuroflight.training.evaluation.evaluation import Flights
+from neuroflight.training.evaluation.robustness import Plan, episode_figures, examine, quantile_of, ratio_of
+from neuroflight.training.tasks.flight import Course, FlightTask
+from neuroflight.training.tasks.task import PulseTask
 
 NF1 = load_aircraft("nf1")
 SHORT = PulseTask(idle_s=0.05, command_s=0.15, rest_s=0.05)
@@ -130,8 +130,8 @@ def test_flights_are_flown_once_a_draw_and_tell_their_drift(
     capsys: Capture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     quick = FlightTask(pulses=5, idle_s=0.0, command_s=0.1, rest_s=0.1, hover_s=10.0)
-    monkeypatch.setattr("training.evaluation.robustness.FLIGHT", quick)
-    monkeypatch.setattr("training.evaluation.robustness.EXTREMES", Randomization(lag=(1.0, 2.0)))
+    monkeypatch.setattr("neuroflight.training.evaluation.robustness.FLIGHT", quick)
+    monkeypatch.setattr("neuroflight.training.evaluation.robustness.EXTREMES", Randomization(lag=(1.0, 2.0)))
     words = ["robustness", "pid:tuned", "--episodes", "10", "--draws", "2", "--seed", "3"]
     assert main([*words, "--json"]) == 0
     document = json.loads(capsys.readouterr().out)
@@ -176,7 +176,7 @@ def test_a_quantiles_interval_holds_the_true_quantile(q: float, true: float) -> 
 def test_prints_a_table_and_the_same_as_json(
     tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("training.tasks.task.PulseTask", lambda: TINY)
+    monkeypatch.setattr("neuroflight.training.tasks.task.PulseTask", lambda: TINY)
     plot = tmp_path / "plot.png"
     words = ["robustness", "pid:tuned", "pid:published", "--task", "pulse", "--episodes", "4", "--draws", "5"]
     words += ["--seed", "3"]

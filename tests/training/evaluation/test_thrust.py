@@ -10,18 +10,23 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from sim.aircraft.model import load_aircraft
-from sim.physics.rotor import target_speed, thrust_and_torque
+from neuroflight.sim.aircraft.model import load_aircraft
+from neuroflight.sim.physics.rotor import target_speed, thrust_and_torque
+from neuroflight.toolchain.contract import GRAVITY, Mix
+from neuroflight.training.evaluation import comparison
+from neuroflight.training.evaluation import equal_thrust as module
+from neuroflight.training.evaluation.comparison import Entry
+from neuroflight.training.evaluation.comparison_plot import draw
+from neuroflight.training.evaluation.controllers import Conditions, Contender, ControllerSpec
+from neuroflight.training.evaluation.equal_thrust import (
+    equal_thrust,
+    level_document,
+    over_levels,
+    transparency_document,
+)
+from neuroflight.training.evaluation.thrust import THROTTLES, Progress, at_rest, transparency, trims
+from neuroflight.training.tasks.task import PulseTask
 from tests.training.evaluation.constant import Constant
-from toolchain.contract import GRAVITY, Mix
-from training.evaluation import comparison
-from training.evaluation import equal_thrust as module
-from training.evaluation.comparison import Entry
-from training.evaluation.comparison_plot import draw
-from training.evaluation.controllers import Conditions, Contender, ControllerSpec
-from training.evaluation.equal_thrust import equal_thrust, level_document, over_levels, transparency_document
-from training.evaluation.thrust import THROTTLES, Progress, at_rest, transparency, trims
-from training.tasks.task import PulseTask
 
 NF1 = load_aircraft("nf1")
 SHORT = PulseTask(idle_s=0.01, command_s=0.02, rest_s=0.01)

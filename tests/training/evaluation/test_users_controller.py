@@ -10,23 +10,23 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cli.main import main
-from sim.aircraft.model import load_aircraft
-from toolchain.contract import Mix
-from toolchain.errors import TrainingError
-from training.evaluation.controllers import Conditions, load_controller
-from training.evaluation.users_controller import load_users_controller, values_text
-from training.pid_tuning import users_tuning
-from training.pid_tuning.cma_es import CmaEs
-from training.pid_tuning.tuner import MakeTuner, load_tuner
-from training.pid_tuning.users_tuning import Tuning, tune_users
-from training.tasks.task import PulseTask
+from neuroflight.cli.main import main
+from neuroflight.sim.aircraft.model import load_aircraft
+from neuroflight.toolchain.contract import Mix
+from neuroflight.toolchain.errors import TrainingError
+from neuroflight.training.evaluation.controllers import Conditions, load_controller
+from neuroflight.training.evaluation.users_controller import load_users_controller, values_text
+from neuroflight.training.pid_tuning import users_tuning
+from neuroflight.training.pid_tuning.cma_es import CmaEs
+from neuroflight.training.pid_tuning.tuner import MakeTuner, load_tuner
+from neuroflight.training.pid_tuning.users_tuning import Tuning, tune_users
+from neuroflight.training.tasks.task import PulseTask
 
 NF1 = load_aircraft("nf1")
 Capture = pytest.CaptureFixture[str]
 
 WRAPPED = """
-from sim.control.pid import aircraft_pid
+from neuroflight.sim.control.pid import aircraft_pid
 
 class Wrapped:
     idle = 0.23

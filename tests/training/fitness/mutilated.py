@@ -11,7 +11,13 @@ import onnx
 from numpy.typing import NDArray
 from onnx import numpy_helper
 
-from toolchain.contract import META_IDLE, META_MIX, META_OBSERVATION, observation_blocks, observation_count
+from neuroflight.toolchain.contract import (
+    META_IDLE,
+    META_MIX,
+    META_OBSERVATION,
+    observation_blocks,
+    observation_count,
+)
 
 MOTORS = 4
 LAYERS = ("weight0", "weight1", "weight2")

@@ -9,16 +9,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sim.analysis import limits as limits_module
-from sim.analysis import swing as swing_module
-from sim.analysis.swing import change, swing
-from toolchain.policy.check_stamp import RULES
-from training.fitness import bars as bars_module
-from training.fitness import course as course_module
-from training.fitness import flying as flying_module
-from training.fitness.bars import Bar, bars
-from training.fitness.course import Condition, Leg, Turn
-from training.fitness.flying import Flown, LegFigures, TurnFigures
+from neuroflight.sim.analysis import limits as limits_module
+from neuroflight.sim.analysis import swing as swing_module
+from neuroflight.sim.analysis.swing import change, swing
+from neuroflight.toolchain.policy.check_stamp import RULES
+from neuroflight.training.fitness import bars as bars_module
+from neuroflight.training.fitness import course as course_module
+from neuroflight.training.fitness import flying as flying_module
+from neuroflight.training.fitness.bars import Bar, bars
+from neuroflight.training.fitness.course import Condition, Leg, Turn
+from neuroflight.training.fitness.flying import Flown, LegFigures, TurnFigures
 
 HOVER, SLOW = Leg("1 times the weight", 1.0), Leg("slow rotors", 1.0, Condition("slow rotors", lag=1.5))
 FLIP = Turn(1, 720.0, 1.0)

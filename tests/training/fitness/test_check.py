@@ -9,8 +9,14 @@ from pathlib import Path
 
 import pytest
 
-from cli.main import main
-from sim.aircraft.model import Aircraft, load_aircraft
+from neuroflight.cli.main import main
+from neuroflight.sim.aircraft.model import Aircraft, load_aircraft
+from neuroflight.toolchain.errors import AircraftError
+from neuroflight.toolchain.policy.check_stamp import STAMP_BYTES_MAX, read_stamp, stamp_path
+from neuroflight.training.fitness.check import check
+from neuroflight.training.fitness.course import THRUSTS, TURN_RATES_DEG_S, course
+from neuroflight.training.fitness.flying import Flown
+from neuroflight.training.fitness.references import References, fly_references
 from tests.training.fitness.mutilated import (
     ALL,
     Mutilation,
@@ -20,12 +26,6 @@ from tests.training.fitness.mutilated import (
     row_negated,
     yaw_unseen,
 )
-from toolchain.errors import AircraftError
-from toolchain.policy.check_stamp import STAMP_BYTES_MAX, read_stamp, stamp_path
-from training.fitness.check import check
-from training.fitness.course import THRUSTS, TURN_RATES_DEG_S, course
-from training.fitness.flying import Flown
-from training.fitness.references import References, fly_references
 
 HOVER_TURNS = 6  # of 720 deg/s at the weight
 Capture = pytest.CaptureFixture[str]

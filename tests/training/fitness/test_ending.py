@@ -10,17 +10,17 @@ from typing import Any
 
 import pytest
 
-import training.fitness.ending
-import training.fitness.references
-from cli.main import main
-from sim.aircraft.model import Aircraft
+import neuroflight.training.fitness.ending
+import neuroflight.training.fitness.references
+from neuroflight.cli.main import main
+from neuroflight.sim.aircraft.model import Aircraft
+from neuroflight.toolchain.policy.check_stamp import read_stamp
+from neuroflight.toolchain.policy.freeze import load_checkpoint
+from neuroflight.toolchain.policy.model import read_policy
+from neuroflight.training.fitness.bars import Bar, Case
+from neuroflight.training.fitness.check import Verdict
+from neuroflight.training.fitness.course import AXES
 from tests.cli.test_train import TINY
-from toolchain.policy.check_stamp import read_stamp
-from toolchain.policy.freeze import load_checkpoint
-from toolchain.policy.model import read_policy
-from training.fitness.bars import Bar, Case
-from training.fitness.check import Verdict
-from training.fitness.course import AXES
 
 WORDS = ["train", "--algorithm", "ppo", *TINY, "checkpoint_steps=128", "selection.fit=true"]
 Capture = pytest.CaptureFixture[str]
@@ -55,8 +55,8 @@ def judge(monkeypatch: pytest.MonkeyPatch) -> Judge:
             case = Case("", 0.5 if good else 2.0, 1.0, f"swings at 65 Hz in a {AXES[1]} turn")
             return Verdict(sha256, aircraft, (), (), (Bar("swing", "of range", "a test", (case,)),), {})
 
-        monkeypatch.setattr(training.fitness.ending, "check", check)
-        monkeypatch.setattr(training.fitness.references, "References", NoReferences)
+        monkeypatch.setattr(neuroflight.training.fitness.ending, "check", check)
+        monkeypatch.setattr(neuroflight.training.fitness.references, "References", NoReferences)
         return seen
 
     return set_up
@@ -161,7 +161,7 @@ def test_an_interruption_of_the_check_leaves_the_run_without_a_stamp(
     def check(*_: object) -> Verdict:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(training.fitness.ending, "check", check)
+    monkeypatch.setattr(neuroflight.training.fitness.ending, "check", check)
     assert train(tmp_path) == 130
     assert read_stamp(tmp_path / "policy.onnx") is None
     assert chosen(tmp_path) == (by_rule(tmp_path)[0],) * 3

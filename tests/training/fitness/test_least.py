@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sim.aircraft.model import load_aircraft
-from toolchain.contract import GRAVITY
-from training.evaluation.evaluation import Flights
-from training.evaluation.floor import floors
-from training.fitness.course import FLIGHT, Condition, Course, Leg
-from training.fitness.flying import LegFigures, with_least
+from neuroflight.sim.aircraft.model import load_aircraft
+from neuroflight.toolchain.contract import GRAVITY
+from neuroflight.training.evaluation.evaluation import Flights
+from neuroflight.training.evaluation.floor import floors
+from neuroflight.training.fitness.course import FLIGHT, Condition, Course, Leg
+from neuroflight.training.fitness.flying import LegFigures, with_least
 
 NF1 = load_aircraft("nf1")
 IDLE = 0.055

@@ -13,10 +13,10 @@ import pytest
 import torch
 from numpy.typing import NDArray
 
-from sim.aircraft.model import load_aircraft
-from toolchain.errors import TrainingError
-from toolchain.policy.freeze import to_onnx
-from training.config.algorithms import (
+from neuroflight.sim.aircraft.model import load_aircraft
+from neuroflight.toolchain.errors import TrainingError
+from neuroflight.toolchain.policy.freeze import to_onnx
+from neuroflight.training.config.algorithms import (
     Algorithm,
     Ddpg1Config,
     DdpgConfig,
@@ -27,13 +27,13 @@ from training.config.algorithms import (
     Td3Config,
     TrpoConfig,
 )
-from training.config.training_config import OutputMap, TrainingConfig
-from training.learners.ddpg1.learner import Ddpg1Learner
-from training.learners.ppo1.learner import Ppo1Learner
-from training.learners.sb3 import Sb3Learner
-from training.runs.make_learner import make_learner
-from training.tasks.reward import Transition
-from training.tasks.task import PulseTask
+from neuroflight.training.config.training_config import OutputMap, TrainingConfig
+from neuroflight.training.learners.ddpg1.learner import Ddpg1Learner
+from neuroflight.training.learners.ppo1.learner import Ppo1Learner
+from neuroflight.training.learners.sb3 import Sb3Learner
+from neuroflight.training.runs.make_learner import make_learner
+from neuroflight.training.tasks.reward import Transition
+from neuroflight.training.tasks.task import PulseTask
 
 NF1 = load_aircraft("nf1")
 ON_POLICY: dict[str, Algorithm] = {
@@ -265,10 +265,10 @@ def test_a_buffer_larger_than_a_checkpoint_is_refused_before_a_step_is_flown(
             learner.learn(0, lambda report: None)
         memory = learner.state()["memory"]
     size = sum(each.nbytes for each in memory.values() if isinstance(each, torch.Tensor))
-    monkeypatch.setattr("training.learners.memory.CHECKPOINT_FILE_BYTES_MAX", size)
+    monkeypatch.setattr("neuroflight.training.learners.memory.CHECKPOINT_FILE_BYTES_MAX", size)
     with learning(config):
         pass
-    monkeypatch.setattr("training.learners.memory.CHECKPOINT_FILE_BYTES_MAX", size - 1)
+    monkeypatch.setattr("neuroflight.training.learners.memory.CHECKPOINT_FILE_BYTES_MAX", size - 1)
     with pytest.raises(TrainingError, match=rf"{size} bytes of it.*; choose at most \d+$"), learning(config):
         pass
     with learning(replace(config, steps=500)):  # which do not fill it

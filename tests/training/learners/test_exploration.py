@@ -10,18 +10,18 @@ import torch
 from numpy.typing import NDArray
 from scipy import stats
 
-from sim.aircraft.model import load_aircraft
-from toolchain.codegen.compiler import compile_policy
-from toolchain.errors import TrainingError
-from toolchain.policy.freeze import to_onnx
-from toolchain.policy.model import parse_policy
-from training.config.algorithms import PpoConfig
-from training.config.training_config import OutputMap, TrainingConfig
-from training.learners.exploration import BetaExploration, NormalExploration, concentration
-from training.learners.protocol import Report
-from training.learners.sb3 import Sb3Learner
-from training.runs.make_learner import make_learner
-from training.tasks.reward import Transition
+from neuroflight.sim.aircraft.model import load_aircraft
+from neuroflight.toolchain.codegen.compiler import compile_policy
+from neuroflight.toolchain.errors import TrainingError
+from neuroflight.toolchain.policy.freeze import to_onnx
+from neuroflight.toolchain.policy.model import parse_policy
+from neuroflight.training.config.algorithms import PpoConfig
+from neuroflight.training.config.training_config import OutputMap, TrainingConfig
+from neuroflight.training.learners.exploration import BetaExploration, NormalExploration, concentration
+from neuroflight.training.learners.protocol import Report
+from neuroflight.training.learners.sb3 import Sb3Learner
+from neuroflight.training.runs.make_learner import make_learner
+from neuroflight.training.tasks.reward import Transition
 
 NF1 = load_aircraft("nf1")
 SQUASHED = OutputMap(scale=0.5, offset=0.5, squash=True)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from training.pid_tuning.cma_es import CmaEs
+from neuroflight.training.pid_tuning.cma_es import CmaEs
 
 Array = NDArray[np.float64]
 MINIMUM = np.array([3.0, -2.0, 0.5, 8.0, 0.0, -5.0])

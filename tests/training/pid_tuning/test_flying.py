@@ -5,18 +5,26 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sim.aircraft.model import Aircraft, load_aircraft
-from sim.analysis.metrics import effort
-from sim.control.pid import Pid
-from sim.control.pid_table import mixer, pid_settings
-from sim.physics.variation import Variation
+from neuroflight.sim.aircraft.model import Aircraft, load_aircraft
+from neuroflight.sim.analysis.metrics import effort
+from neuroflight.sim.control.pid import Pid
+from neuroflight.sim.control.pid_table import mixer, pid_settings
+from neuroflight.sim.physics.variation import Variation
+from neuroflight.toolchain.contract import Mix
+from neuroflight.training.evaluation.evaluation import record
+from neuroflight.training.learners.pathwise.flights import LANES
+from neuroflight.training.pid_tuning import flying
+from neuroflight.training.pid_tuning.flying import (
+    AS_FILED,
+    HARDER,
+    LATE_S,
+    LEVELS,
+    SLOW,
+    FlyingTrials,
+    throttle_for,
+)
+from neuroflight.training.pid_tuning.trial import Limits
 from tests.given_task import Given
-from toolchain.contract import Mix
-from training.evaluation.evaluation import record
-from training.learners.pathwise.flights import LANES
-from training.pid_tuning import flying
-from training.pid_tuning.flying import AS_FILED, HARDER, LATE_S, LEVELS, SLOW, FlyingTrials, throttle_for
-from training.pid_tuning.trial import Limits
 
 NF1 = load_aircraft("nf1")
 FLYING = pid_settings(NF1, "flying")

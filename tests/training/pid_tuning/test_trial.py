@@ -6,15 +6,15 @@ from statistics import NormalDist
 import numpy as np
 import pytest
 
-from sim.aircraft.model import PidSettings, load_aircraft
-from sim.analysis.metrics import effort, tracking
-from sim.control.pid import Pid
-from sim.control.pid_table import mixer, pid_settings
-from training.evaluation.evaluation import Flights, record
-from training.pid_tuning.dissertation import DissertationTrials
-from training.pid_tuning.trial import Limits, Pulses, held_commands, throttles, training_commands
-from training.pid_tuning.ultimate_gain import Steps
-from training.tasks.task import PulseTask
+from neuroflight.sim.aircraft.model import PidSettings, load_aircraft
+from neuroflight.sim.analysis.metrics import effort, tracking
+from neuroflight.sim.control.pid import Pid
+from neuroflight.sim.control.pid_table import mixer, pid_settings
+from neuroflight.training.evaluation.evaluation import Flights, record
+from neuroflight.training.pid_tuning.dissertation import DissertationTrials
+from neuroflight.training.pid_tuning.trial import Limits, Pulses, held_commands, throttles, training_commands
+from neuroflight.training.pid_tuning.ultimate_gain import Steps
+from neuroflight.training.tasks.task import PulseTask
 
 NF1 = load_aircraft("nf1")
 SETTINGS: PidSettings = replace(

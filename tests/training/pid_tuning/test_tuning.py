@@ -7,20 +7,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cli.main import main
-from sim.aircraft.model import FOLDER, load_aircraft, shipped
-from sim.control.pid import aircraft_pid
-from sim.control.pid_table import pid_settings
-from sim.physics.twin import Twin
-from sim.physics.world import Mount
-from toolchain.contract import AXES, GRAVITY, Mix
-from training.evaluation.evaluation import figures, record
-from training.pid_tuning.dissertation import DissertationTrials
-from training.pid_tuning.flying import CHANGE, IDLE, FlyingTrials
-from training.pid_tuning.trial import Limits, Trial
-from training.pid_tuning.tuner import POPULATION
-from training.pid_tuning.tuning import Tuning, idle_limit, streams, tune
-from training.tasks.task import EpisodicTask, PulseTask
+from neuroflight.cli.main import main
+from neuroflight.sim.aircraft.model import FOLDER, load_aircraft, shipped
+from neuroflight.sim.control.pid import aircraft_pid
+from neuroflight.sim.control.pid_table import pid_settings
+from neuroflight.sim.physics.twin import Twin
+from neuroflight.sim.physics.world import Mount
+from neuroflight.toolchain.contract import AXES, GRAVITY, Mix
+from neuroflight.training.evaluation.evaluation import figures, record
+from neuroflight.training.pid_tuning.dissertation import DissertationTrials
+from neuroflight.training.pid_tuning.flying import CHANGE, IDLE, FlyingTrials
+from neuroflight.training.pid_tuning.trial import Limits, Trial
+from neuroflight.training.pid_tuning.tuner import POPULATION
+from neuroflight.training.pid_tuning.tuning import Tuning, idle_limit, streams, tune
+from neuroflight.training.tasks.task import EpisodicTask, PulseTask
 
 NF1 = load_aircraft("nf1")
 LIMITS = Limits(output=0.12, change=0.012, idle=0.2)

@@ -5,12 +5,12 @@ import dataclasses
 import numpy as np
 import pytest
 
-from sim.aircraft.model import PidSettings, load_aircraft
-from sim.control.pid import Pid
-from sim.control.pid_table import mixer
-from toolchain.errors import TrainingError
-from training.evaluation.evaluation import record
-from training.pid_tuning.ultimate_gain import Steps, UltimateGain, ultimate_gains
+from neuroflight.sim.aircraft.model import PidSettings, load_aircraft
+from neuroflight.sim.control.pid import Pid
+from neuroflight.sim.control.pid_table import mixer
+from neuroflight.toolchain.errors import TrainingError
+from neuroflight.training.evaluation.evaluation import record
+from neuroflight.training.pid_tuning.ultimate_gain import Steps, UltimateGain, ultimate_gains
 
 NF1 = load_aircraft("nf1")
 IDLE = 0.1

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from training.reproduction.experiments import Experiments, Step, experiments
-from training.reproduction.steps import Place, run_steps
-from training.reproduction.stored import keep, read_stored
+from neuroflight.training.reproduction.experiments import Experiments, Step, experiments
+from neuroflight.training.reproduction.steps import Place, run_steps
+from neuroflight.training.reproduction.stored import keep, read_stored
 
 ROOT = Path(__file__).resolve().parents[3]
 STORED = ROOT / "docs" / "results" / "dissertation"

@@ -12,16 +12,16 @@ from typing import Any
 
 import pytest
 
-from cli.main import parser
-from sim.aircraft.model import load_aircraft
-from training.dissertation.conditions import FILE, ConditionsError, conditions
-from training.reproduction.conditions import differences
-from training.reproduction.experiments import Experiments, Row, Source, experiments, parse
-from training.reproduction.page import differing
-from training.reproduction.steps import Place
-from training.reproduction.stored import Result, read_stored, row_result
-from training.reproduction.verdict import bar
-from training.tasks.registry import TASKS
+from neuroflight.cli.main import parser
+from neuroflight.sim.aircraft.model import load_aircraft
+from neuroflight.training.dissertation.conditions import FILE, ConditionsError, conditions
+from neuroflight.training.reproduction.conditions import differences
+from neuroflight.training.reproduction.experiments import Experiments, Row, Source, experiments, parse
+from neuroflight.training.reproduction.page import differing
+from neuroflight.training.reproduction.steps import Place
+from neuroflight.training.reproduction.stored import Result, read_stored, row_result
+from neuroflight.training.reproduction.verdict import bar
+from neuroflight.training.tasks.registry import TASKS
 
 ROOT = Path(__file__).resolve().parents[3]
 STORED = ROOT / "docs" / "results" / "dissertation"

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-from training.reproduction.experiments import Experiments, ReproduceError, parse
-from training.reproduction.page import measured, quoted
-from training.reproduction.steps import Done
-from training.reproduction.stored import Kept, keep, row_result, sources
+from neuroflight.training.reproduction.experiments import Experiments, ReproduceError, parse
+from neuroflight.training.reproduction.page import measured, quoted
+from neuroflight.training.reproduction.steps import Done
+from neuroflight.training.reproduction.stored import Kept, keep, row_result, sources
 
 TEXT = """
 [steps]

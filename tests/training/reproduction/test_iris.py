@@ -6,11 +6,11 @@ from pathlib import Path
 
 import pytest
 
-from sim.aircraft.model import load_aircraft
-from training.dissertation.quotes import quotes
-from training.evaluation.controllers import Conditions, load_controller
-from training.evaluation.evaluation import scores, summary
-from training.tasks.task import EpisodicTask
+from neuroflight.sim.aircraft.model import load_aircraft
+from neuroflight.training.dissertation.quotes import quotes
+from neuroflight.training.evaluation.controllers import Conditions, load_controller
+from neuroflight.training.evaluation.evaluation import scores, summary
+from neuroflight.training.tasks.task import EpisodicTask
 
 AIRCRAFT = Path(__file__).parents[3] / "training" / "reproduction" / "iris-3.toml"
 TABLES = {"3.9": "rise_ms", "3.10": "peak", "3.11": "error"}

@@ -6,10 +6,10 @@ import math
 
 import pytest
 
-from training.reproduction.experiments import Experiments, ReproduceError, parse
-from training.reproduction.lookup import Value, find
-from training.reproduction.steps import Done
-from training.reproduction.stored import Kept, keep, row_result
+from neuroflight.training.reproduction.experiments import Experiments, ReproduceError, parse
+from neuroflight.training.reproduction.lookup import Value, find
+from neuroflight.training.reproduction.steps import Done
+from neuroflight.training.reproduction.stored import Kept, keep, row_result
 
 
 def flown(error: list[float], rise: list[float]) -> dict[str, object]:

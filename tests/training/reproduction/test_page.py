@@ -11,16 +11,16 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from cli.main import main, parser
-from cli.training import reproduce
-from sim.aircraft.model import FOLDER
-from sim.identification.propeller import fit_propeller, read_measurements
-from training.dissertation.quotes import quotes
-from training.reproduction.experiments import BUDGETS, experiments
-from training.reproduction.page import render
-from training.reproduction.steps import PICTURES, Place
-from training.reproduction.stored import read_stored, row_result, sources
-from training.reproduction.verdict import Verdict, bar
+from neuroflight.cli.main import main, parser
+from neuroflight.cli.training import reproduce
+from neuroflight.sim.aircraft.model import FOLDER
+from neuroflight.sim.identification.propeller import fit_propeller, read_measurements
+from neuroflight.training.dissertation.quotes import quotes
+from neuroflight.training.reproduction.experiments import BUDGETS, experiments
+from neuroflight.training.reproduction.page import render
+from neuroflight.training.reproduction.steps import PICTURES, Place
+from neuroflight.training.reproduction.stored import read_stored, row_result, sources
+from neuroflight.training.reproduction.verdict import Verdict, bar
 
 ROOT = Path(__file__).resolve().parents[3]
 STORED = ROOT / "docs" / "results" / "dissertation"
@@ -284,7 +284,7 @@ def test_check_tells_whether_the_page_is_up_to_date(
     assert main(["reproduce", "--check"]) == 0
     stale = tmp_path / "page.md"
     stale.write_text(PAGE.read_text().replace("surpassed", "reached", 1))
-    monkeypatch.setattr("cli.training.reproduce.PAGE", stale)
+    monkeypatch.setattr("neuroflight.cli.training.reproduce.PAGE", stale)
     assert main(["reproduce", "--check"]) == 1
     assert "not what the files" in capsys.readouterr().err
 

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from training.reproduction.experiments import Experiments, ReproduceError, Step, parse
-from training.reproduction.inputs import inputs
-from training.reproduction.steps import Done, Place, Watcher, execute_here, run_steps
+from neuroflight.training.reproduction.experiments import Experiments, ReproduceError, Step, parse
+from neuroflight.training.reproduction.inputs import inputs
+from neuroflight.training.reproduction.steps import Done, Place, Watcher, execute_here, run_steps
 
 TEXT = """
 [steps]

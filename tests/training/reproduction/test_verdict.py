@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import pytest
 
-from training.dissertation.quotes import Printed
-from training.reproduction.experiments import Figure, Source
-from training.reproduction.lookup import Value
-from training.reproduction.quoted import Quoted, printed, quoted
-from training.reproduction.verdict import Verdict, bar, judge
+from neuroflight.training.dissertation.quotes import Printed
+from neuroflight.training.reproduction.experiments import Figure, Source
+from neuroflight.training.reproduction.lookup import Value
+from neuroflight.training.reproduction.quoted import Quoted, printed, quoted
+from neuroflight.training.reproduction.verdict import Verdict, bar, judge
 
 
 def figure(aim: str, quote: Quoted | None, *, given: bool = False, unlike: str = "") -> Figure:

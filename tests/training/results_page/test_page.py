@@ -9,10 +9,10 @@ from typing import Any
 
 import pytest
 
-from cli.main import main
-from sim.aircraft.model import load_aircraft
-from training.results_page.page import render
-from training.results_page.stored_results import ResultsError, Stored, read_commands, read_results
+from neuroflight.cli.main import main
+from neuroflight.sim.aircraft.model import load_aircraft
+from neuroflight.training.results_page.page import render
+from neuroflight.training.results_page.stored_results import ResultsError, Stored, read_commands, read_results
 
 Capture = pytest.CaptureFixture[str]
 Document = dict[str, Any]

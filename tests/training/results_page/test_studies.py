@@ -7,11 +7,11 @@ from typing import Any
 
 import pytest
 
-from cli.main import main
-from sim.plotting import png
-from training.results_page.page import render
-from training.results_page.stored_results import ResultsError, Stored
-from training.results_page.studies_plot import draw_sizes, points
+from neuroflight.cli.main import main
+from neuroflight.sim.plotting import png
+from neuroflight.training.results_page.page import render
+from neuroflight.training.results_page.stored_results import ResultsError, Stored
+from neuroflight.training.results_page.studies_plot import draw_sizes, points
 
 Document = dict[str, Any]
 ROOT = Path(__file__).parents[3]

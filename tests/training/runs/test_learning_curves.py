@@ -10,14 +10,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cli.main import main
-from sim.aircraft.model import load_aircraft
-from toolchain.errors import TrainingError
-from training.config.training_config import TrainingConfig
-from training.runs.learning_curves import curves
-from training.runs.learning_curves_plot import draw
-from training.runs.rewards import Rewards
-from training.tasks.task import EpisodicTask
+from neuroflight.cli.main import main
+from neuroflight.sim.aircraft.model import load_aircraft
+from neuroflight.toolchain.errors import TrainingError
+from neuroflight.training.config.training_config import TrainingConfig
+from neuroflight.training.runs.learning_curves import curves
+from neuroflight.training.runs.learning_curves_plot import draw
+from neuroflight.training.runs.rewards import Rewards
+from neuroflight.training.tasks.task import EpisodicTask
 
 Capture = pytest.CaptureFixture[str]
 STEPS = 100_000

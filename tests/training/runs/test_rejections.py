@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from cli.main import main
+from neuroflight.cli.main import main
 
 Capture = pytest.CaptureFixture[str]
 WEIGHTS = "[reward]\nname = 'tracking'\nchange = -1\n"
@@ -41,7 +41,9 @@ WEIGHTS = "[reward]\nname = 'tracking'\nchange = -1\n"
 def test_a_bad_configuration_is_rejected_before_training_starts(
     words: list[str], message: str, tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("training.runs.train.make_learner", lambda *_, **__: pytest.fail("it trains"))
+    monkeypatch.setattr(
+        "neuroflight.training.runs.train.make_learner", lambda *_, **__: pytest.fail("it trains")
+    )
     out = tmp_path / "out"
     config = [] if "--config" in words or "--algorithm" in words else ["--config", "ppo"]
     assert main(["train", "--out", str(out), *config, *words]) == 1

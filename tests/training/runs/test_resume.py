@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from cli.main import main
-from toolchain.policy.model import read_policy
+from neuroflight.cli.main import main
+from neuroflight.toolchain.policy.model import read_policy
 
 ROOT = Path(__file__).resolve().parents[3]
 Capture = pytest.CaptureFixture[str]
@@ -42,8 +42,8 @@ STOPPED_AT = 0.7  # of the run: within the sixth segment
 # The command in a process that sends itself a signal when it has come that far.
 SCRIPT = """
 import os, signal, sys
-from cli.training import train_display
-from cli.main import main
+from neuroflight.cli.training import train_display
+from neuroflight.cli.main import main
 
 class Stopped(train_display.Display):
     def progressed(self, progress):

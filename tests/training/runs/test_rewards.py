@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from toolchain.errors import TrainingError
-from training.runs.rewards import POINTS_MAX, Rewards, read_rewards
+from neuroflight.toolchain.errors import TrainingError
+from neuroflight.training.runs.rewards import POINTS_MAX, Rewards, read_rewards
 
 
 def reported(reports: list[tuple[int, float]], wanted: int, rewards: Rewards | None = None) -> Rewards:

@@ -8,17 +8,17 @@ import numpy as np
 import pytest
 import torch
 
-from sim.aircraft.model import load_aircraft
-from sim.control.controller import PolicyController
-from toolchain.contract import CHECKPOINT_FORMAT
-from toolchain.errors import TrainingError
-from toolchain.policy.model import read_policy
-from training.config.algorithms import PpoConfig
-from training.config.training_config import OBSERVATION_SCALES, TrainingConfig, WorldConfig
-from training.evaluation.evaluation import figures, record
-from training.runs.rewards import read_rewards
-from training.runs.train import Callback, Progress, train
-from training.tasks.task import PulseTask
+from neuroflight.sim.aircraft.model import load_aircraft
+from neuroflight.sim.control.controller import PolicyController
+from neuroflight.toolchain.contract import CHECKPOINT_FORMAT
+from neuroflight.toolchain.errors import TrainingError
+from neuroflight.toolchain.policy.model import read_policy
+from neuroflight.training.config.algorithms import PpoConfig
+from neuroflight.training.config.training_config import OBSERVATION_SCALES, TrainingConfig, WorldConfig
+from neuroflight.training.evaluation.evaluation import figures, record
+from neuroflight.training.runs.rewards import read_rewards
+from neuroflight.training.runs.train import Callback, Progress, train
+from neuroflight.training.tasks.task import PulseTask
 
 NF1 = load_aircraft("nf1")
 SMALL = PpoConfig(aircraft=8, horizon=16, minibatch=64, epochs=2, leg=1)
@@ -119,7 +119,7 @@ def test_an_invalid_configuration_is_rejected_before_training_starts(
 
 
 def test_every_block_of_the_contract_has_a_scale() -> None:
-    from toolchain.contract import OBSERVATION_BLOCKS
+    from neuroflight.toolchain.contract import OBSERVATION_BLOCKS
 
     assert set(OBSERVATION_SCALES) == {block.name for block in OBSERVATION_BLOCKS}
 

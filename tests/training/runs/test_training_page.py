@@ -7,13 +7,19 @@ from pathlib import Path
 
 import pytest
 
-from training.config.algorithms import DdpgConfig, PpoConfig, SacConfig, Td3Config, TrpoConfig
-from training.config.config_file import load_config
-from training.config.randomization import Randomization
-from training.config.training_config import OutputMap, TrainingConfig, WorldConfig
-from training.tasks.registry import TASKS
-from training.tasks.reward import REWARDS, CalmReward, NormalizedReward, ProgressReward, TrackingReward
-from training.tasks.task import ContinuousTask, EnvelopeTask, EpisodicTask, PulseTask
+from neuroflight.training.config.algorithms import DdpgConfig, PpoConfig, SacConfig, Td3Config, TrpoConfig
+from neuroflight.training.config.config_file import load_config
+from neuroflight.training.config.randomization import Randomization
+from neuroflight.training.config.training_config import OutputMap, TrainingConfig, WorldConfig
+from neuroflight.training.tasks.registry import TASKS
+from neuroflight.training.tasks.reward import (
+    REWARDS,
+    CalmReward,
+    NormalizedReward,
+    ProgressReward,
+    TrackingReward,
+)
+from neuroflight.training.tasks.task import ContinuousTask, EnvelopeTask, EpisodicTask, PulseTask
 
 PAGE = (Path(__file__).parents[3] / "docs" / "training.md").read_text()
 KINDS = (

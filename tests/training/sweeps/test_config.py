@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from toolchain.errors import NeuroflightError, TrainingError
-from training.sweeps.config import TRIALS_MAX, Sweep, load_sweep
+from neuroflight.toolchain.errors import NeuroflightError, TrainingError
+from neuroflight.training.sweeps.config import TRIALS_MAX, Sweep, load_sweep
 
 
 def load(folder: Path, text: str) -> Sweep:

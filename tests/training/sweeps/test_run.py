@@ -13,12 +13,12 @@ from typing import Any
 
 import pytest
 
-from training.runs.train import Callback
-from training.sweeps.config import Sweep, load_sweep
-from training.sweeps.jobs import SweepCallback, request_stop
-from training.sweeps.ray_workers import LOCAL, ray_session
-from training.sweeps.run import run_sweep
-from training.sweeps.trial import run_trial
+from neuroflight.training.runs.train import Callback
+from neuroflight.training.sweeps.config import Sweep, load_sweep
+from neuroflight.training.sweeps.jobs import SweepCallback, request_stop
+from neuroflight.training.sweeps.ray_workers import LOCAL, ray_session
+from neuroflight.training.sweeps.run import run_sweep
+from neuroflight.training.sweeps.trial import run_trial
 
 pytestmark = [
     pytest.mark.slow,  # five processes begin, one after the other

@@ -6,14 +6,14 @@ from typing import Any
 
 import pytest
 
-from cli.main import main
-from toolchain.errors import TrainingError
-from training.sweeps.axes import VARIANT
-from training.sweeps.config import Board, Sweep, load_sweep
-from training.sweeps.jobs import SweepCallback, request_stop
-from training.sweeps.run import run_sweep
-from training.sweeps.summary import unfit
-from training.sweeps.trial import Figure, Outcome
+from neuroflight.cli.main import main
+from neuroflight.toolchain.errors import TrainingError
+from neuroflight.training.sweeps.axes import VARIANT
+from neuroflight.training.sweeps.config import Board, Sweep, load_sweep
+from neuroflight.training.sweeps.jobs import SweepCallback, request_stop
+from neuroflight.training.sweeps.run import run_sweep
+from neuroflight.training.sweeps.summary import unfit
+from neuroflight.training.sweeps.trial import Figure, Outcome
 
 STUDIES = Path(__file__).parents[3] / "training" / "sweeps" / "studies"
 VARIANTS = """

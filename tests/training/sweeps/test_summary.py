@@ -5,12 +5,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sim.plotting import png
-from training.config.training_config import TrainingConfig
-from training.sweeps.config import Trial, Validation
-from training.sweeps.plot import draw
-from training.sweeps.summary import Run, configurations, pareto
-from training.sweeps.trial import Figure, Outcome
+from neuroflight.sim.plotting import png
+from neuroflight.training.config.training_config import TrainingConfig
+from neuroflight.training.sweeps.config import Trial, Validation
+from neuroflight.training.sweeps.plot import draw
+from neuroflight.training.sweeps.summary import Run, configurations, pareto
+from neuroflight.training.sweeps.trial import Figure, Outcome
 
 CONFIG = TrainingConfig()
 

@@ -6,13 +6,13 @@ from pathlib import Path
 
 import pytest
 
-from cli.main import main
-from toolchain.errors import BuildError, TrainingError
-from training.runs.train import Callback, Progress
-from training.sweeps import trial as sweep_trial
-from training.sweeps.config import Sweep, load_sweep
-from training.sweeps.run import run_sweep
-from training.sweeps.trial import Outcome, read_outcome, run_trial
+from neuroflight.cli.main import main
+from neuroflight.toolchain.errors import BuildError, TrainingError
+from neuroflight.training.runs.train import Callback, Progress
+from neuroflight.training.sweeps import trial as sweep_trial
+from neuroflight.training.sweeps.config import Sweep, load_sweep
+from neuroflight.training.sweeps.run import run_sweep
+from neuroflight.training.sweeps.trial import Outcome, read_outcome, run_trial
 
 FILE = """
 aircraft = "nf1"

@@ -9,16 +9,16 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from cli.main import main
-from sim.aircraft.model import load_aircraft
-from sim.control.pid import aircraft_pid
-from sim.control.pid_table import pid_settings
-from toolchain.errors import TrainingError
-from training.evaluation.comparison import by_axis, differences, values
-from training.evaluation.evaluation import Flights, record, scores
-from training.tasks.flight import FlightTask, PilotTask
-from training.tasks.sticks import OnSticks
-from training.tasks.task import PulseTask
+from neuroflight.cli.main import main
+from neuroflight.sim.aircraft.model import load_aircraft
+from neuroflight.sim.control.pid import aircraft_pid
+from neuroflight.sim.control.pid_table import pid_settings
+from neuroflight.toolchain.errors import TrainingError
+from neuroflight.training.evaluation.comparison import by_axis, differences, values
+from neuroflight.training.evaluation.evaluation import Flights, record, scores
+from neuroflight.training.tasks.flight import FlightTask, PilotTask
+from neuroflight.training.tasks.sticks import OnSticks
+from neuroflight.training.tasks.task import PulseTask
 
 NF1 = load_aircraft("nf1")
 SHORT = FlightTask(pulses=5, idle_s=0.3, command_s=1.0, rest_s=0.9, hover_s=10.5)

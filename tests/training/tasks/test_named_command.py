@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from training.tasks.named_command import NamedCommand
-from training.tasks.task import EnvelopeTask, EpisodicTask, PulseTask
+from neuroflight.training.tasks.named_command import NamedCommand
+from neuroflight.training.tasks.task import EnvelopeTask, EpisodicTask, PulseTask
 
 RATE_HZ = 1000
 COMMAND = (120.9, -72.2, 286.5)

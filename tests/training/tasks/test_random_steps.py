@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from toolchain.errors import TrainingError
-from training.tasks.random_steps import RandomStepsTask
+from neuroflight.toolchain.errors import TrainingError
+from neuroflight.training.tasks.random_steps import RandomStepsTask
 
 RATE_HZ = 1000
 

@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sim.aircraft.model import load_aircraft
-from sim.flight.trace import Trace, save_trace
-from toolchain.errors import TrainingError
-from training.config.config_file import load_config
-from training.tasks.recorded import RecordedTask
+from neuroflight.sim.aircraft.model import load_aircraft
+from neuroflight.sim.flight.trace import Trace, save_trace
+from neuroflight.toolchain.errors import TrainingError
+from neuroflight.training.config.config_file import load_config
+from neuroflight.training.tasks.recorded import RecordedTask
 
 HEADING = "t_s,roll_deg_s,pitch_deg_s,yaw_deg_s"
 

@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from toolchain.errors import TrainingError
-from training.tasks.reward import (
+from neuroflight.toolchain.errors import TrainingError
+from neuroflight.training.tasks.reward import (
     REWARDS,
     CalmReward,
     NormalizedReward,

@@ -6,8 +6,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from toolchain.errors import TrainingError
-from training.tasks.task import (
+from neuroflight.toolchain.errors import TrainingError
+from neuroflight.training.tasks.task import (
     ContinuousTask,
     EnvelopeTask,
     EpisodicTask,

@@ -37,15 +37,15 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from sim.aircraft.model import Aircraft
-from training.config.algorithms import Ddpg1Config
-from training.config.training_config import TrainingConfig
-from training.envs.sb3_vector import LearnerVecEnv
-from training.learners.ddpg1.replay import Replay, row_width
-from training.learners.ddpg1.update import ActorCritic, Engine, Learnt, Losses
-from training.learners.memory import check_memory
-from training.learners.network.normalization import ObservedMoments
-from training.learners.protocol import Report, named_layers
+from neuroflight.sim.aircraft.model import Aircraft
+from neuroflight.training.config.algorithms import Ddpg1Config
+from neuroflight.training.config.training_config import TrainingConfig
+from neuroflight.training.envs.sb3_vector import LearnerVecEnv
+from neuroflight.training.learners.ddpg1.replay import Replay, row_width
+from neuroflight.training.learners.ddpg1.update import ActorCritic, Engine, Learnt, Losses
+from neuroflight.training.learners.memory import check_memory
+from neuroflight.training.learners.network.normalization import ObservedMoments
+from neuroflight.training.learners.protocol import Report, named_layers
 
 REPORT_STEPS = 4096  # control steps, all aircraft together, between reports at least
 ADAPTATION = 1.01  # factor of the perturbation's deviation from a rollout to the next

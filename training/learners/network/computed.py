@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sim import compiled
-from training.learners.network.library import aligned, pointer
-from training.learners.network.normalization import Normalization
-from training.learners.network.shape import Shape
+from neuroflight.sim import compiled
+from neuroflight.training.learners.network.library import aligned, pointer
+from neuroflight.training.learners.network.normalization import Normalization
+from neuroflight.training.learners.network.shape import Shape
 
 Numbers = NDArray[np.floating]
 

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sim import compiled
-from sim.physics.library import fused
+from neuroflight.sim import compiled
+from neuroflight.sim.physics.library import fused
 
 LEARNERS = Path(__file__).parents[1]
 C = Path(__file__).parent / "c"

@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from training.config.training_config import OutputMap
+from neuroflight.training.config.training_config import OutputMap
 
 Array = NDArray[np.float32]
 HIDDEN_GAIN = 1.4  # of the initial orthogonal matrices

@@ -18,10 +18,10 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.aircraft.model import Aircraft
-from sim.physics.rotor import rotor_geometry
-from toolchain.contract import ObservationTerm
-from training.learners.network.shape import Shape
+from neuroflight.sim.aircraft.model import Aircraft
+from neuroflight.sim.physics.rotor import rotor_geometry
+from neuroflight.toolchain.contract import ObservationTerm
+from neuroflight.training.learners.network.shape import Shape
 
 Array = NDArray[np.float32]
 RATE, ESTIMATE = "rate", "rate_estimate"

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import butter, lfilter
 
-from sim.physics.variation import Variation
-from training.config.pathwise_config import PathwiseConfig
-from training.config.training_config import TrainingConfig
-from training.tasks.random_steps import RandomStepsTask, StepWeights
+from neuroflight.sim.physics.variation import Variation
+from neuroflight.training.config.pathwise_config import PathwiseConfig
+from neuroflight.training.config.training_config import TrainingConfig
+from neuroflight.training.tasks.random_steps import RandomStepsTask, StepWeights
 
 Array = NDArray[np.float32]
 KNOT_S = 0.15  # in which the air around a tumbling aircraft changes

@@ -12,9 +12,9 @@ from dataclasses import asdict, dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from toolchain.errors import TrainingError
-from training.config.pathwise_config import PathwiseConfig
-from training.learners.pathwise.loss import Figures, Weights
+from neuroflight.toolchain.errors import TrainingError
+from neuroflight.training.config.pathwise_config import PathwiseConfig
+from neuroflight.training.learners.pathwise.loss import Figures, Weights
 
 Floats = NDArray[np.float32]
 

@@ -16,11 +16,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.physics.rotor import response_rows
-from training.learners.pathwise.batch import Batch
-from training.learners.pathwise.library import aligned, library, pointer
-from training.learners.pathwise.loss import Figures, Weights
-from training.learners.pathwise.plan import Surroundings
+from neuroflight.sim.physics.rotor import response_rows
+from neuroflight.training.learners.pathwise.batch import Batch
+from neuroflight.training.learners.pathwise.library import aligned, library, pointer
+from neuroflight.training.learners.pathwise.loss import Figures, Weights
+from neuroflight.training.learners.pathwise.plan import Surroundings
 
 Floats = NDArray[np.floating]
 LANES = 16  # aircraft of a block, as api.h says

@@ -20,22 +20,22 @@ from typing import Any
 import numpy as np
 import torch
 
-from sim.aircraft.model import Aircraft
-from sim.control.estimator import model_constants
-from sim.control.gyro_mean import samples_per_step
-from sim.physics.world import Mount
-from toolchain.contract import needs_model
-from toolchain.errors import TrainingError
-from training.config.pathwise_config import PathwiseConfig
-from training.config.training_config import OBSERVATION_SCALES, TrainingConfig
-from training.learners.network.shape import Shape
-from training.learners.pathwise.basis import Basis, steering
-from training.learners.pathwise.batch import draw
-from training.learners.pathwise.descent import Good, Setback, State, adapted, descended, guarded
-from training.learners.pathwise.flights import Flights
-from training.learners.pathwise.loss import Figures, Weights
-from training.learners.pathwise.plan import Surroundings
-from training.learners.protocol import Report, named_layers
+from neuroflight.sim.aircraft.model import Aircraft
+from neuroflight.sim.control.estimator import model_constants
+from neuroflight.sim.control.gyro_mean import samples_per_step
+from neuroflight.sim.physics.world import Mount
+from neuroflight.toolchain.contract import needs_model
+from neuroflight.toolchain.errors import TrainingError
+from neuroflight.training.config.pathwise_config import PathwiseConfig
+from neuroflight.training.config.training_config import OBSERVATION_SCALES, TrainingConfig
+from neuroflight.training.learners.network.shape import Shape
+from neuroflight.training.learners.pathwise.basis import Basis, steering
+from neuroflight.training.learners.pathwise.batch import draw
+from neuroflight.training.learners.pathwise.descent import Good, Setback, State, adapted, descended, guarded
+from neuroflight.training.learners.pathwise.flights import Flights
+from neuroflight.training.learners.pathwise.loss import Figures, Weights
+from neuroflight.training.learners.pathwise.plan import Surroundings
+from neuroflight.training.learners.protocol import Report, named_layers
 
 RATE_LAST = 0.02  # of the learning rate, at the end
 

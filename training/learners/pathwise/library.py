@@ -6,9 +6,9 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from sim import compiled
-from training.learners.network import library as network
-from training.learners.network.library import aligned
+from neuroflight.sim import compiled
+from neuroflight.training.learners.network import library as network
+from neuroflight.training.learners.network.library import aligned
 
 __all__ = ["aligned", "library", "pointer"]
 

@@ -16,10 +16,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.aircraft.model import Aircraft
-from sim.physics.rotor import next_speed, response_rows, rotor_geometry, thrust_and_torque
-from training.learners.pathwise.library import aligned, library, pointer
-from training.learners.pathwise.plan import put_aircraft
+from neuroflight.sim.aircraft.model import Aircraft
+from neuroflight.sim.physics.rotor import next_speed, response_rows, rotor_geometry, thrust_and_torque
+from neuroflight.training.learners.pathwise.library import aligned, library, pointer
+from neuroflight.training.learners.pathwise.plan import put_aircraft
 
 Array = NDArray[np.float64]
 NUMBER = "float64"

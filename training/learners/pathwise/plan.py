@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.aircraft.model import Aircraft, TorqueResponse
-from sim.physics.battery import CELL_VOLTAGE, STATE_OF_CHARGE
-from sim.physics.imu import rotation_by
-from sim.physics.rotor import rotor_geometry
-from toolchain.contract import (
+from neuroflight.sim.aircraft.model import Aircraft, TorqueResponse
+from neuroflight.sim.physics.battery import CELL_VOLTAGE, STATE_OF_CHARGE
+from neuroflight.sim.physics.imu import rotation_by
+from neuroflight.sim.physics.rotor import rotor_geometry
+from neuroflight.toolchain.contract import (
     GYRO_COUNTS,
     GYRO_FULL_SCALE_DEG_S,
     RATE_ERROR_INTEGRAL_LIMIT_RAD,
@@ -21,10 +21,10 @@ from toolchain.contract import (
     ObservationTerm,
     needs_model,
 )
-from toolchain.policy.model_constants import ModelConstants
-from training.learners.network.shape import Shape
-from training.learners.pathwise.library import library
-from training.learners.pathwise.loss import Weights
+from neuroflight.toolchain.policy.model_constants import ModelConstants
+from neuroflight.training.learners.network.shape import Shape
+from neuroflight.training.learners.pathwise.library import library
+from neuroflight.training.learners.pathwise.loss import Weights
 
 Array = NDArray[np.float64]
 

@@ -26,16 +26,16 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from sim.aircraft.model import Aircraft
-from training.config.algorithms import Ppo1Config
-from training.config.training_config import OutputMap, TrainingConfig
-from training.envs.sb3_vector import LearnerVecEnv
-from training.learners.network.normalization import ObservedMoments
-from training.learners.network.shape import Shape
-from training.learners.ppo1.normalization import ReturnMoments
-from training.learners.ppo1.rollout import Rollout, advantages
-from training.learners.ppo1.update import ActorCritic, Engine, Losses, Samples
-from training.learners.protocol import Report, named_layers
+from neuroflight.sim.aircraft.model import Aircraft
+from neuroflight.training.config.algorithms import Ppo1Config
+from neuroflight.training.config.training_config import OutputMap, TrainingConfig
+from neuroflight.training.envs.sb3_vector import LearnerVecEnv
+from neuroflight.training.learners.network.normalization import ObservedMoments
+from neuroflight.training.learners.network.shape import Shape
+from neuroflight.training.learners.ppo1.normalization import ReturnMoments
+from neuroflight.training.learners.ppo1.rollout import Rollout, advantages
+from neuroflight.training.learners.ppo1.update import ActorCritic, Engine, Losses, Samples
+from neuroflight.training.learners.protocol import Report, named_layers
 
 REPORT_STEPS = 4096  # control steps, all aircraft together, between reports at least
 NUMBER_MIN = 1e-8

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from training.learners.network.computed import Computed, observed, set_adam
-from training.learners.network.library import aligned, load, pointer
-from training.learners.network.normalization import Normalization
-from training.learners.network.shape import Shape
+from neuroflight.training.learners.network.computed import Computed, observed, set_adam
+from neuroflight.training.learners.network.library import aligned, load, pointer
+from neuroflight.training.learners.network.normalization import Normalization
+from neuroflight.training.learners.network.shape import Shape
 
 Numbers = NDArray[np.floating]
 

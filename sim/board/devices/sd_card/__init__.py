@@ -1,8 +1,8 @@
 """An SD card in its slot, in SPI mode, backed by an image file (docs/emulated-board.md)."""
 
-from sim.board.devices.sd_card.card import SdCard
-from sim.board.devices.sd_card.delays import CardTiming
-from sim.board.devices.sd_card.faults import CardFault, Cut
-from sim.board.devices.sd_card.slot import CardSlot
+from neuroflight.sim.board.devices.sd_card.card import SdCard
+from neuroflight.sim.board.devices.sd_card.delays import CardTiming
+from neuroflight.sim.board.devices.sd_card.faults import CardFault, Cut
+from neuroflight.sim.board.devices.sd_card.slot import CardSlot
 
 __all__ = ["CardFault", "CardSlot", "CardTiming", "Cut", "SdCard"]

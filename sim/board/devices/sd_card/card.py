@@ -10,16 +10,16 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NoReturn
 
-from sim.board.core.context import TIME_HZ, BoardError
-from sim.board.core.engine import NEVER
-from sim.board.devices.sd_card.delays import CardTiming, Delays
-from sim.board.devices.sd_card.faults import CardFault, Cut, Event, Events, LineErrors
-from sim.board.devices.sd_card.image import CardImage
-from sim.board.devices.sd_card.protocol import COMMAND_BYTES, Protocol
-from sim.board.devices.sd_card.registers import BUSY, RELEASED
-from sim.board.devices.sd_card.state import State
-from sim.board.devices.sd_card.store import Store
-from sim.board.registers.bus import Companion
+from neuroflight.sim.board.core.context import TIME_HZ, BoardError
+from neuroflight.sim.board.core.engine import NEVER
+from neuroflight.sim.board.devices.sd_card.delays import CardTiming, Delays
+from neuroflight.sim.board.devices.sd_card.faults import CardFault, Cut, Event, Events, LineErrors
+from neuroflight.sim.board.devices.sd_card.image import CardImage
+from neuroflight.sim.board.devices.sd_card.protocol import COMMAND_BYTES, Protocol
+from neuroflight.sim.board.devices.sd_card.registers import BUSY, RELEASED
+from neuroflight.sim.board.devices.sd_card.state import State
+from neuroflight.sim.board.devices.sd_card.store import Store
+from neuroflight.sim.board.registers.bus import Companion
 
 START_HZ, FULL_HZ = (
     400_000,

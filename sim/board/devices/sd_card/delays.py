@@ -11,8 +11,8 @@ import random
 from dataclasses import dataclass
 from typing import Any
 
-from sim.board.core.context import TIME_HZ
-from sim.board.devices.sd_card.registers import AU_BYTES, BLOCK
+from neuroflight.sim.board.core.context import TIME_HZ
+from neuroflight.sim.board.devices.sd_card.registers import AU_BYTES, BLOCK
 
 Range = tuple[float, float]  # least and most [s]
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Any
 
-from sim.board.devices.sd_card.registers import BLOCK
+from neuroflight.sim.board.devices.sd_card.registers import BLOCK
 
 
 class Cut(Enum):

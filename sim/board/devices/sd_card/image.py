@@ -9,10 +9,10 @@ import uuid
 from pathlib import Path
 from typing import Any
 
-from sim.board.core.context import BoardError
-from sim.board.devices.sd_card.registers import BLOCK, CAPACITY_UNIT
-from toolchain.errors import LinkError
-from toolchain.files import file_size
+from neuroflight.sim.board.core.context import BoardError
+from neuroflight.sim.board.devices.sd_card.registers import BLOCK, CAPACITY_UNIT
+from neuroflight.toolchain.errors import LinkError
+from neuroflight.toolchain.files import file_size
 
 BYTES_MAX = 2 << 40  # of an SDXC card (Physical Layer Simplified Specification, 5.3.3)
 _CHUNK = 2048  # blocks that are looked at together

@@ -10,11 +10,11 @@ from collections.abc import Callable
 from dataclasses import asdict
 from typing import Any
 
-from sim.board.devices.sd_card import registers as sd
-from sim.board.devices.sd_card.delays import Delays
-from sim.board.devices.sd_card.faults import LineErrors
-from sim.board.devices.sd_card.state import State
-from sim.board.devices.sd_card.store import Store
+from neuroflight.sim.board.devices.sd_card import registers as sd
+from neuroflight.sim.board.devices.sd_card.delays import Delays
+from neuroflight.sim.board.devices.sd_card.faults import LineErrors
+from neuroflight.sim.board.devices.sd_card.state import State
+from neuroflight.sim.board.devices.sd_card.store import Store
 
 COMMAND_BYTES = 6
 BLOCK_BYTES = sd.BLOCK + 2  # on the line, with the checksum

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import Any
 
-from sim.board.core.context import BoardError
-from sim.board.devices.sd_card.card import SdCard
-from sim.board.devices.sd_card.faults import CardFault
-from sim.board.native.library import Native
-from sim.board.peripherals.gpio import Pins
+from neuroflight.sim.board.core.context import BoardError
+from neuroflight.sim.board.devices.sd_card.card import SdCard
+from neuroflight.sim.board.devices.sd_card.faults import CardFault
+from neuroflight.sim.board.native.library import Native
+from neuroflight.sim.board.peripherals.gpio import Pins
 
 CS = "PC1"  # pins.c knows it too
 

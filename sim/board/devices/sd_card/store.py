@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from sim.board.devices.sd_card.delays import Delays
-from sim.board.devices.sd_card.faults import Cut, left_of
-from sim.board.devices.sd_card.image import CardImage
+from neuroflight.sim.board.devices.sd_card.delays import Delays
+from neuroflight.sim.board.devices.sd_card.faults import Cut, left_of
+from neuroflight.sim.board.devices.sd_card.image import CardImage
 
 
 class Store:

@@ -6,9 +6,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from sim.board.devices.sd_card import CardTiming, SdCard
+from neuroflight.sim.board.devices.sd_card import CardTiming, SdCard
+from neuroflight.toolchain.contract import LogError, LogState
 from tests.firmware.conftest import Core
-from toolchain.contract import LogError, LogState
 
 CYCLES_A_SECOND = 216_000_000
 ROUND = CYCLES_A_SECOND // 4000  # of the background: one for each gyro sample

@@ -9,12 +9,12 @@ from pathlib import Path
 
 import pytest
 
-from sim.board.devices.sd_card import CardTiming
+from neuroflight.sim.board.devices.sd_card import CardTiming
+from neuroflight.toolchain.contract import LogError, LogState
 from tests.firmware.storage.card.conftest import LOGS, MakeRecorder
 from tests.firmware.storage.card.images import BLOCK, SIZE, Volume, content, copy_image, make_image, run
 from tests.firmware.storage.card.recorder import DONE, Recorder
 from tests.firmware.storage.card.test_card_log import flight, some
-from toolchain.contract import LogError, LogState
 
 NOW = (0.0, 0.0)
 QUICK = CardTiming(

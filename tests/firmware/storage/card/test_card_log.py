@@ -9,13 +9,13 @@ from typing import Any
 
 import pytest
 
-from sim.board.devices.sd_card import CardFault, CardTiming, registers
-from sim.board.devices.sd_card.registers import crc7
+from neuroflight.sim.board.devices.sd_card import CardFault, CardTiming, registers
+from neuroflight.sim.board.devices.sd_card.registers import crc7
+from neuroflight.toolchain.contract import LogError, LogState
 from tests.firmware.conftest import Core
 from tests.firmware.storage.card.conftest import FILE_BYTES, LOGS, MakeRecorder
 from tests.firmware.storage.card.images import check, content, make_image, places
 from tests.firmware.storage.card.recorder import CYCLES_A_SECOND, DONE, FAILED, Recorder
-from toolchain.contract import LogError, LogState
 
 RING = 16384
 BLOCK = 512

@@ -7,12 +7,12 @@ from pathlib import Path
 
 import pytest
 
-from sim.board.devices.sd_card import CardFault, Cut
+from neuroflight.sim.board.devices.sd_card import CardFault, Cut
+from neuroflight.toolchain.contract import LogError, LogState
 from tests.firmware.storage.card.conftest import FILE_BYTES, LOGS, MakeRecorder
 from tests.firmware.storage.card.images import check, content, places
 from tests.firmware.storage.card.recorder import CYCLES_A_SECOND, DONE, FAILED, PowerCut, Recorder
 from tests.firmware.storage.card.test_card_log import some
-from toolchain.contract import LogError, LogState
 
 RATE = 125_000.0  # bytes a second
 LOG = some(400_000)  # 3.2 s

@@ -12,8 +12,8 @@ import pytest
 from cffi import FFI
 from elftools.elf.elffile import ELFFile
 
-from sim.board.core.library import CORE, load_library
-from toolchain.cortex_m7.disassembly import Instruction, disassemble
+from neuroflight.sim.board.core.library import CORE, load_library
+from neuroflight.toolchain.cortex_m7.disassembly import Instruction, disassemble
 
 ACCESS, DIVIDE, MASKS, WAIT, CONTROL = range(5)  # enum special_kind of engine.h
 SP, PC, NO_INDEX = 13, 15, 15

@@ -12,8 +12,8 @@ import pytest
 import unicorn
 from unicorn import arm_const
 
-from sim.board.core.context import BoardError
-from sim.board.core.engine import CORE_REGISTERS, Engine, Outcome, Watchpoint
+from neuroflight.sim.board.core.context import BoardError
+from neuroflight.sim.board.core.engine import CORE_REGISTERS, Engine, Outcome, Watchpoint
 from tests.sim.board.programs import RESULTS
 
 Boot = Callable[..., Engine]

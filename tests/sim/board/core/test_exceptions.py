@@ -7,9 +7,9 @@ from typing import Any
 
 import pytest
 
-from sim.board.core.context import BoardError
-from sim.board.core.engine import Engine, Outcome
-from sim.board.debug.profile import task_counts
+from neuroflight.sim.board.core.context import BoardError
+from neuroflight.sim.board.core.engine import Engine, Outcome
+from neuroflight.sim.board.debug.profile import task_counts
 
 Boot = Callable[..., Engine]
 Results = Callable[[Engine, int], list[int]]

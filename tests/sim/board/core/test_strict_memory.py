@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 
-from sim.board.core.context import BoardError
-from sim.board.core.engine import Engine, Outcome
+from neuroflight.sim.board.core.context import BoardError
+from neuroflight.sim.board.core.engine import Engine, Outcome
 
 Boot = Callable[..., Engine]
 

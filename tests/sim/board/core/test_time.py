@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from sim.board.core.engine import Engine
+from neuroflight.sim.board.core.engine import Engine
 
 Boot = Callable[..., Engine]
 Results = Callable[[Engine, int], list[int]]

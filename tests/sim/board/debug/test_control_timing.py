@@ -7,13 +7,13 @@ from typing import Any
 
 import pytest
 
-from sim.board.board import Board
-from sim.board.debug.control_timing import ControlMeter, Kind, Work, task_costs
-from sim.board.debug.profile import task_counts
-from toolchain.cortex_m7.cycles import DEVICE_CYCLES
-from toolchain.cortex_m7.disassembly import disassemble
-from toolchain.cortex_m7.llvm_mca import find_pricer
-from toolchain.errors import BuildError
+from neuroflight.sim.board.board import Board
+from neuroflight.sim.board.debug.control_timing import ControlMeter, Kind, Work, task_costs
+from neuroflight.sim.board.debug.profile import task_counts
+from neuroflight.toolchain.cortex_m7.cycles import DEVICE_CYCLES
+from neuroflight.toolchain.cortex_m7.disassembly import disassemble
+from neuroflight.toolchain.cortex_m7.llvm_mca import find_pricer
+from neuroflight.toolchain.errors import BuildError
 
 # Each second sample is a control step; step n asks the policy for n rounds of its loop, which then lets the
 # edge interrupt it and leaves another handler to follow. Thread and policy call `shared`, where samples come.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from xml.etree import ElementTree
 
-from sim.board.debug.flame_graph import MARGIN, ROW, WIDTH, flame_graph
+from neuroflight.sim.board.debug.flame_graph import MARGIN, ROW, WIDTH, flame_graph
 
 SVG = "{http://www.w3.org/2000/svg}"
 STACKS = ("main 100", "main;work 300", "main;work;a<b> 500", "tick 99", "tick;rare 1")

@@ -11,12 +11,12 @@ from xml.etree import ElementTree
 
 import pytest
 
-from sim.board.core.context import BoardError
-from sim.board.core.engine import Engine
-from sim.board.debug.gdb import GdbServer
+from neuroflight.sim.board.core.context import BoardError
+from neuroflight.sim.board.core.engine import Engine
+from neuroflight.sim.board.debug.gdb import GdbServer
+from neuroflight.toolchain.contract import FLASH_BASE, FLASH_BYTES
+from neuroflight.toolchain.errors import LinkError
 from tests.sim.board.programs import DEVICE, Device, Program
-from toolchain.contract import FLASH_BASE, FLASH_BYTES
-from toolchain.errors import LinkError
 
 LOOPING = """
 __attribute__((noinline)) void step(void) { RESULT[0] += 3; }

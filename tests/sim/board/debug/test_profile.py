@@ -6,8 +6,8 @@ from collections.abc import Callable
 
 import pytest
 
-from sim.board.core.engine import Engine
-from sim.board.debug.profile import (
+from neuroflight.sim.board.core.engine import Engine
+from neuroflight.sim.board.debug.profile import (
     coverage,
     execution_counts,
     folded_stacks,
@@ -15,8 +15,8 @@ from sim.board.debug.profile import (
     profile_table,
     task_counts,
 )
-from toolchain.cortex_m7.disassembly import disassemble
-from toolchain.errors import BuildError
+from neuroflight.toolchain.cortex_m7.disassembly import disassemble
+from neuroflight.toolchain.errors import BuildError
 
 Boot = Callable[..., Engine]
 

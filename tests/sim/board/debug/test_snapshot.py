@@ -8,10 +8,10 @@ from typing import Any
 
 import pytest
 
-from sim.board.core.context import BoardError
-from sim.board.core.engine import Engine
-from sim.board.debug.profile import execution_counts, task_counts
-from sim.board.debug.snapshot import restore_snapshot, take_snapshot
+from neuroflight.sim.board.core.context import BoardError
+from neuroflight.sim.board.core.engine import Engine
+from neuroflight.sim.board.debug.profile import execution_counts, task_counts
+from neuroflight.sim.board.debug.snapshot import restore_snapshot, take_snapshot
 
 Make = Callable[[], tuple[Engine, Any]]
 

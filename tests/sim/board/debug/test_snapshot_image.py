@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from sim.board.board import Board
-from sim.board.debug.profile import coverage, execution_counts, task_counts
-from sim.board.debug.snapshot import restore_snapshot, take_snapshot
-from toolchain.cortex_m7.disassembly import disassemble
+from neuroflight.sim.board.board import Board
+from neuroflight.sim.board.debug.profile import coverage, execution_counts, task_counts
+from neuroflight.sim.board.debug.snapshot import restore_snapshot, take_snapshot
+from neuroflight.toolchain.cortex_m7.disassembly import disassemble
 
 MIDDLE, END = 150_000_123, 200_000_000  # cycles: samples have begun
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import cache
 from pathlib import Path
 
-from sim.board.devices.sd_card import SdCard
+from neuroflight.sim.board.devices.sd_card import SdCard
 
 CYCLES_A_SECOND = 216_000_000
 SLOW_HZ, FAST_HZ = 211_000, 13_500_000

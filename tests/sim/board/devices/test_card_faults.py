@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from sim.board.core.context import BoardError
-from sim.board.devices.sd_card import CardFault, CardTiming, Cut, SdCard
+from neuroflight.sim.board.core.context import BoardError
+from neuroflight.sim.board.devices.sd_card import CardFault, CardTiming, Cut, SdCard
 from tests.sim.board.devices.host import FAST_HZ, SLOW_HZ, Host, blank, blocks_of, crc16, pattern
 
 OK, ACCEPTED, CRC_ERROR, WRITE_ERROR = b"\x00", 5, 11, 13

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from sim.board.board import Board
-from sim.board.core.context import BoardError
-from sim.board.debug.snapshot import restore_snapshot, take_snapshot
-from sim.board.devices.sd_card import CardFault, CardTiming, Cut, SdCard
+from neuroflight.sim.board.board import Board
+from neuroflight.sim.board.core.context import BoardError
+from neuroflight.sim.board.debug.snapshot import restore_snapshot, take_snapshot
+from neuroflight.sim.board.devices.sd_card import CardFault, CardTiming, Cut, SdCard
 from tests.sim.board.devices.host import blank, blocks_of, crc7, crc16, pattern
 from tests.sim.board.test_board import build
 

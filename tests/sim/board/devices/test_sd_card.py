@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from sim.board.core.context import BoardError
-from sim.board.devices.sd_card import CardTiming, SdCard
+from neuroflight.sim.board.core.context import BoardError
+from neuroflight.sim.board.devices.sd_card import CardTiming, SdCard
+from neuroflight.toolchain.errors import LinkError
 from tests.sim.board.devices.host import SLOW_HZ, Host, blank, blocks_of, crc7, pattern
-from toolchain.errors import LinkError
 
 OK, ACCEPTED, CRC_ERROR = b"\x00", 5, 11
 BLOCKS = 2048
@@ -419,6 +419,6 @@ def test_a_file_that_cannot_be_written_is_refused(image: Path, monkeypatch: pyte
     def refuse(*_: object) -> int:
         raise PermissionError(13, "Permission denied", str(image))
 
-    monkeypatch.setattr("sim.board.devices.sd_card.image.os.open", refuse)
+    monkeypatch.setattr("neuroflight.sim.board.devices.sd_card.image.os.open", refuse)
     with pytest.raises(LinkError, match=r"Permission denied; name an image that can be written"):
         SdCard(image)

@@ -10,17 +10,17 @@ from pathlib import Path
 
 import pytest
 
-from flash.msp import encode, request
-from sim.board.board import Board, Report
-from sim.board.matekf722 import FULL_VOLTS
-from sim.board.peripherals.usart import SBUS, Format
-from sim.control.sticks import channels
-from sim.ports.emulator import RECEIVER
-from sim.ports.receiver_frames import sbus_frame
+from neuroflight.flash.msp import encode, request
+from neuroflight.sim.board.board import Board, Report
+from neuroflight.sim.board.matekf722 import FULL_VOLTS
+from neuroflight.sim.board.peripherals.usart import SBUS, Format
+from neuroflight.sim.control.sticks import channels
+from neuroflight.sim.ports.emulator import RECEIVER
+from neuroflight.sim.ports.receiver_frames import sbus_frame
+from neuroflight.toolchain.contract import Msp
+from neuroflight.toolchain.image.build import find_target, run_make
 from tests.conftest import ROOT
 from tests.sim.board.mutants.mutant import Mutant
-from toolchain.contract import Msp
-from toolchain.image.build import find_target, run_make
 
 TARGET = find_target("MATEKF722")
 MSP = Format(115_200)

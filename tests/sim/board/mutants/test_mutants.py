@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from sim.board.core.context import BoardError
+from neuroflight.sim.board.core.context import BoardError
+from neuroflight.toolchain.contract import DSHOT_MIN
 from tests.conftest import ROOT
 from tests.sim.board.mutants.bus_mutants import BUS_MUTANTS
 from tests.sim.board.mutants.clock_mutants import CLOCK_MUTANTS
 from tests.sim.board.mutants.core_mutants import CORE_MUTANTS
 from tests.sim.board.mutants.mutant import Mutant
-from toolchain.contract import DSHOT_MIN
 
 if TYPE_CHECKING:
     from tests.sim.board.mutants.conftest import Fly

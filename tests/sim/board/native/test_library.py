@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import struct
 
-from sim.board.core.engine import Engine, Outcome
-from sim.board.native.library import Native, native_library
+from neuroflight.sim.board.core.engine import Engine, Outcome
+from neuroflight.sim.board.native.library import Native, native_library
 
 
 def test_every_function_is_there_when_a_header_declares_it() -> None:

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from sim.board.core.context import BoardError
-from sim.board.peripherals.dma_requests import REQUESTS
+from neuroflight.sim.board.core.context import BoardError
+from neuroflight.sim.board.peripherals.dma_requests import REQUESTS
 
 if TYPE_CHECKING:
     from tests.sim.board.conftest import Bench

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from sim.board.core.context import BoardError
-from sim.board.devices.esc import Frame
-from sim.board.peripherals.flash import Cut
+from neuroflight.sim.board.core.context import BoardError
+from neuroflight.sim.board.devices.esc import Frame
+from neuroflight.sim.board.peripherals.flash import Cut
 
 if TYPE_CHECKING:
     from tests.sim.board.conftest import Bench

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from sim.board.core.context import BoardError
-from sim.board.peripherals.rcc import wait_states
+from neuroflight.sim.board.core.context import BoardError
+from neuroflight.sim.board.peripherals.rcc import wait_states
 
 if TYPE_CHECKING:
     from tests.sim.board.conftest import Bench

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from sim.board.core.context import BoardError
-from sim.board.devices import gyro_chip
-from sim.board.devices.gyro_chip import ICM20601, ICM20602, ICM20689, MPU6500
-from sim.board.devices.gyro_mount import Alignment, accel_counts, gyro_counts
-from sim.board.matekf722 import GYROS
+from neuroflight.sim.board.core.context import BoardError
+from neuroflight.sim.board.devices import gyro_chip
+from neuroflight.sim.board.devices.gyro_chip import ICM20601, ICM20602, ICM20689, MPU6500
+from neuroflight.sim.board.devices.gyro_mount import Alignment, accel_counts, gyro_counts
+from neuroflight.sim.board.matekf722 import GYROS
 
 if TYPE_CHECKING:
     from tests.sim.board.conftest import Bench

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, NoReturn
 
 import pytest
 
-from sim.board.core.context import BoardError
-from sim.board.devices.esc import Esc, Frame
-from sim.board.native.library import native_library
+from neuroflight.sim.board.core.context import BoardError
+from neuroflight.sim.board.devices.esc import Esc, Frame
+from neuroflight.sim.board.native.library import native_library
 
 if TYPE_CHECKING:
     from tests.sim.board.conftest import Bench

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from sim.board.peripherals.option_bytes import FLASH_SIZE_ADDRESS, UID_ADDRESS
-from sim.board.registers.bus import TABLE, load_table
-from sim.board.registers.extract import MODELLED, extract, main, render
-from toolchain.errors import BuildError
+from neuroflight.sim.board.peripherals.option_bytes import FLASH_SIZE_ADDRESS, UID_ADDRESS
+from neuroflight.sim.board.registers.bus import TABLE, load_table
+from neuroflight.sim.board.registers.extract import MODELLED, extract, main, render
+from neuroflight.toolchain.errors import BuildError
 
 ROOT = Path(__file__).resolve().parents[4]
 # The vendor's description of the STM32F7x2, version 1.3, from which the committed table comes.

@@ -8,17 +8,17 @@ from dataclasses import dataclass
 
 import pytest
 
-from sim.board.board import Board
-from sim.board.core.context import TIME_HZ, BoardError
-from sim.board.debug.snapshot import restore_snapshot, take_snapshot
-from sim.board.peripherals.flash import Cut
-from sim.board.peripherals.option_bytes import OptionBytes
-from sim.board.peripherals.usart import Format
-from sim.board.rom.boot_loader import Stage
-from sim.board.serial.bridge import LineTransport, UartLine
+from neuroflight.sim.board.board import Board
+from neuroflight.sim.board.core.context import TIME_HZ, BoardError
+from neuroflight.sim.board.debug.snapshot import restore_snapshot, take_snapshot
+from neuroflight.sim.board.peripherals.flash import Cut
+from neuroflight.sim.board.peripherals.option_bytes import OptionBytes
+from neuroflight.sim.board.peripherals.usart import Format
+from neuroflight.sim.board.rom.boot_loader import Stage
+from neuroflight.sim.board.serial.bridge import LineTransport, UartLine
+from neuroflight.toolchain.contract import FLASH_BASE, FLASH_BYTES, FLASH_SECTORS
 from tests.sim.board.programs import Program, compile_program  # noqa: F401 - a fixture
 from tests.sim.board.rom.test_protocol import address, checked, command, sectors, write
-from toolchain.contract import FLASH_BASE, FLASH_BYTES, FLASH_SECTORS
 
 ACK, NACK = b"\x79", b"\x1f"
 FORMAT = Format(115_200, parity="E")

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sim.board.rom.protocol import (
+from neuroflight.sim.board.rom.protocol import (
     ACCEPTED,
     DATA_MAX,
     OWN_RAM_BYTES,
@@ -25,7 +25,7 @@ from sim.board.rom.protocol import (
     Write,
     feed,
 )
-from toolchain.contract import DTCM, FLASH_BASE, FLASH_BYTES, FLASH_SECTORS
+from neuroflight.toolchain.contract import DTCM, FLASH_BASE, FLASH_BYTES, FLASH_SECTORS
 
 
 def checked(data: bytes) -> bytes:

@@ -10,16 +10,24 @@ from pathlib import Path
 import pytest
 import serial
 
-from flash import messages
-from flash.client import Client
-from flash.msp import encode, request
-from sim.board.board import Board
-from sim.board.core.context import TIME_HZ
-from sim.board.debug.snapshot import Snapshot, restore_snapshot, take_snapshot
-from sim.board.peripherals.usart import Format
-from sim.board.serial.bridge import READ_MAX, SLICE, Bridge, LineTransport, PtyEnd, TcpEnd, UartLine
-from toolchain.contract import MSP_VARIANT_BETAFLIGHT, Msp
-from toolchain.errors import LinkError
+from neuroflight.flash import messages
+from neuroflight.flash.client import Client
+from neuroflight.flash.msp import encode, request
+from neuroflight.sim.board.board import Board
+from neuroflight.sim.board.core.context import TIME_HZ
+from neuroflight.sim.board.debug.snapshot import Snapshot, restore_snapshot, take_snapshot
+from neuroflight.sim.board.peripherals.usart import Format
+from neuroflight.sim.board.serial.bridge import (
+    READ_MAX,
+    SLICE,
+    Bridge,
+    LineTransport,
+    PtyEnd,
+    TcpEnd,
+    UartLine,
+)
+from neuroflight.toolchain.contract import MSP_VARIANT_BETAFLIGHT, Msp
+from neuroflight.toolchain.errors import LinkError
 
 BOOT_S = 0.4
 QUESTION = encode(request(Msp.API_VERSION))

@@ -9,18 +9,25 @@ from pathlib import Path
 import pytest
 import serial
 
-from flash import messages, records
-from flash.info import read_info
-from flash.msp import encode, request
-from flash.settings import Settings
-from sim.board.core.context import TIME_HZ
-from sim.board.debug.gdb import GdbServer
-from sim.board.debug.snapshot import Snapshot, restore_snapshot, take_snapshot
-from sim.board.matekf722 import GYROS, Gyro
-from sim.board.serial import idle_board as idle_board
-from sim.board.serial.bridge import Bridge, PtyEnd, UartLine
-from sim.board.serial.idle_board import TEMPERATURE_DEG_C, IdleBoard, Keeper, configured, serve, with_image
-from toolchain.contract import (
+from neuroflight.flash import messages, records
+from neuroflight.flash.info import read_info
+from neuroflight.flash.msp import encode, request
+from neuroflight.flash.settings import Settings
+from neuroflight.sim.board.core.context import TIME_HZ
+from neuroflight.sim.board.debug.gdb import GdbServer
+from neuroflight.sim.board.debug.snapshot import Snapshot, restore_snapshot, take_snapshot
+from neuroflight.sim.board.matekf722 import GYROS, Gyro
+from neuroflight.sim.board.serial import idle_board as idle_board
+from neuroflight.sim.board.serial.bridge import Bridge, PtyEnd, UartLine
+from neuroflight.sim.board.serial.idle_board import (
+    TEMPERATURE_DEG_C,
+    IdleBoard,
+    Keeper,
+    configured,
+    serve,
+    with_image,
+)
+from neuroflight.toolchain.contract import (
     ARMING_DELAY_MS,
     FLASH_BANK_A,
     FLASH_BANK_B,
@@ -31,7 +38,7 @@ from toolchain.contract import (
     GyroHealth,
     Msp,
 )
-from toolchain.errors import LinkError
+from neuroflight.toolchain.errors import LinkError
 
 MILLISECOND = TIME_HZ // 1000
 

@@ -8,19 +8,24 @@ from pathlib import Path
 
 import pytest
 
-from flash import requests
-from flash.image.files import Image, read_images
-from flash.image.messages import DATA_BYTES_MAX, Banks, image_ended, image_info, image_switch, image_write
-from flash.info import read_info
-from flash.msp import Decoder, Message, encode, request
-from flash.policy.slots import read_policies
-from sim.board.core.context import TIME_HZ
-from sim.board.debug.snapshot import Snapshot, restore_snapshot, take_snapshot
-from sim.board.peripherals.flash import Cut
-from sim.board.serial.idle_board import IdleBoard, configured
-from tests.flash.image.conftest import stamped
-from tests.flash.image.emulated import BAUD, Wired
-from toolchain.contract import (
+from neuroflight.flash import requests
+from neuroflight.flash.image.files import Image, read_images
+from neuroflight.flash.image.messages import (
+    DATA_BYTES_MAX,
+    Banks,
+    image_ended,
+    image_info,
+    image_switch,
+    image_write,
+)
+from neuroflight.flash.info import read_info
+from neuroflight.flash.msp import Decoder, Message, encode, request
+from neuroflight.flash.policy.slots import read_policies
+from neuroflight.sim.board.core.context import TIME_HZ
+from neuroflight.sim.board.debug.snapshot import Snapshot, restore_snapshot, take_snapshot
+from neuroflight.sim.board.peripherals.flash import Cut
+from neuroflight.sim.board.serial.idle_board import IdleBoard, configured
+from neuroflight.toolchain.contract import (
     FLASH_BANKS,
     FLASH_BASE,
     IMAGE_PROBATION_MS,
@@ -29,7 +34,9 @@ from toolchain.contract import (
     bound_policy,
     image_header,
 )
-from toolchain.image.bank_state import state
+from neuroflight.toolchain.image.bank_state import state
+from tests.flash.image.conftest import stamped
+from tests.flash.image.emulated import BAUD, Wired
 
 A, B = range(2)
 EXCHANGE_S = 3.0  # of a request: more than an erase and a restart

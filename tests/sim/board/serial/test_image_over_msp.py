@@ -9,15 +9,15 @@ from typing import Any
 
 import pytest
 
-from flash import layouts, requests
-from flash.client import Client
-from flash.info import read_info
-from sim.board.core.context import TIME_HZ
-from sim.board.serial.idle_board import IdleBoard, configured
+from neuroflight.flash import layouts, requests
+from neuroflight.flash.client import Client
+from neuroflight.flash.info import read_info
+from neuroflight.sim.board.core.context import TIME_HZ
+from neuroflight.sim.board.serial.idle_board import IdleBoard, configured
+from neuroflight.toolchain.contract import ARMING_DELAY_MS, MSP_IMAGE_NUMBERED, Msp, image_field_offset
+from neuroflight.toolchain.contract.msp_layouts import Direction
+from neuroflight.toolchain.contract.msp_messages import layout_of
 from tests.firmware.images import header_of
-from toolchain.contract import ARMING_DELAY_MS, MSP_IMAGE_NUMBERED, Msp, image_field_offset
-from toolchain.contract.msp_layouts import Direction
-from toolchain.contract.msp_messages import layout_of
 
 BAUD = 921600
 WRITTEN_S = 10.0  # from the erasing to the switch

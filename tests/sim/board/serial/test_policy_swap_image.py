@@ -8,24 +8,24 @@ from pathlib import Path
 
 import pytest
 
-from cli.flash.policy_swap import candidate_of
-from flash import requests
-from flash.client import Client
-from flash.info import read_info
-from flash.messages import PolicySource
-from flash.msp import Decoder, Message, encode, request
-from flash.policy import revert as reverts
-from flash.policy import swap as swaps
-from flash.policy.candidate import Candidate
-from flash.policy.slots import read_policies
-from sim.board.core.context import TIME_HZ
-from sim.board.debug.snapshot import Snapshot, restore_snapshot, take_snapshot
-from sim.board.peripherals.flash import Cut
-from sim.board.peripherals.usart import Format
-from sim.board.serial.bridge import LineTransport, UartLine
-from sim.board.serial.idle_board import IdleBoard, configured
+from neuroflight.cli.flash.policy_swap import candidate_of
+from neuroflight.flash import requests
+from neuroflight.flash.client import Client
+from neuroflight.flash.info import read_info
+from neuroflight.flash.messages import PolicySource
+from neuroflight.flash.msp import Decoder, Message, encode, request
+from neuroflight.flash.policy import revert as reverts
+from neuroflight.flash.policy import swap as swaps
+from neuroflight.flash.policy.candidate import Candidate
+from neuroflight.flash.policy.slots import read_policies
+from neuroflight.sim.board.core.context import TIME_HZ
+from neuroflight.sim.board.debug.snapshot import Snapshot, restore_snapshot, take_snapshot
+from neuroflight.sim.board.peripherals.flash import Cut
+from neuroflight.sim.board.peripherals.usart import Format
+from neuroflight.sim.board.serial.bridge import LineTransport, UartLine
+from neuroflight.sim.board.serial.idle_board import IdleBoard, configured
+from neuroflight.toolchain.contract import Msp
 from tests.flash.policies import another_policy
-from toolchain.contract import Msp
 
 BAUD = 921_600
 SWAP_S = 5.0  # what a swap may take of emulated time, its restart included

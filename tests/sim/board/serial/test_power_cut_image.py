@@ -8,16 +8,23 @@ from pathlib import Path
 
 import pytest
 
-from flash.info import read_info
-from flash.msp import encode, request
-from flash.settings import Settings
-from sim.board.core.context import TIME_HZ
-from sim.board.debug.snapshot import Snapshot, restore_snapshot, take_snapshot
-from sim.board.peripherals.flash import Cut
-from sim.board.serial.bridge import UartLine
-from sim.board.serial.idle_board import IdleBoard
-from toolchain.contract import MSP_BAUD_DEFAULT, MSP_BAUDS, MSP_PAYLOAD_MAX, SETTING_TEXT_BYTES, SETTINGS, Msp
-from toolchain.errors import LinkError
+from neuroflight.flash.info import read_info
+from neuroflight.flash.msp import encode, request
+from neuroflight.flash.settings import Settings
+from neuroflight.sim.board.core.context import TIME_HZ
+from neuroflight.sim.board.debug.snapshot import Snapshot, restore_snapshot, take_snapshot
+from neuroflight.sim.board.peripherals.flash import Cut
+from neuroflight.sim.board.serial.bridge import UartLine
+from neuroflight.sim.board.serial.idle_board import IdleBoard
+from neuroflight.toolchain.contract import (
+    MSP_BAUD_DEFAULT,
+    MSP_BAUDS,
+    MSP_PAYLOAD_MAX,
+    SETTING_TEXT_BYTES,
+    SETTINGS,
+    Msp,
+)
+from neuroflight.toolchain.errors import LinkError
 
 OLD = {"roll_expo": 0.25, "yaw_deadband_us": 7, "battery_low_v": 3.0}
 NEW = {"roll_expo": 0.75, "yaw_deadband_us": 9, "battery_low_v": 3.25}

@@ -7,12 +7,17 @@ from pathlib import Path
 
 import pytest
 
-from flash.stream import Sample
-from sim.board.core.context import TIME_HZ
-from sim.board.serial.idle_board import IdleBoard
-from sim.board.serial.told_times import StreamListener, ToldTimes, told_of_samples, told_while_idle
-from toolchain.contract import MSP_BAUD_DEFAULT
-from toolchain.errors import LinkError
+from neuroflight.flash.stream import Sample
+from neuroflight.sim.board.core.context import TIME_HZ
+from neuroflight.sim.board.serial.idle_board import IdleBoard
+from neuroflight.sim.board.serial.told_times import (
+    StreamListener,
+    ToldTimes,
+    told_of_samples,
+    told_while_idle,
+)
+from neuroflight.toolchain.contract import MSP_BAUD_DEFAULT
+from neuroflight.toolchain.errors import LinkError
 
 STEP = Sample(
     sequence=0,

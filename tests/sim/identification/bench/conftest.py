@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sim.aircraft.model import Propulsion, load_aircraft
-from sim.identification.bench.load_cell import LoadCell, fit_load_cell, loads_of_masses
+from neuroflight.sim.aircraft.model import Propulsion, load_aircraft
+from neuroflight.sim.identification.bench.load_cell import LoadCell, fit_load_cell, loads_of_masses
 from tests.sim.identification.bench.rig import Rig, SensorKind
 
 MASSES_KG = [0.0, 0.2, 0.0, 0.4, 0.0, 0.8, 0.0, 1.0]

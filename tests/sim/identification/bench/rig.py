@@ -20,15 +20,15 @@ from types import TracebackType
 
 import numpy as np
 
-from flash.client import Client
-from flash.transport import SerialPort, SerialTransport, TcpPort, TcpTransport
-from sim.aircraft.model import RPM, Propulsion
-from sim.control.motors import each_fraction
-from sim.physics.rotor import next_speed, target_speed, thrust_and_torque
-from sim.ports.host import HostPort
-from sim.ports.port import Sample
-from toolchain.contract import GRAVITY
-from toolchain.errors import LinkError
+from neuroflight.flash.client import Client
+from neuroflight.flash.transport import SerialPort, SerialTransport, TcpPort, TcpTransport
+from neuroflight.sim.aircraft.model import RPM, Propulsion
+from neuroflight.sim.control.motors import each_fraction
+from neuroflight.sim.physics.rotor import next_speed, target_speed, thrust_and_torque
+from neuroflight.sim.ports.host import HostPort
+from neuroflight.sim.ports.port import Sample
+from neuroflight.toolchain.contract import GRAVITY
+from neuroflight.toolchain.errors import LinkError
 
 READY_S = 1.5  # boot and the calibration of the gyro
 WALL_S = 5.0  # in which what was written to a pty is there to be read

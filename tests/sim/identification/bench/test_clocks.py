@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sim.identification.bench.clocks import fit_clock
-from toolchain.errors import DynoError
+from neuroflight.sim.identification.bench.clocks import fit_clock
+from neuroflight.toolchain.errors import DynoError
 
 
 @pytest.mark.parametrize("drift", [0.0, 0.005, -0.004, 5e-5])

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sim.identification.bench.load_cell import (
+from neuroflight.sim.identification.bench.load_cell import (
     FORCE,
     TORQUE,
     LoadCell,
@@ -17,9 +17,9 @@ from sim.identification.bench.load_cell import (
     read_load_cells,
     write_load_cells,
 )
-from sim.identification.bench.sensor import CELLS
-from toolchain.contract import GRAVITY
-from toolchain.errors import DynoError
+from neuroflight.sim.identification.bench.sensor import CELLS
+from neuroflight.toolchain.contract import GRAVITY
+from neuroflight.toolchain.errors import DynoError
 
 MASSES = [0.0, 0.2, 0.0, 0.4, 0.0, 0.6, 0.0, 0.8, 0.0, 1.0, 0.0]
 

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sim.aircraft.model import load_aircraft
-from sim.identification.bench.plan import (
+from neuroflight.sim.aircraft.model import load_aircraft
+from neuroflight.sim.identification.bench.plan import (
     Plan,
     begin_folder,
     check_folder,
@@ -17,10 +17,17 @@ from sim.identification.bench.plan import (
     missing_runs,
     recording_file,
 )
-from sim.identification.bench.summary import figure, peak, repeats, step_figures
-from sim.identification.dyno.bench import KINDS, disturbed, duration, run, sample_times, throttle_at
-from sim.identification.dyno.recording import Recording, read_recordings, write_recording
-from toolchain.errors import DynoError
+from neuroflight.sim.identification.bench.summary import figure, peak, repeats, step_figures
+from neuroflight.sim.identification.dyno.bench import (
+    KINDS,
+    disturbed,
+    duration,
+    run,
+    sample_times,
+    throttle_at,
+)
+from neuroflight.sim.identification.dyno.recording import Recording, read_recordings, write_recording
+from neuroflight.toolchain.errors import DynoError
 
 PLAN = Plan(KINDS, 3, 0.8, 1.0, 40.0, 1, 3, 0.02, ("time_us", "thrust_n"), {})
 

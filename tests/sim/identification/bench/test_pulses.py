@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from sim.identification.bench.pulses import speed_of_pulses, unwrapped
-from toolchain.errors import DynoError
+from neuroflight.sim.identification.bench.pulses import speed_of_pulses, unwrapped
+from neuroflight.toolchain.errors import DynoError
 
 TURN = 2 * math.pi
 

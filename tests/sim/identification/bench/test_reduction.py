@@ -7,13 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sim.aircraft.model import RPM
-from sim.identification.bench.drive import Log
-from sim.identification.bench.load_cell import FORCE, TORQUE, LoadCell
-from sim.identification.bench.quantities import Rig, check_rig
-from sim.identification.bench.reduction import reduce_log
-from sim.identification.bench.sensor import parse_layout
-from toolchain.errors import DynoError
+from neuroflight.sim.aircraft.model import RPM
+from neuroflight.sim.identification.bench.drive import Log
+from neuroflight.sim.identification.bench.load_cell import FORCE, TORQUE, LoadCell
+from neuroflight.sim.identification.bench.quantities import Rig, check_rig
+from neuroflight.sim.identification.bench.reduction import reduce_log
+from neuroflight.sim.identification.bench.sensor import parse_layout
+from neuroflight.toolchain.errors import DynoError
 
 CELL = LoadCell(FORCE, 0.001, 100.0, 0.0, 0.0, 0.0, 0.0, 10.0, 5)
 

@@ -9,18 +9,18 @@ from typing import Any
 
 import pytest
 
-from flash import requests
-from flash.client import Client, RefusedError
-from flash.motors.bench import MotorBench
-from flash.transport import TcpPort, TcpTransport, Transport
-from sim.identification.bench.drive import Log, Sensor, drive
-from sim.identification.bench.guard import Guard, Limits, StoppedError
-from sim.identification.bench.quantities import Rig as Meaning
-from sim.identification.bench.sensor import LineReader
-from sim.identification.dyno.bench import Phase
+from neuroflight.flash import requests
+from neuroflight.flash.client import Client, RefusedError
+from neuroflight.flash.motors.bench import MotorBench
+from neuroflight.flash.transport import TcpPort, TcpTransport, Transport
+from neuroflight.sim.identification.bench.drive import Log, Sensor, drive
+from neuroflight.sim.identification.bench.guard import Guard, Limits, StoppedError
+from neuroflight.sim.identification.bench.quantities import Rig as Meaning
+from neuroflight.sim.identification.bench.sensor import LineReader
+from neuroflight.sim.identification.dyno.bench import Phase
+from neuroflight.toolchain.contract import MOTOR_TEST_TIMEOUT_MS, Msp, Refusal
+from neuroflight.toolchain.errors import LinkError
 from tests.sim.identification.bench.rig import Rig, SensorKind, unplugged
-from toolchain.contract import MOTOR_TEST_TIMEOUT_MS, Msp, Refusal
-from toolchain.errors import LinkError
 
 LEVEL = 0.4
 EXPERIMENT = (Phase(0.4, 0.0, 0.0), Phase(3.0, LEVEL, LEVEL), Phase(0.4, 0.0, 0.0))

@@ -6,8 +6,8 @@ import random
 
 import pytest
 
-from sim.identification.bench.sensor import LINE_BYTES_MAX, LineReader, parse_layout
-from toolchain.errors import DynoError
+from neuroflight.sim.identification.bench.sensor import LINE_BYTES_MAX, LineReader, parse_layout
+from neuroflight.toolchain.errors import DynoError
 
 HEADING = b"time_us,thrust_raw,torque_raw,pulses,foo\r\n"
 LINES = b"".join(b"%d,%d,-%d,%d,x1\r\n" % (1000 * k, 84_000 + k, k, k) for k in range(1, 50))

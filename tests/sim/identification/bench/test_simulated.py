@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sim.aircraft.model import load_aircraft
-from sim.identification.bench import simulated
-from sim.identification.bench.simulated import (
+from neuroflight.sim.aircraft.model import load_aircraft
+from neuroflight.sim.identification.bench import simulated
+from neuroflight.sim.identification.bench.simulated import (
     CELLS,
     Measured,
     Noise,
@@ -18,7 +18,7 @@ from sim.identification.bench.simulated import (
     scale_errors,
     speed_found,
 )
-from sim.identification.dyno.bench import RAMP, Phase, duration, sample_times, steps, steps_held
+from neuroflight.sim.identification.dyno.bench import RAMP, Phase, duration, sample_times, steps, steps_held
 
 NF1 = load_aircraft("nf1").propulsion
 

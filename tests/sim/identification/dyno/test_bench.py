@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sim.aircraft.model import RPM, load_aircraft
-from sim.identification.dyno.bench import (
+from neuroflight.sim.aircraft.model import RPM, load_aircraft
+from neuroflight.sim.identification.dyno.bench import (
     EXPERIMENTS,
     RAMP,
     STEPS,

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from sim.aircraft.model import RPM, FirstOrderResponse, Propulsion, TorqueResponse, load_aircraft
-from sim.identification.dyno.bench import (
+from neuroflight.sim.aircraft.model import RPM, FirstOrderResponse, Propulsion, TorqueResponse, load_aircraft
+from neuroflight.sim.identification.dyno.bench import (
     EXPERIMENTS,
     RAMP,
     STEPS,
@@ -20,11 +20,11 @@ from sim.identification.dyno.bench import (
     run,
     sample_times,
 )
-from sim.identification.dyno.fit import Fit, fit
-from sim.identification.dyno.model import Dynamics, make_schedule, simulate
-from sim.identification.dyno.recording import Recording
-from sim.physics.rotor import speeds_along, target_speed
-from toolchain.errors import DynoError
+from neuroflight.sim.identification.dyno.fit import Fit, fit
+from neuroflight.sim.identification.dyno.model import Dynamics, make_schedule, simulate
+from neuroflight.sim.identification.dyno.recording import Recording
+from neuroflight.sim.physics.rotor import speeds_along, target_speed
+from neuroflight.toolchain.errors import DynoError
 
 Array = NDArray[np.float64]
 

@@ -8,11 +8,24 @@ import matplotlib.image
 import numpy as np
 import pytest
 
-from sim.aircraft.model import RPM, load_aircraft
-from sim.identification.dyno.bench import RAMP, STEPS, Phase, disturbed, duration, run, sample_times
-from sim.identification.dyno.fit import fit
-from sim.identification.dyno.plot import draw_fit, draw_recording, save_fit_plot, save_recording_plot
-from sim.identification.dyno.recording import Recording
+from neuroflight.sim.aircraft.model import RPM, load_aircraft
+from neuroflight.sim.identification.dyno.bench import (
+    RAMP,
+    STEPS,
+    Phase,
+    disturbed,
+    duration,
+    run,
+    sample_times,
+)
+from neuroflight.sim.identification.dyno.fit import fit
+from neuroflight.sim.identification.dyno.plot import (
+    draw_fit,
+    draw_recording,
+    save_fit_plot,
+    save_recording_plot,
+)
+from neuroflight.sim.identification.dyno.recording import Recording
 
 NF1 = load_aircraft("nf1").propulsion
 

@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sim.aircraft.model import RPM
-from sim.identification.dyno import recording as dyno_data
-from sim.identification.dyno.recording import Recording, read_recordings, write_recording
-from toolchain.errors import DynoError
+from neuroflight.sim.aircraft.model import RPM
+from neuroflight.sim.identification.dyno import recording as dyno_data
+from neuroflight.sim.identification.dyno.recording import Recording, read_recordings, write_recording
+from neuroflight.toolchain.errors import DynoError
 
 HEADING = "time_s,throttle,rpm,thrust_n,torque_n_m"
 

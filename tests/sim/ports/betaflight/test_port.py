@@ -12,15 +12,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sim.aircraft.model import load_aircraft
-from sim.ports.betaflight import build as betaflight_build
-from sim.ports.betaflight import port as betaflight_port
-from sim.ports.betaflight import process as betaflight_process
-from sim.ports.betaflight.build import Betaflight
-from sim.ports.betaflight.port import BetaflightPort
-from sim.ports.betaflight.process import BetaflightProcess
-from sim.ports.port import Sample
-from toolchain.errors import AircraftError, LinkError
+from neuroflight.sim.aircraft.model import load_aircraft
+from neuroflight.sim.ports.betaflight import build as betaflight_build
+from neuroflight.sim.ports.betaflight import port as betaflight_port
+from neuroflight.sim.ports.betaflight import process as betaflight_process
+from neuroflight.sim.ports.betaflight.build import Betaflight
+from neuroflight.sim.ports.betaflight.port import BetaflightPort
+from neuroflight.sim.ports.betaflight.process import BetaflightProcess
+from neuroflight.sim.ports.port import Sample
+from neuroflight.toolchain.errors import AircraftError, LinkError
 
 STILL = Sample(0.0, np.zeros(3), np.eye(3), np.zeros(3), np.zeros(3), np.zeros(3))
 REST = bytes(4 * 12)  # the motors of a servo packet that are not there

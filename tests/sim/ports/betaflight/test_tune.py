@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from flash.betaflight.diff_file import FILE_BYTES_MAX
-from sim.ports.betaflight.tune import read_tune, tune_path, tune_text
-from toolchain.errors import LinkError
+from neuroflight.flash.betaflight.diff_file import FILE_BYTES_MAX
+from neuroflight.sim.ports.betaflight.tune import read_tune, tune_path, tune_text
+from neuroflight.toolchain.errors import LinkError
 
 BOARD = "# Betaflight / STM32F7X2 (S7X2) 4.6.0 Jun  1 2025 / 10:00:00 (norevision) MSP API: 1.47\n"
 DIFF = (

@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from sim.aircraft.model import load_aircraft
-from training.config.algorithms import Ddpg1Config
-from training.config.training_config import OutputMap, TrainingConfig
-from training.learners.ddpg1.learner import Ddpg1Learner
-from training.learners.ddpg1.replay import Replay
-from training.learners.protocol import Report
-from training.tasks.reward import TrackingReward, Transition
-from training.tasks.task import EpisodicTask, PulseTask
+from neuroflight.sim.aircraft.model import load_aircraft
+from neuroflight.training.config.algorithms import Ddpg1Config
+from neuroflight.training.config.training_config import OutputMap, TrainingConfig
+from neuroflight.training.learners.ddpg1.learner import Ddpg1Learner
+from neuroflight.training.learners.ddpg1.replay import Replay
+from neuroflight.training.learners.protocol import Report
+from neuroflight.training.tasks.reward import TrackingReward, Transition
+from neuroflight.training.tasks.task import EpisodicTask, PulseTask
 
 NF1 = load_aircraft("nf1")
 PLAIN = Ddpg1Config(updates=1, buffer=2000, leg=4)

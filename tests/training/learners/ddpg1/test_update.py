@@ -7,8 +7,8 @@ import pytest
 import torch
 from numpy.typing import NDArray
 
-from training.learners.ddpg1.update import ActorCritic, Engine, Learnt, Losses
-from training.learners.network.normalization import Normalization
+from neuroflight.training.learners.ddpg1.update import ActorCritic, Engine, Learnt, Losses
+from neuroflight.training.learners.network.normalization import Normalization
 
 ROWS, INPUTS, MOTORS = 50, 7, 4
 UPDATES, MINIBATCH = 3, 20  # which fills no whole number of lanes

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from training.learners.network.normalization import ObservedMoments
+from neuroflight.training.learners.network.normalization import ObservedMoments
 
 
 def test_moments_are_those_of_all_observations_when_they_come_in_parts() -> None:

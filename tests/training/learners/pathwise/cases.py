@@ -7,16 +7,16 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.aircraft.model import Aircraft, load_aircraft
-from sim.control.estimator import model_constants
-from sim.physics.variation import Variation
-from toolchain.contract import Mix, needs_model, observation_blocks
-from training.config.training_config import OBSERVATION_SCALES, OutputMap
-from training.learners.network.shape import Shape
-from training.learners.pathwise.batch import Batch, disturbances
-from training.learners.pathwise.loss import Weights
-from training.learners.pathwise.plan import Surroundings
-from training.tasks.random_steps import StepWeights
+from neuroflight.sim.aircraft.model import Aircraft, load_aircraft
+from neuroflight.sim.control.estimator import model_constants
+from neuroflight.sim.physics.variation import Variation
+from neuroflight.toolchain.contract import Mix, needs_model, observation_blocks
+from neuroflight.training.config.training_config import OBSERVATION_SCALES, OutputMap
+from neuroflight.training.learners.network.shape import Shape
+from neuroflight.training.learners.pathwise.batch import Batch, disturbances
+from neuroflight.training.learners.pathwise.loss import Weights
+from neuroflight.training.learners.pathwise.plan import Surroundings
+from neuroflight.training.tasks.random_steps import StepWeights
 
 RATE_HZ = 1000
 WEIGHTS = Weights(square=0.03, output=10.0, change=5.0, closed=20.0)

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from training.learners.network.shape import Shape
+from neuroflight.training.learners.network.shape import Shape
 
 Floats = NDArray[np.float32]
 

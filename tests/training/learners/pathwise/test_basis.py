@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sim.aircraft.model import load_aircraft
-from sim.physics.rotor import rotor_geometry
-from toolchain.contract import observation_blocks
-from training.config.training_config import OutputMap
-from training.learners.network.shape import Shape
-from training.learners.pathwise.basis import LARGER, Basis, steering
+from neuroflight.sim.aircraft.model import load_aircraft
+from neuroflight.sim.physics.rotor import rotor_geometry
+from neuroflight.toolchain.contract import observation_blocks
+from neuroflight.training.config.training_config import OutputMap
+from neuroflight.training.learners.network.shape import Shape
+from neuroflight.training.learners.pathwise.basis import LARGER, Basis, steering
 
 TERMS = "rate_estimate,rate_error,rate~15Hz,rate,rate_estimate~15Hz,rate_estimate~5Hz,throttle"
 INPUTS = 19

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from training.learners.pathwise.batch import (
+from neuroflight.training.learners.pathwise.batch import (
     CALM,
     LEAST,
     WASH_HZ,

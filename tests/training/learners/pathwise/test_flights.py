@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from sim.aircraft.model import load_aircraft
-from sim.control.motors import raised, throttle_mix
-from sim.control.observation import Observer
-from sim.physics.imu import quantised_rate
-from sim.physics.twin import Twin
+from neuroflight.sim.aircraft.model import load_aircraft
+from neuroflight.sim.control.motors import raised, throttle_mix
+from neuroflight.sim.control.observation import Observer
+from neuroflight.sim.physics.imu import quantised_rate
+from neuroflight.sim.physics.twin import Twin
+from neuroflight.toolchain.contract import Mix
+from neuroflight.training.learners.pathwise.flights import Flights, Record
 from tests.training.learners.pathwise.cases import RATE_HZ, WEIGHTS, Case
 from tests.training.learners.pathwise.reference import Network
-from toolchain.contract import Mix
-from training.learners.pathwise.flights import Flights, Record
 
 NAMES = ("nf1", "iris", "hexa")
 

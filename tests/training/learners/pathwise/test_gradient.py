@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from neuroflight.toolchain.contract import Mix
+from neuroflight.training.learners.pathwise.flights import Flights
 from tests.training.learners.pathwise.cases import EVERY_BLOCK, WEIGHTS, Case
-from toolchain.contract import Mix
-from training.learners.pathwise.flights import Flights
 
 Floats = NDArray[np.floating]
 

@@ -9,19 +9,17 @@ import numpy as np
 import pytest
 import torch
 
-from sim.aircraft.model import load_aircraft
-from sim.control.controller import PolicyController
-from sim.control.motors import throttle_mix
-from sim.control.observation import Observer
-from tests.training.learners.pathwise.cases import EVERY_BLOCK as WITH_ROTORS
-from tests.training.learners.pathwise.reference import Network
-from toolchain.errors import TrainingError
-from toolchain.policy.freeze import to_onnx
-from toolchain.policy.model import parse_policy
-from training.config.pathwise_config import PathwiseConfig
-from training.config.randomization import Randomization
-from training.config.training_config import TrainingConfig, WorldConfig
-from training.learners.pathwise.descent import (
+from neuroflight.sim.aircraft.model import load_aircraft
+from neuroflight.sim.control.controller import PolicyController
+from neuroflight.sim.control.motors import throttle_mix
+from neuroflight.sim.control.observation import Observer
+from neuroflight.toolchain.errors import TrainingError
+from neuroflight.toolchain.policy.freeze import to_onnx
+from neuroflight.toolchain.policy.model import parse_policy
+from neuroflight.training.config.pathwise_config import PathwiseConfig
+from neuroflight.training.config.randomization import Randomization
+from neuroflight.training.config.training_config import TrainingConfig, WorldConfig
+from neuroflight.training.learners.pathwise.descent import (
     DIVERGED,
     SETBACKS_MAX,
     SETTLED,
@@ -30,11 +28,13 @@ from training.learners.pathwise.descent import (
     descended,
     guarded,
 )
-from training.learners.pathwise.loss import Figures, Weights
-from training.learners.protocol import Report
-from training.runs.checkpoint import snapshot
-from training.runs.make_learner import make_learner
-from training.tasks.random_steps import RandomStepsTask
+from neuroflight.training.learners.pathwise.loss import Figures, Weights
+from neuroflight.training.learners.protocol import Report
+from neuroflight.training.runs.checkpoint import snapshot
+from neuroflight.training.runs.make_learner import make_learner
+from neuroflight.training.tasks.random_steps import RandomStepsTask
+from tests.training.learners.pathwise.cases import EVERY_BLOCK as WITH_ROTORS
+from tests.training.learners.pathwise.reference import Network
 
 EVERY_BLOCK = WITH_ROTORS.replace("rotor_speed,", "")  # that the firmware has
 UPDATE = 4 * 150  # control steps of an update of `config`

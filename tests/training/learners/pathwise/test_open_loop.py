@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 from scipy.integrate import quad
 from scipy.optimize import minimize_scalar
 
-from sim.aircraft.model import Aircraft, FirstOrderResponse, TorqueResponse, load_aircraft
-from sim.physics.rotor import response_rows, target_speed, thrust_and_torque
-from sim.physics.twin import Twin
-from toolchain.contract import GRAVITY
-from training.learners.pathwise.open_loop import Commands, Found, Motors, search, trim
+from neuroflight.sim.aircraft.model import Aircraft, FirstOrderResponse, TorqueResponse, load_aircraft
+from neuroflight.sim.physics.rotor import response_rows, target_speed, thrust_and_torque
+from neuroflight.sim.physics.twin import Twin
+from neuroflight.toolchain.contract import GRAVITY
+from neuroflight.training.learners.pathwise.open_loop import Commands, Found, Motors, search, trim
 
 Array = NDArray[np.float64]
 IDLE = 0.055

@@ -5,15 +5,15 @@ import itertools
 import numpy as np
 import pytest
 
-from sim.aircraft.model import load_aircraft
-from training.config.algorithms import Ppo1Config
-from training.config.training_config import TrainingConfig
-from training.learners.ppo1.learner import Ppo1Learner
-from training.learners.ppo1.normalization import ReturnMoments
-from training.learners.ppo1.rollout import advantages
-from training.learners.protocol import Report
-from training.tasks.reward import TrackingReward
-from training.tasks.task import EpisodicTask
+from neuroflight.sim.aircraft.model import load_aircraft
+from neuroflight.training.config.algorithms import Ppo1Config
+from neuroflight.training.config.training_config import TrainingConfig
+from neuroflight.training.learners.ppo1.learner import Ppo1Learner
+from neuroflight.training.learners.ppo1.normalization import ReturnMoments
+from neuroflight.training.learners.ppo1.rollout import advantages
+from neuroflight.training.learners.protocol import Report
+from neuroflight.training.tasks.reward import TrackingReward
+from neuroflight.training.tasks.task import EpisodicTask
 
 NF1 = load_aircraft("nf1")
 

@@ -8,10 +8,10 @@ import pytest
 import torch
 from numpy.typing import NDArray
 
-from training.config.training_config import OutputMap
-from training.learners.network.normalization import Normalization
-from training.learners.network.shape import Shape
-from training.learners.ppo1.update import ActorCritic, Engine, Losses, Samples
+from neuroflight.training.config.training_config import OutputMap
+from neuroflight.training.learners.network.normalization import Normalization
+from neuroflight.training.learners.network.shape import Shape
+from neuroflight.training.learners.ppo1.update import ActorCritic, Engine, Losses, Samples
 
 COUNT, INPUTS, MOTORS = 50, 7, 4
 LOSSES = Losses(clip=0.2, entropy=0.01, rate=1e-2, minibatch=20)
