@@ -41,9 +41,9 @@ if [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null; then \
 elif [ -n "$$needed" ]; then echo "$$needed is missing; run: sudo apt-get install $(3)" >&2; exit 1; fi
 endef
 
-IN_DEV   := setup test prove coverage bench lint
+IN_DEV   := setup test prove coverage bench docs lint
 IN_TRAIN := train
-IN_SIM   := fly emulate
+IN_SIM   := fly view emulate
 asked     = $(filter $(1),$(MAKECMDGOALS))
 EXTRA    := $(if $(call asked,$(IN_DEV)),dev,$(if $(call asked,$(IN_TRAIN)),train,$(if $(call asked,$(IN_SIM)),sim,firmware)))
 PYTHON   :=
@@ -63,7 +63,7 @@ OF       := $(if $(call said,AIRCRAFT),--aircraft "$(AIRCRAFT)")
 OF       += $(if $(OF)$(call said,POLICY),--policy "$(POLICY)",$(if $(call asked,flash fly emulate),--again))
 TWIN     := $(if $(call said,AIRCRAFT),--aircraft "$(AIRCRAFT)")
 
-.PHONY: coverage help setup arm chromium clang cppcheck peers firmware flash host train fly emulate test prove bench lint clean
+.PHONY: coverage help setup arm chromium clang cppcheck peers firmware flash host train fly view emulate test prove bench docs lint clean
 
 help: ## this list
 	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 12
@@ -92,6 +92,9 @@ train: $(READY) ## a policy from the twin: AIRCRAFT=nf1 [ALGORITHM=ppo] [CONFIG=
 fly: host ## a firmware against the twin: [ON=host] [SCENARIO=flight] [COUNT=10] [SEED=] [ARGS="--trace FILE.npz"]
 	@$(RUN) fly --on $(ON) $(TWIN) --scenario $(SCENARIO) --count $(COUNT) --seed $(SEED) $(ARGS)
 
+view: $(READY) ## a Split-S in 3D, as a page for the browser: [POLICY=path.onnx]
+	@$(RUN) view $(POLICY) $(TWIN) --scenario sim/scenarios/split_s.toml --mount free --seed $(SEED) --out build/flight.html $(ARGS)
+
 emulate: firmware ## the image to be flashed flies on an emulated board: roll, flip, Split-S, a minute of commands and hover
 	@$(RUN) fly --on emulator --build build/$(TARGET) $(TWIN) --seed $(SEED) \
 	  --scenario roll flip sim/scenarios/split_s.toml flight $(ARGS)
@@ -113,6 +116,10 @@ coverage: $(READY) ## what the tests reach of the firmware's core, under sanitiz
 
 bench: $(READY) arm ## speed, as figures and ratios of one run
 	@$(VENV)/bin/python -m tests.bench $(ARGS)
+
+docs: $(READY) ## the documentation as a site that opens from files: build/site/index.html
+	@NO_MKDOCS_2_WARNING=1 $(VENV)/bin/python -m mkdocs build --quiet
+	@echo "build/site/index.html"
 
 chromium: # the browser that shows our pages, as the ARM compiler is brought
 	$(call bring,chromium,,chromium)

@@ -12,7 +12,7 @@ from neuroflight.toolchain.contract import FallbackCause, Msp
 
 @dataclass(frozen=True)
 class Acknowledged:
-    """What was the matter."""
+    """The faults and the policy error that were acknowledged."""
 
     fault: Fault | None  # the newest of those logged
     refused: FallbackCause  # why the policy was not allowed to fly; NONE: it was

@@ -21,20 +21,20 @@ UNASKED_MAX = 4096  # messages of a command kept that no request asked for
 
 
 class NoAnswerError(LinkError):
-    """Nobody answered: whether a request that acts was carried out is not known."""
+    """No answer came: it is unknown whether the request was carried out."""
 
 
 class RefusedError(LinkError):
     """The firmware refused a request."""
 
     def __init__(self, message: str, reason: Refusal | None = None) -> None:
-        """reason: as the firmware told it; None: it told none, as for what it does not know."""
+        """reason: as the firmware gave it; None: without one, as for a command it does not know."""
         super().__init__(message)
         self.reason = reason
 
 
 class Client:
-    """Speaks MSP over an open transport, which it owns: use it in a `with`, or close it."""
+    """An MSP client that owns an open transport: use it in a `with`, or close it."""
 
     def __init__(
         self,
@@ -44,7 +44,7 @@ class Client:
         timeout: float = TIMEOUT_S,
         retries: int = RETRIES,
     ) -> None:
-        """clock: seconds, never going back. timeout [s], retries: of requests that name none of their own."""
+        """clock: monotonic [s]. timeout [s], retries: for requests that give none of their own."""
         self._timeout, self._retries = timeout, retries
         self._transport = transport
         self._clock = clock
@@ -108,16 +108,17 @@ class Client:
         self._transport.write(encode(request(command, payload)))
 
     def collect(self, command: Msp, timeout: float) -> bytes | None:
-        """The payload of the next reply to a posted `command`; None after `timeout` [s].
+        """Return the payload of the next reply to a posted `command`; None after `timeout` [s].
 
-        Raises RefusedError."""
+        Raises RefusedError.
+        """
         message = self._next(command, timeout)
         if message is not None and message.direction is Direction.ERROR:
             raise self._refused(command, message.payload)
         return None if message is None else message.payload
 
     def receive(self, command: Msp, timeout: float) -> bytes | None:
-        """The payload of the next `command` that comes without being asked for; None after `timeout` [s]."""
+        """Return the payload of the next unsolicited `command`; None after `timeout` [s]."""
         deadline = self._clock() + timeout
         while (message := self._next(command, max(deadline - self._clock(), 0.0))) is not None:
             if message.direction is Direction.REPLY:
@@ -125,7 +126,7 @@ class Client:
         return None
 
     def _next(self, command: Msp, timeout: float) -> Message | None:
-        """The next `command` that came beside answers, or comes within `timeout` [s]; others are kept."""
+        """Return the next `command` kept or received within `timeout` [s]; other messages are kept."""
         deadline = self._clock() + timeout
         while True:
             if waiting := self._unasked.get(command):
@@ -137,7 +138,7 @@ class Client:
                 self._keep(message)
 
     def _keep(self, message: Message) -> None:
-        """For whoever asks for it later; the line's own echo is for nobody."""
+        """Keep a message until it is asked for; drop echoes of own requests."""
         if message.direction is not Direction.REQUEST:
             self._unasked.setdefault(message.command, deque(maxlen=UNASKED_MAX)).append(message)
 
@@ -150,7 +151,7 @@ class Client:
         self.request(Msp.API_VERSION)  # whose replies are all the same
 
     def _answer(self, command: Msp, deadline: float, failures: list[Corrupt]) -> Message | None:
-        """Reply or refusal of `command`, None after the deadline; what was corrupt joins `failures`."""
+        """Wait for the reply to `command`; None after the deadline. Corrupt frames join `failures`."""
         while (left := deadline - self._clock()) > 0:
             answer = None
             for message in self._messages(left, failures):
@@ -165,7 +166,7 @@ class Client:
         return None
 
     def _messages(self, timeout: float, failures: list[Corrupt]) -> list[Message]:
-        """What has come, or comes first within `timeout` [s]."""
+        """Read what has arrived, or what arrives first within `timeout` [s]."""
         data = self._transport.read(timeout)
         # On silence the unfinished frame is given up: a true one may hide behind its false length.
         events = self._decoder.feed(data) if data else self._decoder.flush()

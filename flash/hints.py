@@ -1,4 +1,4 @@
-"""What keeps a firmware from arming, and how to lift it; flight states and causes in words."""
+"""Hints on how to lift what keeps a firmware from arming; flight states and causes in words."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ BETAFLIGHT_LAST = "ARM_SWITCH"  # always the last of them
 
 
 def betaflight_reasons(flags: int, count: int) -> tuple[str, ...]:
-    """Names of the reasons set in the `flags` of Betaflight's STATUS_EX, of which there are `count`."""
+    """Name the reasons set in the `flags` of Betaflight's STATUS_EX, which has `count` of them."""
     known = {f"BIT_{bit}": name for bit, name in enumerate(BETAFLIGHT)}
     if count > 0:
         known[f"BIT_{count - 1}"] = BETAFLIGHT_LAST
@@ -58,13 +58,13 @@ def betaflight_reasons(flags: int, count: int) -> tuple[str, ...]:
 
 
 def brown_out(level: int) -> str:
-    """What the supply's detector does, in words."""
+    """Describe the setting of the supply's brown-out detector."""
     volts = BROWN_OUT_V[level] if level < len(BROWN_OUT_V) else None
     if volts is None:
-        return "off, as chips are delivered: docs/board-bring-up.md says how to set it"
+        return "off, as chips are delivered: docs/guides/board-bring-up.md says how to set it"
     return f"level {level}: resets the processor when its supply falls below about {volts} V"
 
 
 def words(name: str) -> str:
-    """The name of a state or cause as people read it."""
+    """Convert the name of a state or cause to plain words."""
     return name.lower().replace("_", " ")

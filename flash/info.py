@@ -1,4 +1,4 @@
-"""Who a firmware is and how it does, whoever made it."""
+"""Identity and state of a firmware of any make."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from neuroflight.toolchain.errors import LinkError
 
 @dataclass(frozen=True)
 class Info:
-    """What a firmware says about itself."""
+    """Identity and state that a firmware reports."""
 
     variant: str
     version: str
@@ -47,7 +47,7 @@ def own_identity(client: Client) -> Identity | None:
 
 
 def version_of(client: Client) -> str:
-    """Read its own version, as FC_VERSION of ours tells Betaflight's. Raises LinkError."""
+    """Read this project's own version; FC_VERSION gives Betaflight's instead. Raises LinkError."""
     own = own_identity(client)
     return own.version if own is not None else messages.fc_version(client.request(Msp.FC_VERSION))
 
@@ -64,7 +64,7 @@ def check_ours(client: Client, consequence: str) -> None:
 
 
 def check_api(client: Client) -> ApiVersion:
-    """Which MSP the firmware speaks. Raises LinkError for one that this tool does not."""
+    """Read the firmware's MSP version. Raises LinkError for one that this tool does not speak."""
     api = messages.api_version(client.request(Msp.API_VERSION))
     if (api.protocol, api.major) != (MSP_PROTOCOL_VERSION, MSP_API_MAJOR):
         raise LinkError(

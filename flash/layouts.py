@@ -19,8 +19,11 @@ Values = dict[str, Any]
 
 
 def decode(layout: MspLayout, payload: bytes, *, whole: bool = False) -> Values:
-    """The fields of `payload`. Those of newer versions that are missing are left out, bytes behind the known
-    ones passed over. whole: then nothing may be missing and nothing left. Raises LinkError."""
+    """Unpack the fields of `payload`. Missing fields of newer versions are left out, bytes behind the known
+    ones ignored.
+
+    whole: nothing may be missing or left over. Raises LinkError.
+    """
     reader = Reader(layout.message, payload)
     needed = len(layout.fields) if whole else layout.needed
     values: Values = {}
@@ -60,8 +63,10 @@ def _groups(reader: Reader, group: MspGroup) -> Iterator[Values]:
 
 
 def encode(layout: MspLayout, values: Mapping[str, Any]) -> bytes:
-    """The payload that has `values`; the last fields may be missing where newer versions alone have them.
-    Raises ValueError for a field that is missing, unknown, or beyond what it can hold."""
+    """Pack `values` into a payload; the last fields may be missing if only newer versions have them.
+
+    Raises ValueError for a field that is missing, unknown or out of range.
+    """
     unknown = set(values) - {field.name for field in layout.fields}
     if unknown:
         raise ValueError(f"MSP {layout.message.name} has no field {', '.join(sorted(unknown))}")

@@ -23,7 +23,7 @@ RAW_IMU_COUNTS_SINCE = 47
 
 @dataclass(frozen=True)
 class ApiVersion:
-    """Which MSP is spoken."""
+    """The version of MSP that is spoken."""
 
     protocol: int
     major: int
@@ -32,7 +32,7 @@ class ApiVersion:
 
 @dataclass(frozen=True)
 class BoardInfo:
-    """Which board it is; texts are empty where the firmware gives none."""
+    """The board's identity; texts are empty if the firmware gives none."""
 
     identifier: str  # 4 characters
     hardware_revision: int
@@ -43,8 +43,8 @@ class BoardInfo:
 
 @dataclass(frozen=True)
 class BuildInfo:
-    """When and from which revision the firmware was built. This project's builds are reproducible and
-    know neither: their date is the start of 1970 and their revision zeros."""
+    """The firmware's build date and revision. This project's builds are reproducible and have neither: their
+    date is the start of 1970 and their revision zeros."""
 
     date: str  # Mmm dd yyyy
     time: str  # hh:mm:ss
@@ -52,13 +52,13 @@ class BuildInfo:
 
     @property
     def dated(self) -> bool:
-        """Whether the firmware knows its build."""
+        """True if the firmware knows its build."""
         return self.revision.strip("0") != ""
 
 
 @dataclass(frozen=True)
 class Status:
-    """How the firmware is doing, as STATUS tells it."""
+    """The firmware's state as STATUS reports it."""
 
     cycle_time_us: int  # control period
     i2c_errors: int
@@ -69,7 +69,7 @@ class Status:
 
     @property
     def armed(self) -> bool:
-        """Whether the motors may turn."""
+        """True if the motors may turn."""
         return bool(self.modes & MSP_MODE_ARMED)
 
 
@@ -84,7 +84,7 @@ class StatusEx:
 
 @dataclass(frozen=True)
 class RawImu:
-    """Sensors as whole numbers, each (x, y, z); zeros for a sensor that is not there."""
+    """Sensors as whole numbers, each (x, y, z); zeros for a missing sensor."""
 
     acceleration: tuple[int, int, int]  # counts, the scale depends on the board
     gyro: tuple[int, int, int]  # counts, the scale depends on the firmware
@@ -111,7 +111,7 @@ class Analog:
 
 
 class BatteryLevel(IntEnum):
-    """How full the battery is, as the ecosystem numbers it."""
+    """Battery levels, as the ecosystem numbers them."""
 
     GOOD = 0
     WARNING = 1
@@ -132,7 +132,7 @@ class BatteryState:
 
 
 class PolicySource(IntEnum):
-    """Where the policy that flies came from."""
+    """Sources of the flown policy."""
 
     SLOT_A = 0
     SLOT_B = 1
@@ -170,7 +170,7 @@ def fc_variant(payload: bytes) -> str:
 
 
 def fc_version(payload: bytes) -> str:
-    """Decode FC_VERSION: `major.minor.patch`, or where that is a year and a month the text behind it."""
+    """Decode FC_VERSION: `major.minor.patch`; if that is a year and a month, the text behind it."""
     reader = Reader(Msp.FC_VERSION, payload)
     numbers = reader.fields("3B")
     return reader.counted_text() if numbers[0] >= FIRST_YEAR else ".".join(map(str, numbers))
@@ -178,7 +178,7 @@ def fc_version(payload: bytes) -> str:
 
 @dataclass(frozen=True)
 class Identity:
-    """What a firmware of this project is, whatever FC_VARIANT and FC_VERSION say."""
+    """The identity of a firmware of this project, whatever FC_VARIANT and FC_VERSION say."""
 
     firmware: str
     version: str
@@ -230,13 +230,13 @@ def status_ex(payload: bytes) -> StatusEx:
 
 
 def arming_reasons(flags: int) -> tuple[str, ...]:
-    """Names of the reasons set in this project's STATUS_EX `flags`, lowest bit first."""
+    """Name the reasons set in this project's STATUS_EX `flags`, lowest bit first."""
     known = {f"BIT_{int(reason)}": reason.name for reason in ArmingReason}
     return tuple(known.get(bit, bit) for bit in bit_names(flags))
 
 
 def bit_names(flags: int) -> tuple[str, ...]:
-    """`BIT_n` of each bit set in `flags` >= 0, lowest first: for flags of another make of firmware."""
+    """Name each bit set in `flags` >= 0 as `BIT_n`, lowest first: for another make of firmware."""
     return tuple(f"BIT_{bit}" for bit in range(flags.bit_length()) if flags >> bit & 1)
 
 

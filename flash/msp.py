@@ -52,7 +52,7 @@ class Message:
 
 
 class Reason(Enum):
-    """Why a frame that had begun was given up."""
+    """Reasons for giving up a frame that had begun."""
 
     CHECKSUM = "wrong checksum"
     TOO_LONG = "payload over the limit"
@@ -72,23 +72,23 @@ Event = Message | Corrupt
 
 # --- Encoding --------------------------------------------------------------------------------
 def request(command: int, payload: bytes = b"") -> Message:
-    """A request for `command`, in v1 where v1 can say it and in v2 otherwise."""
+    """Return a request for `command`, in v1 if v1 can express it and in v2 otherwise."""
     version = Version.V1 if command <= V1_COMMAND_MAX else Version.V2
     return Message(version, Direction.REQUEST, command, payload)
 
 
 def reply(to: Message, payload: bytes = b"") -> Message:
-    """The answer to the request `to`, in the same version."""
+    """Return the answer to the request `to`, in the same version."""
     return Message(to.version, Direction.REPLY, to.command, payload)
 
 
 def error(to: Message) -> Message:
-    """The refusal of the request `to`: unknown command or unacceptable payload."""
+    """Return the refusal of the request `to`: unknown command or unacceptable payload."""
     return Message(to.version, Direction.ERROR, to.command)
 
 
 def encode(message: Message) -> bytes:
-    """The frame of `message`. Raises ValueError for a command or a length that no frame can carry."""
+    """Encode `message` as a frame. Raises ValueError for a command or a length that no frame can carry."""
     size, command = len(message.payload), message.command
     command_max = V1_COMMAND_MAX if message.version is Version.V1 else 0xFFFF
     if not 0 <= command <= command_max:
@@ -109,12 +109,12 @@ def encode(message: Message) -> bytes:
 
 # --- Checksums: (data, checksum so far) -> checksum ------------------------------------------
 def xor_checksum(data: bytes, start: int = 0) -> int:
-    """The v1 checksum of `data`, continued from `start`."""
+    """Compute the v1 checksum of `data`, continued from `start`."""
     return reduce(xor, data, start)
 
 
 def crc8_dvb_s2(data: bytes, start: int = 0) -> int:
-    """The v2 checksum of `data`: CRC-8, polynomial 0xD5, most significant bit first, no final xor."""
+    """Compute the v2 checksum of `data`: CRC-8, polynomial 0xD5, most significant bit first, no final xor."""
     crc = start
     for byte in data:
         crc = _CRC8_TABLE[crc ^ byte]
@@ -136,7 +136,7 @@ _CHECKSUMS: dict[Version, Callable[[bytes, int], int]] = {
 
 # --- Decoding --------------------------------------------------------------------------------
 class _State(Enum):
-    """What the decoder waits for next."""
+    """The next part of a frame that the decoder expects."""
 
     MARK = auto()
     VERSION = auto()
@@ -150,7 +150,7 @@ class _State(Enum):
 
 @dataclass
 class _Frame:
-    """What is known of the frame that begins at the first byte of the decoder's buffer."""
+    """The known part of the frame that begins at the first byte of the decoder's buffer."""
 
     payload_max: int
     state: _State = _State.MARK
@@ -163,7 +163,7 @@ class _Frame:
     checksum: int = 0
 
     def cover(self, data: bytes) -> None:
-        """Carry the checksum on over `data`."""
+        """Continue the checksum over `data`."""
         self.checksum = _CHECKSUMS[self.version](data, self.checksum)
 
 
@@ -247,7 +247,7 @@ _TABLE: dict[_State, tuple[Callable[[_Frame], int], Callable[[_Frame, bytes], _O
 
 
 class Decoder:
-    """Finds the frames in a stream of bytes. Takes any bytes, in any pieces, and never raises.
+    """A decoder that finds the frames in a stream of bytes. Takes any bytes, in any pieces, and never raises.
 
     The events do not depend on how the stream was cut into pieces. After a frame that failed the
     search goes on at the byte behind its `$`, so a true frame inside a false one's length is found.
@@ -272,12 +272,12 @@ class Decoder:
         return self._skipped
 
     def feed(self, data: bytes) -> list[Event]:
-        """Take what arrived and return what it completed, in order."""
+        """Decode the bytes that arrived and return the events they complete, in order."""
         self._buffer += data
         return self._advance()
 
     def flush(self) -> list[Event]:
-        """Give up the unfinished frame, because the line fell silent, and search its bytes again."""
+        """Discard the unfinished frame, because the line is silent, and search its bytes again."""
         events: list[Event] = []
         while self._buffer:
             frame = self._frame

@@ -1,4 +1,4 @@
-"""How a firmware does, in one look: state, what forbids arming, battery, receiver, attitude, load."""
+"""An overview of a firmware: state, what forbids arming, battery, receiver, attitude, load."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from neuroflight.toolchain.contract import GyroIdentity, Msp
 
 @dataclass(frozen=True)
 class Flight:
-    """What only this project's firmware tells."""
+    """The state that only this project's firmware reports."""
 
     state: str
     airborne: bool | None  # it has taken off since it was armed; None: the firmware does not tell
@@ -35,7 +35,7 @@ class Flight:
 
 @dataclass(frozen=True)
 class Overview:
-    """How a firmware does."""
+    """The overview of a firmware of any make."""
 
     armed: bool
     arming_reasons: dict[str, str]  # what forbids arming now: how to lift it, "" where nobody knows
@@ -48,7 +48,7 @@ class Overview:
 
 
 def read_overview(client: Client) -> Overview:
-    """Ask for all of it. Raises LinkError."""
+    """Read all of it. Raises LinkError."""
     ours = is_ours(client)
     extended = messages.status_ex(client.request(Msp.STATUS_EX))
     battery = messages.battery_state(client.request(Msp.BATTERY_STATE))
@@ -73,7 +73,7 @@ def read_overview(client: Client) -> Overview:
 
 
 def _hints(safety: records.Safety) -> dict[str, str]:
-    """How to lift each reason; a chip that is not known cannot be mended by a new start."""
+    """Return how to lift each reason; an unknown gyro chip is not mended by a restart."""
     if safety.gyro_identity in (None, records.NO_CHIP) or safety.gyro_known:
         return HINTS
     known = ", ".join(f"{chip.name} (0x{chip:02X})" for chip in GyroIdentity)

@@ -1,4 +1,4 @@
-"""Reading the fields of a reply's payload one after the other."""
+"""Reading of a reply's fields one after the other."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ Kind = TypeVar("Kind", bound=IntEnum)
 
 
 class Reader:
-    """Takes fields off the front of a payload; a payload that ends too early is a LinkError."""
+    """A reader of fields from the front of a payload; raises LinkError if the payload ends too early."""
 
     def __init__(self, command: Msp, payload: bytes) -> None:
         self.command = command
@@ -21,7 +21,7 @@ class Reader:
         self.at = 0
 
     def bytes(self, count: int) -> bytes:
-        """The next `count` bytes."""
+        """Read the next `count` bytes."""
         end = self.at + count
         if end > len(self.payload):
             raise LinkError(
@@ -33,7 +33,7 @@ class Reader:
         return field
 
     def check(self, holds: bool, got: str, expected: str) -> None:
-        """Raise LinkError unless what was read makes sense."""
+        """Raise LinkError unless the values read are plausible."""
         if not holds:
             raise LinkError(
                 f"MSP {self.command.name} reply tells of {got}, expected {expected}; "
@@ -41,7 +41,7 @@ class Reader:
             )
 
     def one_of(self, kind: type[Kind]) -> Kind:
-        """The next byte as a member of `kind`."""
+        """Read the next byte as a member of `kind`."""
         (value,) = self.fields("B")
         try:
             return kind(value)
@@ -53,21 +53,21 @@ class Reader:
             ) from None
 
     def fields(self, layout: str) -> tuple[Any, ...]:
-        """The next fields, of the struct format `layout` without its byte order."""
+        """Read the next fields, of the struct format `layout` without its byte order."""
         form = struct.Struct("<" + layout)
         return form.unpack(self.bytes(form.size))
 
     def text(self, count: int) -> str:
-        """The next `count` bytes as text; whatever is not printable ASCII shows as `?`."""
+        """Read the next `count` bytes as text; anything but printable ASCII becomes `?`."""
         characters = self.bytes(count).rstrip(b"\0").decode("latin-1")
         return "".join(c if " " <= c <= "~" else "?" for c in characters)
 
     def counted_text(self) -> str:
-        """A text behind a byte that gives its length."""
+        """Read a text that follows its length, one byte."""
         (count,) = self.fields("B")
         return self.text(count)
 
     def shorts(self) -> tuple[int, ...]:
-        """All the rest as u16."""
+        """Read all the rest as u16."""
         rest = len(self.payload) - self.at
         return self.fields(f"{(rest + 1) // 2}H")  # an odd byte lacks its other half: refused

@@ -1,4 +1,4 @@
-"""Why a firmware does not fly a policy, in words, by the numbers of firmware/src/common/nf_err.h."""
+"""The reasons why a firmware does not fly a policy, by the numbers of firmware/src/common/nf_err.h."""
 
 from __future__ import annotations
 
@@ -20,5 +20,5 @@ POLICY_ERRORS = {
 
 
 def policy_error(number: int) -> str:
-    """The words of an error."""
+    """Return the text of an error."""
     return POLICY_ERRORS.get(number, f"error {number} of nf_err.h, which this tool does not know")

@@ -1,4 +1,4 @@
-"""Streamed samples as files: CSV, a row a sample, or npz, an array a quantity; whole or not at all."""
+"""Files of streamed samples: CSV, a row a sample, or npz, an array a quantity; whole or none."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ SUFFIXES = (".csv", ".npz")
 
 @dataclass(frozen=True)
 class Shape:
-    """How many values of each kind a row has room for: disarmed, a sample has none of a policy."""
+    """The number of values of each kind in a row; a disarmed firmware's sample has none of a policy."""
 
     motors: int
     observations: int
@@ -28,7 +28,7 @@ class Shape:
 
 
 def columns(shape: Shape) -> list[str]:
-    """Heads of the columns of CSV."""
+    """Return the column heads of the CSV file."""
     return [
         *("t_s", "sequence", "step", "cycles", "state", "armed", "pid_flies"),
         *(f"{what}_{axis}_rad_s" for what in ("setpoint", "gyro") for axis in AXES),
@@ -40,7 +40,7 @@ def columns(shape: Shape) -> list[str]:
 
 
 def row(sample: Sample, time_s: float, shape: Shape) -> list[str]:
-    """A row of CSV: floats with enough digits to be the same float32; empty for what is not there."""
+    """Return a row of CSV: floats with enough digits for the same float32; empty for missing values."""
     return [
         *(f"{time_s:.6f}", str(sample.sequence), str(sample.step), str(sample.cycles), sample.state),
         *(str(int(sample.armed)), str(int(sample.pid_flies))),
@@ -56,7 +56,7 @@ def _cells(numbers: Sequence[float], count: int) -> list[str]:
 
 
 def times(samples: Sequence[Sample], control_rate_hz: int) -> NDArray[np.float64]:
-    """Seconds of the firmware's time since the first sample, shape (N,)."""
+    """Return the firmware's time since the first sample [s], shape (N,)."""
     steps = np.array([sample.step for sample in samples], np.uint32)
     since = np.diff(steps, prepend=steps[:1]).astype(np.uint32).astype(np.int64)  # a wrapped number goes on
     seconds: NDArray[np.float64] = np.cumsum(since) / control_rate_hz
@@ -64,7 +64,7 @@ def times(samples: Sequence[Sample], control_rate_hz: int) -> NDArray[np.float64
 
 
 def write_csv(file: IO[str], samples: Sequence[Sample], control_rate_hz: int, shape: Shape) -> None:
-    """Heads and a row each."""
+    """Write column heads and a row for each sample."""
     writer = csv.writer(file, lineterminator="\n")
     writer.writerow(columns(shape))
     for sample, time_s in zip(samples, times(samples, control_rate_hz), strict=True):
@@ -72,7 +72,7 @@ def write_csv(file: IO[str], samples: Sequence[Sample], control_rate_hz: int, sh
 
 
 def arrays(samples: Sequence[Sample], control_rate_hz: int, shape: Shape) -> dict[str, Any]:
-    """What an npz has: shapes (N,) or (N, K), named as in a flight's trace; NaN for what is not there."""
+    """Return the arrays of an npz, shapes (N,) or (N, K), named as in a trace; NaN for missing values."""
     whole = {name: np.array([getattr(sample, name) for sample in samples]) for name in ("sequence", "step")}
     return {
         "t": times(samples, control_rate_hz),
@@ -91,7 +91,7 @@ def arrays(samples: Sequence[Sample], control_rate_hz: int, shape: Shape) -> dic
 
 
 def _padded(rows: Sequence[Sequence[float]], count: int) -> NDArray[np.float32]:
-    """Shape (N, count), NaN behind a row's end."""
+    """Stack `rows` into shape (N, count), with NaN behind a row's end."""
     padded = np.full((len(rows), count), np.nan, np.float32)
     for target, numbers in zip(padded, rows, strict=True):
         target[: len(numbers)] = numbers[:count]

@@ -24,7 +24,7 @@ NO_CHIP = 0xFF  # what the pull-up of a bus answers for a gyro chip that does no
 
 @dataclass(frozen=True)
 class Safety:
-    """What keeps the motors stopped, or who turns them."""
+    """The interlocks that stop the motors, and the controller that flies."""
 
     state: FlightState
     stop_cause: StopCause  # why the motors stopped last
@@ -44,12 +44,12 @@ class Safety:
 
     @property
     def gyro_known(self) -> bool:
-        """Whether the chip is one that boards are flown with."""
+        """True if boards are flown with this chip."""
         return self.gyro_identity in tuple(GyroIdentity)
 
     @property
     def gyro_chip(self) -> str:
-        """Name and identity of the gyro chip as people read them; "" where the firmware tells of none."""
+        """Name and identity of the gyro chip for messages; "" if the firmware reports none."""
         if self.gyro_identity is None:
             return ""
         if self.gyro_identity == NO_CHIP:
@@ -61,7 +61,7 @@ class Safety:
 
 @dataclass(frozen=True)
 class TaskLoad:
-    """What one task has taken of the processor since boot."""
+    """The processor time of one task since boot."""
 
     task: Task
     rate_hz: int  # that it is meant to run at; 0: whenever there is something to do
@@ -79,14 +79,14 @@ class TaskLoad:
 
 @dataclass(frozen=True)
 class Tasks:
-    """The processor's time, task by task."""
+    """The processor time, task by task."""
 
     cycles_hz: int  # cycles a second
     loads: tuple[TaskLoad, ...]
 
 
 class FaultKind(IntEnum):
-    """What reset the firmware: firmware/src/storage/fault_record.h."""
+    """Causes of a reset: firmware/src/storage/fault_record.h."""
 
     NONE = 0
     HARD = 1
@@ -99,7 +99,7 @@ class FaultKind(IntEnum):
 
 @dataclass(frozen=True)
 class Fault:
-    """A fault that nobody acknowledged; registers are 0 where the kind has none."""
+    """A fault that nobody acknowledged; registers are 0 if the kind has none."""
 
     boot: int  # number of the boot that found it: what FAULTS acknowledges
     kind: FaultKind

@@ -50,7 +50,7 @@ REASONS = {
     Refusal.PAYLOAD: "the request has a length or a value that the command does not take",
     Refusal.INDEX: "there is none of that number",
     Refusal.RANGE: "the value is beyond the setting's limits",
-    Refusal.CONFLICT: "{setting} does not fit the policy or the settings beside it, see docs/settings.md",
+    Refusal.CONFLICT: "{setting} does not fit the policy or other settings, see docs/reference/settings.md",
     Refusal.FLASH: "flash did not take it; what was stored before still holds",
     Refusal.ORDER: "something has to come before it: opening, beginning, reading",
     Refusal.BLOB: "the policy is none for this firmware: {policy} (error {detail} of nf_err.h)",
@@ -64,7 +64,7 @@ REASONS = {
 
 @dataclass(frozen=True)
 class SettingInfo:
-    """What a firmware tells about one of its settings."""
+    """The firmware's description of one of its settings."""
 
     count: int  # settings in all
     name: str
@@ -76,12 +76,12 @@ class SettingInfo:
 
     @property
     def whole(self) -> bool:
-        """Whether it takes only whole numbers."""
+        """True if it takes only whole numbers."""
         return self.kind in ("uint32_t", "mode")
 
 
 def repeatable(command: Msp, payload: bytes) -> bool:
-    """Whether a request may be sent again when no reply came, though it may have been carried out."""
+    """Return True if a request may be repeated when no reply came, though it may have been carried out."""
     return command not in ONCE and not (command is Msp.FAULTS and payload)
 
 
@@ -157,7 +157,7 @@ def slot_write(offset: int, data: bytes) -> bytes:
 
 
 def slot_begun(payload: bytes) -> int:
-    """Decode the reply to POLICY_SLOT_BEGIN: the sequence number that the blob may have, or a newer one."""
+    """Decode POLICY_SLOT_BEGIN: the lowest sequence number that the blob may have."""
     (sequence,) = Reader(Msp.POLICY_SLOT_BEGIN, payload).fields("I")
     return int(sequence)
 
@@ -193,7 +193,7 @@ def setting_value(payload: bytes) -> float | str:
 
 
 def refusal(payload: bytes) -> str:
-    """What the payload of a refused request says, for people; empty where it says nothing."""
+    """Return the text of a refused request's payload; empty if it gives no reason."""
     if len(payload) != struct.calcsize("<Bh"):
         return ""
     reason, detail = struct.unpack("<Bh", payload)
@@ -204,7 +204,7 @@ def refusal(payload: bytes) -> str:
 
 
 def refusal_reason(payload: bytes) -> Refusal | None:
-    """The reason in the payload of a refused request; None where it tells none that this tool knows."""
+    """Return the reason in a refused request's payload; None if this tool knows none such."""
     if len(payload) != struct.calcsize("<Bh") or payload[0] not in set(Refusal):
         return None
     return Refusal(payload[0])

@@ -1,4 +1,4 @@
-"""Starts a firmware anew and waits until it answers, or the boot loader in the chip's ROM instead."""
+"""Restart of a firmware, and of the boot loader in the chip's ROM."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def restart(
     clock: Callable[[], float] = time.monotonic,
     sleep: Callable[[float], None] = time.sleep,
 ) -> Client:
-    """Ask for a restart and wait for the firmware to answer after it; `client` is closed if that fails.
+    """Restart the firmware and wait for its answer; `client` is closed if that fails.
 
     reopen: opens the line again where it went with the firmware. Returns a client of the new start. Raises
     LinkError when it refuses, and when it does not come back.
@@ -65,8 +65,8 @@ def restart(
 
 
 def enter_rom(client: Client) -> None:
-    """Have the board start the boot loader in its chip's ROM. Its line is not to be written to until
-    `flash.rom` does: what the ROM hears first sets its speed.
+    """Start the boot loader in the chip's ROM. Nothing may be written to the line before `flash.rom` does,
+    because the ROM sets its speed by the first byte it receives.
 
     Raises LinkError when the firmware refuses, as the host program does, or does not answer.
     """
@@ -99,14 +99,14 @@ def _gone(
 
 
 def _has_started(client: Client, before: int | None) -> bool:
-    """Whether the firmware answers, and no longer the start that was asked to end."""
+    """Return True if the firmware answers after a new start."""
     if before is None:
         return bool(client.request(Msp.API_VERSION, timeout=ASK_S, retries=0))
     return records.faults(client.request(Msp.FAULTS, timeout=ASK_S, retries=0)).boots != before
 
 
 def opened(client: Client, reopen: Callable[[], Transport], sleep: Callable[[float], None]) -> Client:
-    """A client on the line opened again, or the closed one where it does not open."""
+    """Return a client on the line opened again, or the closed one if it does not open."""
     sleep(PAUSE_S)
     try:
         return Client(reopen())

@@ -1,4 +1,4 @@
-"""Which settings do not go together, as far as that is known without the firmware's policy.
+"""Rules about settings that must fit together, as far as they are known without the firmware's policy.
 
 The firmware has the last word: it refuses to store what contradicts itself (firmware/src/storage/settings.c).
 These rules tell it before anything is changed, and name both sides.
@@ -31,14 +31,14 @@ FULL_STICK_ROUNDING_DEG_S = 0.5  # of numbers that pilots know with two decimals
 
 @dataclass(frozen=True)
 class Rule:
-    """What some settings must be together."""
+    """A condition on several settings."""
 
     names: tuple[str, ...]
     broken: Callable[[Mapping[str, float]], str]  # what is wrong, "" for nothing
 
 
 def broken_rules(changes: Mapping[str, Value], read: Callable[[str], Value]) -> Iterator[str]:
-    """What would be wrong after `changes`; only rules about a changed setting are looked at.
+    """Yield a message for each rule broken after `changes`; only rules about a changed setting are checked.
 
     read: the present value of another setting.
     """
@@ -94,12 +94,12 @@ def _different(names: tuple[str, ...]) -> Rule:
 
 
 def steep_rc_rate(rate: float) -> float:
-    """What an RC rate of the style betaflight counts."""
+    """Return the effective RC rate of the style betaflight."""
     return rate + RC_RATE_STEEPER * max(rate - RC_RATE_STEEP, 0.0)
 
 
 def _full_stick(axis: str) -> Rule:
-    """Of the style betaflight, whose two numbers together say it; in the other each has its limit."""
+    """Return the rule for an axis in the style betaflight, whose two numbers limit the rate together."""
     rate, top = f"{axis}_rate", f"{axis}_max"
 
     def broken(values: Mapping[str, float]) -> str:

@@ -41,14 +41,14 @@ _MODES = {mode.name.lower(): mode for mode in Mode}
 
 
 def known_setting(name: str) -> Setting:
-    """The contract's setting of that name. Raises LinkError."""
+    """Return the contract's setting of that name. Raises LinkError."""
     if name not in BY_NAME:
-        raise LinkError(f"setting {name!r} is unknown, expected one of docs/settings.md")
+        raise LinkError(f"setting {name!r} is unknown, expected one of docs/reference/settings.md")
     return BY_NAME[name][1]
 
 
 def beside_style(setting: Setting, style: float) -> Setting:
-    """`setting` with the limits and default that it has where rates_style is `style`."""
+    """Return `setting` with its limits and default under the rates style `style`."""
     other = setting.betaflight
     if other is None or style != STYLE_BETAFLIGHT:
         return setting
@@ -56,33 +56,33 @@ def beside_style(setting: Setting, style: float) -> Setting:
 
 
 def default_of(setting: Setting) -> Value:
-    """The default, as `value_text` and a firmware have it."""
+    """Return the default as `value_text` and a firmware have it."""
     return "" if setting.kind == "text" else as_stored(setting.name, setting.default)
 
 
 def as_stored(name: str, value: float) -> float:
-    """`value` as the setting called `name` holds it: rounded to float32 where it is no whole number."""
+    """Return `value` as the setting `name` stores it: rounded to float32 unless it is a whole number."""
     if known_setting(name).kind != "float":
         return value
     return as_float32(value)
 
 
 def as_float32(value: float) -> float:
-    """The float32 nearest to `value`, which none of them is beyond; 0 where a setting has 0 for it."""
+    """Return the float32 nearest to `value`, within float32's range; 0 if a setting would store 0."""
     return float(struct.unpack("<f", struct.pack("<f", value))[0]) if abs(value) >= SETTING_LEAST else 0.0
 
 
 # --- Text to value ---------------------------------------------------------------------------------
 def parse_change(text: str) -> tuple[str, float]:
-    """Read NAME=VALUE of a setting that a flight may need, which no text is. Raises LinkError."""
+    """Read NAME=VALUE of a numeric setting for a flight; texts are refused. Raises LinkError."""
     name, value = parse_setting(text)
     if isinstance(value, str):
-        raise LinkError(f"setting {name} is a text, expected one that changes a flight; see docs/settings.md")
+        raise LinkError(f"setting {name} is a text, expected one that changes a flight")
     return name, value
 
 
 def parse_setting(text: str) -> tuple[str, Value]:
-    """Read NAME=VALUE. Raises LinkError for a setting that is unknown, and for a value that is none of it."""
+    """Read NAME=VALUE. Raises LinkError for an unknown setting or an impossible value."""
     name, equals, value = text.partition("=")
     name = name.strip()
     if not equals:
@@ -91,7 +91,7 @@ def parse_setting(text: str) -> tuple[str, Value]:
 
 
 def parse_value(name: str, text: str) -> Value:
-    """The value of the setting `name` that `text` stands for, its limits unchecked. Raises LinkError."""
+    """Parse a value of the setting `name`; its limits are not checked. Raises LinkError."""
     setting = known_setting(name)
     text = text.strip()
     if setting.kind == "text":
@@ -114,7 +114,7 @@ def parse_value(name: str, text: str) -> Value:
         raise LinkError(f"setting {name} got {text!r}, expected {expected}") from None
     if not abs(number) <= VALUE_MAX:  # NaN included
         raise LinkError(
-            f"setting {name} got {text!r}, expected a number within its limits; see docs/settings.md"
+            f"setting {name} got {text!r}, expected a number within its limits: docs/reference/settings.md"
         )
     return number
 
@@ -125,7 +125,7 @@ def _is_percent(setting: Setting, text: str) -> bool:
 
 
 def _unquoted(text: str) -> str:
-    """What stands between quotes is the text, whatever it holds."""
+    """Remove quotes around a text; `-` is the empty one."""
     if text == NO_TEXT:
         return ""
     if len(text) >= 2 and text[0] == text[-1] == QUOTE:
@@ -134,7 +134,7 @@ def _unquoted(text: str) -> str:
 
 
 def check_text(name: str, text: str) -> None:
-    """Raise LinkError for what no text of a setting can be."""
+    """Raise LinkError if no setting can hold the text."""
     if len(text) > SETTING_TEXT_BYTES or not all(" " <= c <= "~" for c in text):
         raise LinkError(
             f"setting {name} got {text!r}, expected at most {SETTING_TEXT_BYTES} characters of ASCII"
@@ -142,7 +142,7 @@ def check_text(name: str, text: str) -> None:
 
 
 def parse_mode(name: str, text: str) -> float:
-    """A mode range, packed: `MODE AUX LOW HIGH`, perhaps `and` behind it, or `none`. Raises LinkError."""
+    """Parse a mode range and pack it: `MODE AUX LOW HIGH`, optionally `and`, or `none`. Raises LinkError."""
     words = text.lower().split()
     if words == [UNUSED]:
         return 0.0
@@ -174,7 +174,7 @@ def _whole(word: str) -> int:
 
 # --- Value to text ---------------------------------------------------------------------------------
 def value_text(name: str, value: Value) -> str:
-    """`value` as `parse_value` reads it; of a setting that this tool does not know, its number."""
+    """Return `value` as `parse_value` reads it; for an unknown setting, the number."""
     if isinstance(value, str):
         quoted = value == NO_TEXT or value[:1] in (" ", QUOTE) or value.endswith(" ")
         return f"{QUOTE}{value}{QUOTE}" if value and quoted else value or NO_TEXT
@@ -189,7 +189,7 @@ def value_text(name: str, value: Value) -> str:
 
 
 def shortest(value: float) -> str:
-    """The shortest decimal that is `value` as a float32, as the firmware writes it: without an exponent."""
+    """Return the shortest decimal of `value` as a float32, as the firmware writes it: without an exponent."""
     if value == int(value):
         return str(int(value))
     wanted = struct.pack("<f", value)
@@ -212,12 +212,12 @@ def _mode_text(packed: int) -> str:
 
 
 def set_line(name: str, value: Value) -> str:
-    """The line that `restore` and the firmware's command line take."""
+    """Return the line that `restore` and the firmware's command line take."""
     return f"set {name} = {value_text(name, value)}"
 
 
 def same(name: str, one: Value, other: Value) -> bool:
-    """Whether both are the same stored value."""
+    """Return True if both are the same stored value."""
     if isinstance(one, str) or isinstance(other, str):
         return one == other
     if name in BY_NAME:

@@ -44,12 +44,12 @@ class Stored:
 
     @property
     def default(self) -> Value:
-        """What it is unless somebody changes it."""
+        """Its default value."""
         return "" if self.info.kind == "text" else self.info.default
 
     @property
     def changed(self) -> bool:
-        """Whether it differs from its default."""
+        """True if it differs from its default."""
         return not same(self.name, self.value, self.default)
 
 
@@ -61,22 +61,22 @@ class Settings:
         self._known: dict[str, tuple[int, SettingInfo]] = {}
 
     def info(self, name: str) -> SettingInfo:
-        """What the firmware tells about the setting called `name`. Raises LinkError where it has none."""
+        """Return the firmware's description of a setting. Raises LinkError if it does not exist."""
         return self._find(name)[1]
 
     def names(self) -> tuple[str, ...]:
-        """All that the firmware has, in its order."""
+        """List the names of all settings, in the firmware's order."""
         count = self._query(0).count
         by_index = {index: name for name, (index, _) in self._known.items()}
         return tuple(by_index.get(index) or self._query(index).name for index in range(count))
 
     def get(self, name: str) -> Value:
-        """Its value, as it is stored or will be. Raises LinkError."""
+        """Read a setting's value, as stored or changed since. Raises LinkError."""
         index, _ = self._find(name)
         return requests.setting_value(self._client.request(Msp.SETTING_GET, requests.setting_index(index)))
 
     def read(self, names: Iterable[str] = ()) -> list[Stored]:
-        """Those settings, or all, with their values. Raises LinkError."""
+        """Read those settings, or all, with their values. Raises LinkError."""
         return [Stored(name, self.get(name), self.info(name)) for name in tuple(names) or self.names()]
 
     def set(self, name: str, value: Value) -> None:
@@ -93,11 +93,11 @@ class Settings:
                 self._known.pop(rate, None)  # they have other limits now
 
     def save(self) -> None:
-        """Store all as they are now. Raises LinkError when they do not go together or flash fails."""
+        """Store all settings. Raises LinkError if they contradict each other or flash fails."""
         self._client.request(Msp.EEPROM_WRITE)
 
     def check(self, changes: Mapping[str, Value]) -> None:
-        """Raise LinkError for a change that the firmware would not take; sends nothing that changes any."""
+        """Raise LinkError for a change that the firmware would refuse; changes nothing."""
         for name in in_order(changes):
             info = self.info(name)
             if STYLE in changes and name in RATES and name in BY_NAME:
@@ -105,7 +105,7 @@ class Settings:
             check_value(name, changes[name], info)
 
     def check_together(self, changes: Mapping[str, Value]) -> None:
-        """Raise LinkError for changes that contradict each other or what stays, as far as that is known."""
+        """Raise LinkError for changes known to contradict each other or other settings."""
 
         def read(name: str) -> Value:
             style = changes.get(STYLE)
@@ -179,7 +179,7 @@ class Settings:
                 )
 
     def _put_back(self, before: Mapping[str, Value]) -> str:
-        """Set all to what they were; returns how that went."""
+        """Restore all values; return a sentence about the result."""
         try:
             for name, value in in_order(before).items():
                 self.set(name, value)
@@ -201,7 +201,7 @@ class Settings:
                 if index != guess:
                     self._query(index)
         if name not in self._known:
-            raise LinkError(f"setting {name!r}: the firmware has none of that name; see docs/settings.md")
+            raise LinkError(f"setting {name!r}: the firmware has none of that name; `get` lists them")
         return self._known[name]
 
     def _query(self, index: int) -> SettingInfo:
@@ -212,7 +212,7 @@ class Settings:
 
 
 def _as_told(setting: Setting) -> SettingInfo:
-    """The contract's `setting` as a firmware of this version tells it."""
+    """Return the contract's `setting` as a firmware of this version describes it."""
     low, high = (as_stored(setting.name, limit) for limit in (setting.low, setting.high))
     return SettingInfo(len(SETTINGS), setting.name, setting.unit, low, high, setting.default, setting.kind)
 
@@ -227,7 +227,7 @@ def check_known(changes: Mapping[str, Value]) -> None:
 
 
 def check_value(name: str, value: Value, info: SettingInfo) -> None:
-    """Raise LinkError for a value that is beyond the limits which the firmware tells."""
+    """Raise LinkError for a value outside the firmware's limits."""
     if info.kind == "text":
         check_text(name, str(value))
         return
@@ -241,5 +241,5 @@ def check_value(name: str, value: Value, info: SettingInfo) -> None:
 
 
 def in_order(changes: Mapping[str, Kept]) -> dict[str, Kept]:
-    """`changes` as they have to be set one by one: the style of rates, which sets them all, goes first."""
+    """Sort `changes` into the order of setting them: the style of rates first, because it sets all rates."""
     return dict(sorted(changes.items(), key=lambda change: change[0] != STYLE))

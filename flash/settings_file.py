@@ -38,7 +38,7 @@ class Line:
 
 
 def read_file(path: Path) -> dict[str, Line]:
-    """The settings in a file, by name. Raises LinkError, naming the line, for anything else in it."""
+    """Read the settings of a file, by name. Raises LinkError, naming the line, for anything else in it."""
     size = file_size(path)
     if size > FILE_BYTES_MAX:
         raise LinkError(f"{path}: {size} bytes, expected settings, {FILE_BYTES_MAX} bytes at most")
@@ -79,10 +79,10 @@ def _parse_line(line: str) -> tuple[str, Value] | None:
 
 
 def restored(settings: Settings, path: Path, lines: Mapping[str, Line], *, keep: bool) -> dict[str, Value]:
-    """What has to change so that the firmware has the file's settings, and its defaults beside them.
+    """Return the changes that give the firmware the file's settings, and defaults for the others.
 
-    keep: what the file does not name stays as it is. Raises LinkError, naming the line, for what the
-    firmware does not take.
+    keep: settings that the file does not name stay as they are. Raises LinkError, naming the line, for \\
+    values that the firmware does not accept.
     """
     now = {stored.name: stored for stored in settings.read()}
     style = _style(now, lines, keep)
@@ -112,7 +112,7 @@ def _style(now: Mapping[str, Stored], lines: Mapping[str, Line], keep: bool) -> 
 
 
 def _untold(stored: Stored, style: Value, *, keep: bool, turned: bool) -> Value:
-    """The value of a setting that the file does not name."""
+    """Return the value of a setting that the file does not name."""
     if stored.name in RATES and turned:  # the style's own: what the numbers meant before is gone
         return default_of(beside_style(known_setting(stored.name), float(style)))
     return stored.value if keep else stored.default

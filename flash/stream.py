@@ -76,7 +76,7 @@ class Stream:
     """A stream of samples over a client, until `stop`."""
 
     def __init__(self, client: Client, rate_hz: int, control_rate_hz: int) -> None:
-        """rate_hz: as asked for; what the firmware grants is there after `begin`. Raises LinkError."""
+        """rate_hz: as asked for; the granted rate is known after `begin`. Raises LinkError."""
         if not 1 <= rate_hz <= MSP_STREAM_RATE_MAX_HZ:
             raise LinkError(f"--rate got {rate_hz}, expected 1 to {MSP_STREAM_RATE_MAX_HZ} Hz")
         self._client, self._control_rate_hz = client, control_rate_hz
@@ -86,12 +86,13 @@ class Stream:
         self._last: tuple[int, int] | None = None  # sequence and control step of the last sample
 
     def begin(self) -> None:
-        """Ask for it. Raises LinkError where the firmware has no stream, or none of such a rate."""
+        """Start the stream. Raises LinkError if the firmware has no stream, or not at that rate."""
         reply = self._client.request(Msp.STREAM, struct.pack("<H", self.rate_hz))
         (self.rate_hz,) = Reader(Msp.STREAM, reply).fields("H")
 
     def payloads(self, seconds: float | None = None) -> Iterator[bytes]:
-        """The payload of each sample as it comes, for so long of the firmware's time, or until it is left.
+        """Yield the payload of each sample for `seconds` of the firmware's time; None: until the caller
+        stops.
 
         Raises LinkError when none comes for SILENCE_S.
         """
@@ -107,13 +108,13 @@ class Stream:
             yield payload
 
     def rest(self) -> Iterator[bytes]:
-        """After `stop`: the payloads of the samples that came before it took effect."""
+        """Yield the payloads of samples that came after `stop`, before it took effect."""
         while (payload := self._client.receive(Msp.STREAM_SAMPLE, 0.0)) is not None:
             self._count(payload)
             yield payload
 
     def stop(self) -> None:
-        """End it, as far as the line still lives."""
+        """Stop the stream, if the line still works."""
         with contextlib.suppress(LinkError):
             self._client.request(Msp.STREAM, struct.pack("<H", 0))
 

@@ -29,24 +29,24 @@ PORT_FORMS = "tcp:HOST:PORT, serial:DEVICE[:BAUD] or a device such as /dev/ttyUS
 
 
 class LineGoneError(LinkError):
-    """A line that was open is gone."""
+    """An open line was lost."""
 
 
 class Transport(Protocol):
-    """An open line. Every method raises LineGoneError once the line is gone."""
+    """An open line. Every method raises LineGoneError once the line is lost."""
 
     @property
     def name(self) -> str:
         """The port as the user would write it."""
 
     def read(self, timeout: float) -> bytes:
-        """What has arrived, at once, or what arrives first within `timeout` > 0 [s]; b"" for silence."""
+        """Read what has arrived, or what arrives first within `timeout` > 0 [s]; b"" for silence."""
 
     def write(self, data: bytes) -> None:
         """Send all of `data`."""
 
     def close(self) -> None:
-        """Let the line go; may be called twice."""
+        """Close the line; may be called twice."""
 
 
 @dataclass(frozen=True)
@@ -226,7 +226,7 @@ class SerialTransport:
 
 
 def _is_pseudo_terminal(device: str) -> bool:
-    """Whether it is one of Linux: such a line carries bytes, not bits."""
+    """Return True for a pseudo-terminal of Linux, which transmits bytes without a speed."""
     try:
         status = os.stat(device)  # noqa: PTH116 - whatever was written, a path or not
     except (OSError, ValueError):
@@ -258,6 +258,6 @@ def _lost(name: str, error: Exception) -> LineGoneError:
 
 
 def _sentence(error: Exception) -> str:
-    """What the system says, without number or path, on one line."""
+    """Return the system's message without number or path, on one line."""
     text = getattr(error, "strerror", None) or str(error) or type(error).__name__
     return " ".join(text.split()).lower()

@@ -41,7 +41,7 @@ class Library:
 
 @dataclass(frozen=True)
 class Source:
-    """What a library is made of."""
+    """The sources of a library."""
 
     name: str  # of its files
     what: str  # it is, as an error names it
@@ -55,7 +55,7 @@ class Source:
 
 
 def load(source: Source, folder: Path = CACHE) -> Library:
-    """The library of `source`, built into `folder` unless it is there. Raises BuildError, one line."""
+    """Load the library of `source`, built into `folder` if it is missing. Raises BuildError, one line."""
     ffi = FFI()
     ffi.cdef(source.declares + "".join(declarations(part / "api.h") for part in source.parts))
     path = build(source, folder)
@@ -63,12 +63,12 @@ def load(source: Source, folder: Path = CACHE) -> Library:
 
 
 def declarations(header: Path) -> str:
-    """What `header` declares, without the preprocessor's lines."""
+    """Return the declarations of `header`, without the preprocessor's lines."""
     return "".join(line for line in header.read_text().splitlines(True) if not line.startswith("#"))
 
 
 def build(source: Source, folder: Path) -> Path:
-    """Where the library is, built if need be. Raises BuildError: no compiler, or what it says."""
+    """Build the library if it is missing; return its path. Raises BuildError."""
     compiler = next((found for name in COMPILERS if (found := shutil.which(name))), None)
     if compiler is None:
         raise BuildError(f"{source.what} needs a C compiler of this machine, found none; install gcc")

@@ -1,4 +1,4 @@
-"""What all plots share: colours, layout and title of a figure, style of a panel, PNG output."""
+"""The common style of all plots: colours, layout and title of a figure, style of a panel, PNG output."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ MOTOR_COLOURS = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00
 
 
 def titled_figure(size: tuple[float, float], title: str, pad: tuple[float, float] = (0.08, 0.08)) -> Figure:
-    """An empty figure with its title at the upper left; size [inch], pad [inch]: vertical, horizontal."""
+    """Create an empty figure with its title at the upper left; size, pad (vertical, horizontal) [inch]."""
     figure = Figure(figsize=size, layout=ConstrainedLayoutEngine(h_pad=pad[0], w_pad=pad[1]))
     figure.suptitle(title, x=0.01, ha="left", fontsize=15, fontweight="bold", color=INK)
     return figure
@@ -43,7 +43,7 @@ def dress(panel: Axes, name: str) -> None:
 
 
 def dress_cube(panel: Axes3D, reach: float) -> None:
-    """Style of a panel of roll, pitch and yaw rates, each from -reach to reach [deg/s]."""
+    """Style a panel of roll, pitch and yaw rates, each from -reach to reach [deg/s]."""
     for axis, name in ((panel.xaxis, "roll"), (panel.yaxis, "pitch"), (panel.zaxis, "yaw")):
         axis.set_label_text(f"{name}, deg/s", color=INK, fontsize=9)
         axis.set_major_locator(MaxNLocator(5, symmetric=True))
@@ -56,7 +56,7 @@ def dress_cube(panel: Axes3D, reach: float) -> None:
 
 
 def legend_above(panel: Axes) -> Legend:
-    """A legend in one row above the panel, at the right, beside its title."""
+    """Add a legend in one row above the panel, at the right, beside its title."""
     handles, labels = panel.get_legend_handles_labels()
     return panel.legend(
         handles,
@@ -77,7 +77,7 @@ def plain_numbers(axis: Axis) -> None:
 
 
 def png(figure: Figure) -> bytes:
-    """The figure as PNG."""
+    """Encode the figure as PNG."""
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=DPI)
     return buffer.getvalue()

@@ -27,12 +27,12 @@ class StrictTable:
         self._known: set[str] = set()
 
     def has(self, key: str) -> bool:
-        """Whether the file gives `key`."""
+        """Return True if the file gives `key`."""
         self._known.add(key)
         return key in self._values
 
     def either(self, *keys: str) -> str:
-        """The one of `keys` that the file gives; none or more than one is an error."""
+        """Return the one of `keys` that the file gives; none or more than one is an error."""
         given = [key for key in keys if self.has(key)]
         if not given:
             raise self.error(keys[0], f"missing; give it or one of: {', '.join(keys[1:])}")
@@ -41,23 +41,23 @@ class StrictTable:
         return given[0]
 
     def error(self, key: str, message: str) -> NeuroflightError:
-        """The exception that says what is wrong with `key`, for the caller to raise."""
+        """Return the error about `key`, for the caller to raise."""
         name = f"{self._path}{key}"
         return self._error(f"{self._where}: {name if name.isprintable() else shown(name)}: {message}")
 
     def number(self, key: str, low: float, high: float, default: float | None = None) -> float:
-        """A finite number in [low, high]."""
+        """Read a finite number in [low, high]."""
         return self._number(key, self._get(key, default), low, high)
 
     def integer(self, key: str, low: int, high: int, default: int | None = None) -> int:
-        """A whole number in [low, high]."""
+        """Read a whole number in [low, high]."""
         value = self._get(key, default)
         if not isinstance(value, int) or isinstance(value, bool) or not low <= value <= high:
             raise self.error(key, f"got {shown(value)}, expected a whole number from {low} to {high}")
         return value
 
     def text(self, key: str, default: str | None = None) -> str:
-        """A line of 1 to 200 characters (the default may be empty)."""
+        """Read a line of 1 to 200 characters (the default may be empty)."""
         value = self._get(key, default)
         if value == default and key not in self._values:
             return str(value)
@@ -66,7 +66,7 @@ class StrictTable:
         return value
 
     def lines(self, key: str) -> list[str]:
-        """Text of one or more lines, as they stand."""
+        """Read text of one or more lines, unchanged."""
         value = self._get(key, None)
         printable = isinstance(value, str) and all(line.isprintable() for line in value.split("\n"))
         if not printable or not 1 <= len(value) <= LINES_MAX:
@@ -74,20 +74,20 @@ class StrictTable:
         return str(value).strip().split("\n")
 
     def choice(self, key: str, values: Mapping[str, Value], default: str | None = None) -> Value:
-        """The value of `values` whose name the file gives."""
+        """Return the value of `values` whose name the file gives."""
         value = self._get(key, default)
         if not isinstance(value, str) or value not in values:
             raise self.error(key, f"got {shown(value)}, expected one of: {', '.join(values)}")
         return values[value]
 
     def names(self) -> tuple[str, ...]:
-        """All keys, in the file's order: for a table whose keys are names."""
+        """Return all keys, in the file's order: for a table whose keys are names."""
         return tuple(self._values)
 
     def vector(
         self, key: str, low: float, high: float, default: tuple[float, float, float] | None = None
     ) -> tuple[float, float, float]:
-        """Three finite numbers, each in [low, high]."""
+        """Read three finite numbers, each in [low, high]."""
         if default is not None and not self.has(key):
             return default
         value = self._get(key, None)
@@ -97,7 +97,7 @@ class StrictTable:
         return (x, y, z)
 
     def numbers(self, key: str, fewest: int, most: int, low: float, high: float) -> tuple[float, ...]:
-        """A number, or a list of `fewest` to `most` of them; each finite and in [low, high]."""
+        """Read a number, or a list of `fewest` to `most` of them; each finite and in [low, high]."""
         value = self._get(key, None)
         if not isinstance(value, list):
             value = [value]
@@ -110,14 +110,14 @@ class StrictTable:
         )
 
     def table(self, key: str) -> StrictTable:
-        """The table called `key`."""
+        """Return the table called `key`."""
         value = self._get(key, None)
         if not isinstance(value, dict):
             raise self.error(key, f"got {shown(value)}, expected a table [{self._path}{key}]")
         return self._within(value, key)
 
     def tables(self, key: str, low: int, high: int) -> list[StrictTable]:
-        """The list of tables [[key]], `low` to `high` of them."""
+        """Return the list of tables [[key]], `low` to `high` of them."""
         value = self._get(key, None)
         if not isinstance(value, list) or not all(isinstance(item, dict) for item in value):
             raise self.error(key, f"expected tables [[{self._path}{key}]]")
@@ -150,7 +150,7 @@ class StrictTable:
 
 
 def shown(value: object) -> str:
-    """A value as a message shows it: on one line, cut off if it is long."""
+    """Format a value for a message: on one line, shortened if it is long."""
     try:
         text = repr(value)
     except ValueError:  # Python does not print integers of thousands of digits

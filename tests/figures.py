@@ -2,7 +2,7 @@
 
 In a page a figure stands between `<!-- NAME -->` and `<!-- / -->`; FIGURES says how each is made. Counts are
 those of this checkout's compiler, with COMPILER behind it; times are stored, for they are never twice the
-same: in docs/durations.toml, and in the training.json of a shipped policy.
+same: in tests/durations.toml, and in the training.json of a shipped policy.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from tests.bench import compiler, emx
 from tests.conftest import BUILD, ROOT, SHIPPED, build_shipped
 
 PAGES = (ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md")), ROOT / "training/policies/README.md")
-DURATIONS = ROOT / "docs" / "durations.toml"
+DURATIONS = ROOT / "tests" / "durations.toml"
 COMPILER = "arm-none-eabi-gcc 12.2"  # another one makes some instructions more or less
 MARKED = re.compile(r"(?<=<!-- )([\w -]+) -->(.*?)(?=<!-- / -->)", re.DOTALL)
 FEW = 12  # observations: all take one route, which tests/toolchain/cortex_m7 proves with many

@@ -40,7 +40,7 @@ class TrainingError(NeuroflightError):
 
 
 class InUseError(NeuroflightError):
-    """Something that another process uses at the moment."""
+    """A resource that another process is using."""
 
 
 class TraceError(NeuroflightError):

@@ -55,7 +55,7 @@ def check_writable(path: Path) -> None:
 
 
 def file_size(path: Path) -> int:
-    """Bytes of the regular file `path`. Raises OSError for none, and for what has no end: pipes, devices."""
+    """Return the size of the regular file `path`. Raises OSError for anything else, such as a pipe."""
     try:
         facts = path.stat()
     except ValueError as error:  # a NUL in the name
@@ -142,7 +142,7 @@ def write_text(path: Path, text: str) -> None:
 
 
 def write_text_if_changed(path: Path, text: str) -> bool:
-    """Like `write_text`, but leaves an equal file and its date alone. Returns whether it wrote."""
+    """Write `text` unless the file equals it already, which keeps its date. Returns True if it wrote."""
     if path.is_file() and path.read_bytes() == text.encode():
         return False
     write_text(path, text)
@@ -164,19 +164,19 @@ def _naming(path: Path) -> Iterator[None]:
 
 
 def _prefix(path: Path) -> str:
-    """What the name of a file beside `path` begins with, short enough for any file system."""
+    """Return the beginning of the names of files beside `path`, short enough for any file system."""
     return f".{path.name[:40]}."
 
 
 def _fresh(path: Path, folder: Path) -> Path:
-    """An empty file in `folder`, of a new name like that of `path`."""
+    """Create an empty file in `folder` with a new name like that of `path`."""
     handle, name = tempfile.mkstemp(prefix=_prefix(path), suffix=path.suffix[:10], dir=folder)
     os.close(handle)
     return Path(name)
 
 
 def _exists(path: Path) -> bool:
-    """Whether something is there. Raises OSError for a name that nothing can have."""
+    """Return True if the path exists. Raises OSError for an impossible name."""
     try:
         path.lstat()
     except (FileNotFoundError, NotADirectoryError):

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from neuroflight.flash.image.files import ImageFile, Policy
     from neuroflight.flash.image.install import Installation, Installed
     from neuroflight.flash.image.messages import Bank
-    from neuroflight.flash.image.plan import Plan
+    from neuroflight.flash.image.plan import InstallPlan
     from neuroflight.flash.setting_text import Value
 
 IMAGE = Path(__file__).resolve().parents[2] / "build" / "MATEKF722" / "neuroflight.nfi"
@@ -121,7 +121,7 @@ def _flash(args: argparse.Namespace, under_way: _UnderWay) -> int:
         from neuroflight.flash.image.board import check_ready, read_board
         from neuroflight.flash.image.files import read_images
         from neuroflight.flash.image.install import Installation
-        from neuroflight.flash.image.plan import make_plan
+        from neuroflight.flash.image.plan import plan_install
         from neuroflight.flash.image.settings_kept import read_settings
         from neuroflight.flash.transport import open_transport
 
@@ -130,7 +130,7 @@ def _flash(args: argparse.Namespace, under_way: _UnderWay) -> int:
     try:
         with _nothing_written():
             board = read_board(client)
-            plan = make_plan(board, file, keep_policy=args.keep_policy)
+            plan = plan_install(board, file, keep_policy=args.keep_policy)
             aircraft, check = image_aircraft(file.path, plan), _checked(args, plan)
             facts = _facts(args, file, plan) | {"aircraft": aircraft.document(), "check": check}
             if not args.json:
@@ -152,7 +152,7 @@ def _flash(args: argparse.Namespace, under_way: _UnderWay) -> int:
     return _tell(args, facts, done)
 
 
-def _checked(args: argparse.Namespace, plan: Plan) -> str:
+def _checked(args: argparse.Namespace, plan: InstallPlan) -> str:
     """What the check found of the policy that the image brings."""
     if plan.policy is None:
         return "no new policy is written"
@@ -160,7 +160,7 @@ def _checked(args: argparse.Namespace, plan: Plan) -> str:
     return checked.checked_image(args.image, plan.policy.sha256, unchecked=unchecked)
 
 
-def _leave(args: argparse.Namespace, facts: dict[str, object], plan: Plan) -> int:
+def _leave(args: argparse.Namespace, facts: dict[str, object], plan: InstallPlan) -> int:
     """Say why nothing is written, which is no error."""
     told = "--dry-run" if args.dry_run else "the board runs this build already; --force writes it again"
     if args.json:
@@ -219,7 +219,7 @@ def _tell(args: argparse.Namespace, facts: dict[str, object], done: Installed | 
 
 
 # --- What the plan is -------------------------------------------------------------------------------
-def _rows(args: argparse.Namespace, file: ImageFile, plan: Plan) -> list[tuple[str, str]]:
+def _rows(args: argparse.Namespace, file: ImageFile, plan: InstallPlan) -> list[tuple[str, str]]:
     from neuroflight.flash.image.files import bank_name
 
     board, header = plan.board, plan.image.header
@@ -247,7 +247,7 @@ def _rows(args: argparse.Namespace, file: ImageFile, plan: Plan) -> list[tuple[s
     return rows
 
 
-def _policy_text(plan: Plan) -> str:
+def _policy_text(plan: InstallPlan) -> str:
     from neuroflight.flash.policy.slots import NAMES, SHA_SHOWN
 
     if (policy := plan.policy) is None:
@@ -263,7 +263,7 @@ def _bank_text(bank: Bank) -> str:
     return f"version {bank.version}, build {bank.build.hex()}" if bank.fits else "a program without a header"
 
 
-def _facts(args: argparse.Namespace, file: ImageFile, plan: Plan) -> dict[str, object]:
+def _facts(args: argparse.Namespace, file: ImageFile, plan: InstallPlan) -> dict[str, object]:
     """What --json tells of the plan."""
     board, header, now = plan.board, plan.image.header, plan.board.banks.now
     return {
@@ -296,7 +296,7 @@ def _facts(args: argparse.Namespace, file: ImageFile, plan: Plan) -> dict[str, o
     }
 
 
-def _policy_facts(plan: Plan, policy: Policy) -> dict[str, object]:
+def _policy_facts(plan: InstallPlan, policy: Policy) -> dict[str, object]:
     from neuroflight.flash.policy.slots import NAMES
 
     return {

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from neuroflight.toolchain.errors import BuildError, ImageError
 
 if TYPE_CHECKING:
-    from neuroflight.flash.image.plan import Plan
+    from neuroflight.flash.image.plan import InstallPlan
 
 DIGITS = 12  # of a digest, for people
 NO_PID = "NONE: where the policy must not fly on, the motors stop"
@@ -68,7 +68,7 @@ class ImageAircraft:
             )
 
 
-def image_aircraft(path: Path, plan: Plan) -> ImageAircraft:
+def image_aircraft(path: Path, plan: InstallPlan) -> ImageAircraft:
     """What the image at `path` is for."""
     from neuroflight.cli.flash.known_policies import known_policies, one_digest
 

@@ -39,7 +39,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--port", required=True, metavar="PORT", help=PORT_HELP)
     source = parser.add_mutually_exclusive_group(required=True)
     source.add_argument(
-        "--script", type=Path, metavar="FILE", help="times and channels, .csv or .toml; see docs/commands.md"
+        "--script",
+        type=Path,
+        metavar="FILE",
+        help="times and channels, .csv or .toml; see docs/guides/motors-and-channels.md",
     )
     source.add_argument(
         "--scenario", metavar="NAME|FILE", help="as of `neuroflight fly`; arms, so it needs --allow-arm"

@@ -24,7 +24,7 @@ from neuroflight.toolchain.errors import LinkError, PolicyError
 
 if TYPE_CHECKING:
     from neuroflight.flash.rom.client import RomClient
-    from neuroflight.flash.rom.rescue import Plan, Progress
+    from neuroflight.flash.rom.rescue import FlashPlan, Progress
 
 IMAGE = Path(__file__).resolve().parents[2] / "build" / "MATEKF722" / "neuroflight.hex"
 BAUD_MIN, BAUD_MAX = 1200, 115_200  # AN3155: what the ROM measures
@@ -77,7 +77,7 @@ def run_rom(args: argparse.Namespace) -> int:
     """The same; `args` has image, port, dry_run, and what `add_options` declares. A dry run comes first."""
     from neuroflight.flash.rom.client import RomClient
     from neuroflight.flash.rom.image_check import check_image
-    from neuroflight.flash.rom.rescue import make_plan, start, verify
+    from neuroflight.flash.rom.rescue import plan_flash, start, verify
     from neuroflight.flash.rom.segments import read_segments
     from neuroflight.flash.transport import open_transport
 
@@ -92,7 +92,7 @@ def run_rom(args: argparse.Namespace) -> int:
         check = checked.checked_image(args.image, facts.policy.policy_sha256, unchecked=unchecked)
     except PolicyError as error:
         raise PolicyError(f"{error}; nothing was written") from error
-    plan = make_plan(segments, erase_bank_b=args.all)
+    plan = plan_flash(segments, erase_bank_b=args.all)
     with RomClient(open_transport(args.port, "E")) as client:
         chip = client.connect()
         print(f"chip   0x{chip.product_id:03X}, boot loader in its ROM, on {client.name}")
@@ -117,7 +117,7 @@ def run_rom(args: argparse.Namespace) -> int:
     return 0
 
 
-def _install(client: RomClient, plan: Plan, progress: Progress) -> None:
+def _install(client: RomClient, plan: FlashPlan, progress: Progress) -> None:
     from neuroflight.flash.rom.rescue import install
 
     try:
@@ -129,7 +129,7 @@ def _install(client: RomClient, plan: Plan, progress: Progress) -> None:
         ) from None
 
 
-def _tell(image: str, plan: Plan, baud: float, check: str) -> None:
+def _tell(image: str, plan: FlashPlan, baud: float, check: str) -> None:
     print(f"image  {image}, {plan.bytes:,} bytes")
     print(f"check  {check}")
     print(f"erase  {'; '.join(f'sector {n} ({_purpose(n)})' for n in plan.sectors)}")
@@ -147,7 +147,7 @@ def _tell_start(started: bool) -> None:
 def _offer_brown_out() -> None:
     """An option byte, which this tool does not write: what else is in its word locks the chip for ever."""
     print(
-        "option brown-out detector: `neuroflight msp status` tells its level; read docs/board-bring-up.md,\n"
+        "option brown-out detector: `neuroflight msp status` tells it; see docs/guides/board-bring-up.md,\n"
         "       hold BOOT again, plug in by USB: STM32_Programmer_CLI -c port=usb1 -ob BOR_LEV=0 sets level 3"
     )
 

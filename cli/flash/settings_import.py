@@ -11,7 +11,7 @@ from neuroflight.cli.flash.tables import print_table
 
 if TYPE_CHECKING:
     from neuroflight.flash.betaflight.diff_file import Diff
-    from neuroflight.flash.betaflight.plan import Plan
+    from neuroflight.flash.betaflight.plan import ImportPlan
     from neuroflight.flash.setting_text import Value
 
 
@@ -20,7 +20,7 @@ def import_(args: argparse.Namespace) -> int:
     from neuroflight.flash import messages
     from neuroflight.flash.betaflight.diff_file import read_diff
     from neuroflight.flash.betaflight.plan import fitted, needed
-    from neuroflight.flash.betaflight.planner import make_plan
+    from neuroflight.flash.betaflight.planner import plan_import
     from neuroflight.flash.image.settings_kept import write_backup
     from neuroflight.flash.info import version_of
     from neuroflight.flash.settings import Settings
@@ -31,7 +31,7 @@ def import_(args: argparse.Namespace) -> int:
         settings = Settings(client)
         present = {stored.name: stored.value for stored in settings.read()}
         board = messages.board_info(client.request(Msp.BOARD_INFO)).target
-        plan = fitted(make_plan(diff, board, present, args.rate_profile), settings)
+        plan = fitted(plan_import(diff, board, present, args.rate_profile), settings)
         changes = needed(plan, present)
         _show(diff, plan, present, changes)
         if args.dry_run or not changes:
@@ -48,7 +48,7 @@ def import_(args: argparse.Namespace) -> int:
     return 0
 
 
-def _show(diff: Diff, plan: Plan, present: dict[str, Value], changes: dict[str, Value]) -> None:
+def _show(diff: Diff, plan: ImportPlan, present: dict[str, Value], changes: dict[str, Value]) -> None:
     """Print what is left out and why, then what changes, and what the pilot has to check."""
     from neuroflight.flash.setting_text import value_text
 

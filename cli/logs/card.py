@@ -93,10 +93,10 @@ def _summary(files: list[LogFile]) -> str:
 
 
 def _prepare(args: argparse.Namespace, card: Card) -> int:
-    from neuroflight.flash.card.files import MEBIBYTE, carry_out, make_plan
+    from neuroflight.flash.card.files import MEBIBYTE, carry_out, plan_files
 
     there = card.files()
-    plan = make_plan(there, card.free_bytes(), args.size * MEBIBYTE, args.files)
+    plan = plan_files(there, card.free_bytes(), args.size * MEBIBYTE, args.files)
     for file in there:
         if not file.blank:
             print(f"kept: {file.name}, a log is in it")

@@ -128,10 +128,10 @@ def _ask(args: argparse.Namespace, flight: Flight) -> int:
     told = opinion(flight, answers)
     if args.out is not None:
         from neuroflight.sim.plotting import save_png
-        from neuroflight.sim.replay.other_policy_plot import draw
+        from neuroflight.sim.replay.other_policy_plot import draw_opinion
 
         title = f"{args.file.name}: what {args.policy.parent.name}/{args.policy.name} would have answered"
-        save_png(args.out, draw(flight, answers, told, title))
+        save_png(args.out, draw_opinion(flight, answers, told, title))
     if args.json:
         document = {"file": str(args.file), "policy": str(args.policy), **asdict(told)}
         print(json.dumps(document | {"incomplete": flight.incomplete or None}, indent=2))

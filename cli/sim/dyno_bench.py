@@ -18,7 +18,7 @@ from neuroflight.toolchain.errors import NeuroflightError
 if TYPE_CHECKING:
     from neuroflight.sim.identification.bench.drive import Sensor
     from neuroflight.sim.identification.bench.guard import Limits
-    from neuroflight.sim.identification.bench.plan import Plan, Run
+    from neuroflight.sim.identification.bench.plan import BenchPlan, Run
     from neuroflight.sim.identification.bench.quantities import Rig
     from neuroflight.sim.identification.bench.session import Told
 
@@ -205,10 +205,10 @@ def _limits(args: argparse.Namespace, rig: Rig) -> Limits:
     return Limits(**given)
 
 
-def _plan(args: argparse.Namespace, limit: float, rig: Rig) -> Plan:
+def _plan(args: argparse.Namespace, limit: float, rig: Rig) -> BenchPlan:
     from dataclasses import asdict
 
-    from neuroflight.sim.identification.bench.plan import HOLD_S, RAMP_S, REPEATS, Plan
+    from neuroflight.sim.identification.bench.plan import HOLD_S, RAMP_S, REPEATS, BenchPlan
     from neuroflight.sim.identification.dyno.bench import KINDS
 
     repeats = REPEATS if args.repeats is None else args.repeats
@@ -218,7 +218,7 @@ def _plan(args: argparse.Namespace, limit: float, rig: Rig) -> Plan:
     _check("--hold", hold, 1, 10)
     _check("--ramp", ramp, 4, 300)
     _check("--motor", args.motor, 1, 8)
-    return Plan(
+    return BenchPlan(
         kinds=KINDS if args.experiment == "all" else (args.experiment,),
         repeats=repeats,
         limit=limit,
@@ -232,7 +232,7 @@ def _plan(args: argparse.Namespace, limit: float, rig: Rig) -> Plan:
     )
 
 
-def _check_time(args: argparse.Namespace, plan: Plan, missing: tuple[Run, ...]) -> None:
+def _check_time(args: argparse.Namespace, plan: BenchPlan, missing: tuple[Run, ...]) -> None:
     takes = plan.seconds(missing)
     if not 0 < args.time_limit < 1e6:
         raise NeuroflightError(f"--time-limit {args.time_limit:g}, expected above 0 to 1e6 s")
@@ -243,7 +243,7 @@ def _check_time(args: argparse.Namespace, plan: Plan, missing: tuple[Run, ...]) 
         )
 
 
-def _confirm(args: argparse.Namespace, plan: Plan, missing: tuple[Run, ...], limits: Limits) -> None:
+def _confirm(args: argparse.Namespace, plan: BenchPlan, missing: tuple[Run, ...], limits: Limits) -> None:
     """Have a person confirm. Raises NeuroflightError without that."""
     if args.bench_clear:
         return
@@ -269,7 +269,7 @@ def _confirm(args: argparse.Namespace, plan: Plan, missing: tuple[Run, ...], lim
 
 def _turn(
     args: argparse.Namespace,
-    plan: Plan,
+    plan: BenchPlan,
     missing: tuple[Run, ...],
     folder: Path,
     rig: Rig,
@@ -298,7 +298,7 @@ def _turn(
 
 
 @contextmanager
-def _progress(args: argparse.Namespace, plan: Plan, missing: tuple[Run, ...]) -> Iterator[Told]:
+def _progress(args: argparse.Namespace, plan: BenchPlan, missing: tuple[Run, ...]) -> Iterator[Told]:
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
@@ -317,7 +317,7 @@ def _progress(args: argparse.Namespace, plan: Plan, missing: tuple[Run, ...]) ->
 
 def _print(
     args: argparse.Namespace,
-    plan: Plan,
+    plan: BenchPlan,
     recordings: dict[str, list[Any]],
     rows: int,
     bad: int,

@@ -119,7 +119,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="NAME=VALUE",
-        help="fly with this setting of the firmware, see docs/settings.md",
+        help="fly with this setting of the firmware, see docs/reference/settings.md",
     )
     parser.add_argument(
         "--receiver", choices=RECEIVERS, default=RECEIVERS[0], help="what brings the pilot's sticks"

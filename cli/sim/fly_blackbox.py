@@ -103,8 +103,8 @@ def add_blackbox_argument(parser: argparse.ArgumentParser) -> None:
         "--blackbox",
         type=Path,
         metavar="FILE.bbl",
-        help="keep the firmware's log of the flight, see docs/logs.md; the emulated board sends it by UART3, "
-        "or, with --card, writes it to the card instead",
+        help="keep the firmware's log of the flight, see docs/guides/logs.md; the emulated board sends it by "
+        "UART3, or, with --card, writes it to the card instead",
     )
 
 
@@ -118,7 +118,7 @@ def check_blackbox(args: argparse.Namespace) -> None:
         raise NeuroflightError("--blackbox: Betaflight's own log is none of ours; leave it out")
     if args.card is not None:
         raise NeuroflightError(
-            "--blackbox: with --card the log goes to the card, where docs/logs.md says how to get it; "
+            "--blackbox: with --card the log goes to the card, where docs/guides/logs.md says how to get it; "
             "leave --blackbox out"
         )
     check_output(args.blackbox, ".bbl")

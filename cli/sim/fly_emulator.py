@@ -44,7 +44,7 @@ SLICE = 216_000  # cycles between two checks of serial line and Ctrl-C, at most:
 
 def add_emulator_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare what only the emulated board takes."""
-    group = parser.add_argument_group("with --on emulator", "see docs/emulated-board.md")
+    group = parser.add_argument_group("with --on emulator", "see docs/explanation/emulated-board.md")
     add_gyro_argument(group)
     add_card_argument(group)
     group.add_argument(

@@ -47,7 +47,7 @@ def run(args: argparse.Namespace) -> int:
     from neuroflight.cli.output import check_output
     from neuroflight.sim.aircraft.model import load_aircraft
     from neuroflight.sim.identification.link_drift import FORMULATIONS, drift
-    from neuroflight.sim.identification.link_drift_plot import draw, draw_map
+    from neuroflight.sim.identification.link_drift_plot import draw_drift, draw_map
     from neuroflight.sim.plotting import save_png
 
     check_output(args.plot, ".png")
@@ -69,7 +69,7 @@ def run(args: argparse.Namespace) -> int:
                 task = bar.add_task(f"{formulation}, {step:g} ms", total=flights)
                 runs.append(drift(aircraft, formulation, step / 1e3, partial(bar.advance, task)))
     if args.plot:
-        save_png(args.plot, draw(runs, f"{aircraft.name}: do its links stay together?"))
+        save_png(args.plot, draw_drift(runs, f"{aircraft.name}: do its links stay together?"))
     if args.map:
         save_png(
             args.map, draw_map(runs, args.threshold_mm / 1e3, f"{aircraft.name}: separation of its links")

@@ -62,7 +62,7 @@ def run_noise(args: argparse.Namespace) -> int:
 
     from neuroflight.sim.aircraft.edit import edit_aircraft
     from neuroflight.sim.identification.gyro_noise import aircraft_keys, doubts, measure_noise, resting_part
-    from neuroflight.sim.identification.gyro_noise_plot import draw
+    from neuroflight.sim.identification.gyro_noise_plot import draw_noise
     from neuroflight.sim.identification.recording import read_recording
     from neuroflight.sim.plotting import png
     from neuroflight.toolchain.files import write_bytes
@@ -79,7 +79,7 @@ def run_noise(args: argparse.Namespace) -> int:
                 f"{args.write}; {_part_at_rest(rest, args) or 'record it at rest on the ground'}"
             )
         what = "not at rest" if noise.moved else "noise at rest"
-        picture = png(draw(noise, recording, f"{args.log.name}: {what}")) if args.plot else b""
+        picture = png(draw_noise(noise, recording, f"{args.log.name}: {what}")) if args.plot else b""
     if args.write:
         edit_aircraft(args.write, aircraft_keys(noise))
     if args.plot:

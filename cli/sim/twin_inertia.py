@@ -26,7 +26,7 @@ def add_inertia(actions: Any) -> None:  # noqa: ANN401 - argparse's own type has
     parser = actions.add_parser(
         "inertia",
         help=summary,
-        description=f"{summary}, a log an axis: {FORMS}. See docs/future/inertia.md.",
+        description=f"{summary}, a log an axis: {FORMS}. See docs/guides/inertia.md.",
     )
     parser.add_argument("logs", nargs="+", type=Path, metavar="LOG", help="one a hanging, up to three axes")
     wires = parser.add_mutually_exclusive_group(required=True)
@@ -57,7 +57,7 @@ def run_inertia(args: argparse.Namespace) -> int:
     from neuroflight.sim.aircraft.model import load_aircraft
     from neuroflight.sim.identification.recording import read_recording
     from neuroflight.sim.identification.swing import find_swing
-    from neuroflight.sim.identification.swing_plot import draw
+    from neuroflight.sim.identification.swing_plot import draw_swings
     from neuroflight.sim.plotting import save_png
 
     _check(args)
@@ -75,7 +75,7 @@ def run_inertia(args: argparse.Namespace) -> int:
         raise NeuroflightError(f"{len(swings)} logs swing about {len(found)} axes, expected an axis each")
     moments = _moments(args, swings)
     if args.plot:
-        save_png(args.plot, draw(swings, "Swings on wires"))
+        save_png(args.plot, draw_swings(swings, "Swings on wires"))
     if args.json:
         print(json.dumps(_document(args, swings, moments, aircraft), indent=2))
     else:

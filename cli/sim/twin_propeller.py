@@ -27,7 +27,7 @@ def add_propeller(actions: Any) -> None:  # noqa: ANN401 - argparse's own type h
         description=f"{summary}: columns J, CT and CQ or CP, as the UIUC Propeller Data Site has them, or "
         "APC's PER3_*.dat. Fits 1 + a1 J + a2 J^2 to each over its value at J = 0, for "
         "[propulsion.advance_ratio] of an aircraft file. A table of measurements at rest (RPM, CT, CP) gives "
-        "C_T and C_Q, and with a diameter K_T and K_Q. See docs/own-aircraft.md.",
+        "C_T and C_Q, and with a diameter K_T and K_Q. See docs/guides/own-aircraft.md.",
     )
     parser.add_argument(
         "tables", nargs="+", type=Path, metavar="TABLE", help="of one propeller, .csv, .txt or .dat"
@@ -66,7 +66,7 @@ def run_propeller(args: argparse.Namespace) -> int:
     from neuroflight.sim.aircraft.edit import edit_aircraft
     from neuroflight.sim.aircraft.model import load_aircraft
     from neuroflight.sim.identification.propeller import fit_propeller
-    from neuroflight.sim.identification.propeller_plot import draw
+    from neuroflight.sim.identification.propeller_plot import draw_coefficients
     from neuroflight.sim.identification.propeller_tables import read_tables
     from neuroflight.sim.plotting import png
     from neuroflight.toolchain.files import write_bytes
@@ -84,7 +84,7 @@ def run_propeller(args: argparse.Namespace) -> int:
     aircraft = load_aircraft(args.aircraft) if args.aircraft else None
     fit = fit_propeller(tables.measurements, args.degree)
     climb = None if aircraft is None else _climb(fit, aircraft, args.climb)
-    picture = png(draw(fit, ", ".join(path.stem for path in args.tables))) if args.plot else b""
+    picture = png(draw_coefficients(fit, ", ".join(path.stem for path in args.tables))) if args.plot else b""
     if args.write:
         advance = {"thrust": fit.advance.thrust, "torque": fit.advance.torque}
         edit_aircraft(args.write, {"propulsion.advance_ratio": advance})

@@ -256,7 +256,7 @@ def _print(args: argparse.Namespace, timing: Timing) -> None:
 def _provenance(timing: Timing) -> str:
     if timing.cost.no_cycles_reason:
         return f"No predicted cycles: {timing.cost.no_cycles_reason}"
-    return f"Instructions are exact, cycles predicted by {timing.cost.pricer} (docs/timing.md)."
+    return f"Instructions are exact, cycles predicted by {timing.cost.pricer} (docs/explanation/timing.md)."
 
 
 def _rows(timing: Timing) -> Sequence[tuple[str, tuple[str, ...]]]:

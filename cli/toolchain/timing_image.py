@@ -26,7 +26,7 @@ SCENARIO, COUNT_MAX = "pulses", 100
 DISARMED_MAX = 1_000_000  # control steps
 NOTES = (
     "instructions are exact, of the emulated board; cycles are predicted by llvm-mca's model of the "
-    "Cortex-M7, see docs/timing.md",
+    "Cortex-M7, see docs/explanation/timing.md",
     "the control algorithm is asked only where the motors may turn: disarmed it has no runs",
     "highest_rate_hz: core_hz over the worst control task, with what a gyro sample between two steps takes "
     "left out",
@@ -72,10 +72,12 @@ def run(args: argparse.Namespace) -> int:
         document["firmware_timing"] = [told_row(one) for one in told]
         document["notes"].append(NOTE)
     if args.plot:
-        from neuroflight.sim.board.debug.control_timing_plot import draw
+        from neuroflight.sim.board.debug.control_timing_plot import draw_task_costs
         from neuroflight.sim.plotting import save_png
 
-        save_png(args.plot, draw(costs, f"{image.name}, {inside.policy}: runs on the emulated board"))
+        save_png(
+            args.plot, draw_task_costs(costs, f"{image.name}, {inside.policy}: runs on the emulated board")
+        )
     if args.json:
         print(json.dumps(document, indent=2))
     else:
@@ -266,7 +268,7 @@ def _print(document: dict[str, Any], costs: tuple[TaskCost, ...], priced: Priced
     else:
         model = (
             f"Instructions are exact, cycles predicted by {priced.pricer}, {DEVICE_CYCLES} more for each "
-            f"access of a peripheral's register and each barrier (docs/timing.md)."
+            f"access of a peripheral's register and each barrier (docs/explanation/timing.md)."
         )
     console.print(
         f"{model} What other interrupts executed in between is left out: they came "

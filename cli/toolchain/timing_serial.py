@@ -19,8 +19,8 @@ SERIAL_MAX = 1_000_000  # control tasks
 SOURCE = "firmware over UART"
 NOTE = (
     "firmware_timing: by the firmware's cycle counter, what interrupts a task included; the emulated core "
-    "takes the same 1.63 cycles for each instruction, see docs/emulated-board.md. Armed: control steps that "
-    "were streamed, at most 500 a second"
+    "takes the same 1.63 cycles for each instruction, see docs/explanation/emulated-board.md. Armed: control "
+    "steps that were streamed, at most 500 a second"
 )
 
 

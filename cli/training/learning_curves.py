@@ -57,7 +57,7 @@ def run(args: argparse.Namespace) -> int:
     from neuroflight.sim.plotting import save_png
     from neuroflight.toolchain.errors import TrainingError
     from neuroflight.training.runs.learning_curves import curves
-    from neuroflight.training.runs.learning_curves_plot import draw
+    from neuroflight.training.runs.learning_curves_plot import draw_curves
 
     load_named(args)
     labels = _labels(args)
@@ -67,7 +67,7 @@ def run(args: argparse.Namespace) -> int:
     found = curves(args.runs, labels)
     if args.plot:
         title = "Reward of training episodes" if args.episodes else "Reward in training"
-        save_png(args.plot, draw(found, title, episodes=args.episodes, seeds=args.each_seed))
+        save_png(args.plot, draw_curves(found, title, episodes=args.episodes, seeds=args.each_seed))
     if args.json:
         print(
             json.dumps({"command": _command(args), "curves": [_document(curve) for curve in found]}, indent=2)

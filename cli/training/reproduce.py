@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from neuroflight.training.reproduction.experiments import Experiments, Row, Step
-    from neuroflight.training.reproduction.steps import Done, Watcher
+    from neuroflight.training.reproduction.experiments import Experiments, Row
+    from neuroflight.training.reproduction.steps import Done
     from neuroflight.training.reproduction.stored import Kept, RowResult
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -76,8 +76,10 @@ def run(args: argparse.Namespace) -> int:
     """Run what the rows need, then print them; or list them, or check the page."""
     from rich.console import Console
 
+    from neuroflight.cli.training.pages import check_page
     from neuroflight.toolchain.errors import NeuroflightError
     from neuroflight.training.reproduction.experiments import experiments
+    from neuroflight.training.reproduction.page import render
     from neuroflight.training.reproduction.stored import read_stored, row_result
 
     if not 1 <= args.jobs <= JOBS_MAX:
@@ -85,7 +87,9 @@ def run(args: argparse.Namespace) -> int:
     known = experiments()
     rows = known.chosen(args.rows)
     if args.check:
-        return _check(known)
+        page = render(known, read_stored(STORED), PICTURES.name)
+        check_page(PAGE, page, STORED, "neuroflight reproduce --store ROW")
+        return 0
     if args.list:
         _list(args, known, [row_result(row, read_stored(STORED)) for row in rows])
         return 0
@@ -104,13 +108,13 @@ def _run(
     """Run the steps of rows; what is kept of them, and why others failed."""
     from rich.console import Console
 
+    from neuroflight.cli.training.pages import Lines
     from neuroflight.training.reproduction.ray_steps import on_ray
     from neuroflight.training.reproduction.steps import Place, run_steps
     from neuroflight.training.reproduction.stored import keep
 
     place = Place(ROOT, args.out.resolve(), args.budget)
-    reasons: dict[str, str] = {}
-    watcher = _watcher(Console(stderr=True, highlight=False), len(known.plan(rows)), reasons)
+    watcher = Lines(Console(stderr=True, highlight=False), len(known.plan(rows)))
     with nullcontext(None) if args.address is None else on_ray(args.address, args.jobs) as execute:
         done = run_steps(
             known.plan(rows),
@@ -125,7 +129,7 @@ def _run(
     kept = {name: keep(each, known.rows) for name, each in done.items() if name in used}
     if args.store:
         _store(known, kept, done)
-    return kept, reasons
+    return kept, watcher.reasons
 
 
 def _store(known: Experiments, kept: Mapping[str, Kept], done: Mapping[str, Done]) -> None:
@@ -138,50 +142,6 @@ def _store(known: Experiments, kept: Mapping[str, Kept], done: Mapping[str, Done
         if each.budget == "full" or name not in before or before[name].budget == "quick":
             store(each, STORED, done[name].picture, PICTURES)
     write_text_if_changed(PAGE, render(known, read_stored(STORED), PICTURES.name))
-
-
-def _check(known: Experiments) -> int:
-    from neuroflight.toolchain.errors import NeuroflightError
-    from neuroflight.training.reproduction.page import render
-    from neuroflight.training.reproduction.stored import read_stored
-
-    page = render(known, read_stored(STORED), PICTURES.name)
-    if not PAGE.is_file() or PAGE.read_bytes() != page.encode():
-        raise NeuroflightError(
-            f"{PAGE}: not what the files in {STORED} give; run `neuroflight reproduce --store ROW`"
-        )
-    print(f"{PAGE}: up to date")
-    return 0
-
-
-def _watcher(console: Console, count: int, reasons: dict[str, str]) -> Watcher:
-    """Tells what steps do; why some failed goes into `reasons`."""
-    from neuroflight.training.reproduction.steps import Watcher
-
-    class Lines(Watcher):
-        """Tells each step on a line of stderr."""
-
-        def __init__(self) -> None:
-            self._ended = 0
-
-        def started(self, step: Step) -> None:
-            console.print(f"{step.name}: begins", style="dim")
-
-        def finished(self, done: Done, *, again: bool) -> None:
-            self._ended += 1
-            took = f"{done.seconds:.0f} s" if again else "was there"
-            console.print(f"[{self._ended} of {count}] {done.step.name}: {took}", markup=False)
-
-        def outdated(self, step: Step, name: str) -> None:
-            console.print(f"{step.name}: {name} has changed since it ran", markup=False)
-
-        def failed(self, step: Step, reason: str) -> None:
-            self._ended += 1
-            reasons[step.name] = reason
-            line = f"[{self._ended} of {count}] {step.name}: failed: {reason}"
-            console.print(line, markup=False, style="red")
-
-    return Lines()
 
 
 def _list(args: argparse.Namespace, known: Experiments, results: Sequence[RowResult]) -> None:

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
-import subprocess
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -15,6 +13,7 @@ if TYPE_CHECKING:
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
+OUTPUTS = Path("runs", "results")  # what commands print, whole
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -43,7 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Write the page, or check that it is up to date."""
     from neuroflight.cli.output import check_output
-    from neuroflight.toolchain.errors import NeuroflightError
+    from neuroflight.cli.training.pages import check_page
     from neuroflight.toolchain.files import write_text_if_changed
     from neuroflight.training.results_page.page import render
     from neuroflight.training.results_page.stored_results import read_results
@@ -54,11 +53,7 @@ def run(args: argparse.Namespace) -> int:
     results = read_results(args.folder)
     page = render(results)
     if args.check:
-        if not args.out.is_file() or args.out.read_bytes() != page.encode():
-            raise NeuroflightError(
-                f"{args.out}: not what the files in {args.folder} give; run `neuroflight results`"
-            )
-        print(f"{args.out}: up to date with {len(results)} files")
+        check_page(args.out, page, args.folder, "neuroflight results", f" with {len(results)} files")
         return 0
     written = write_text_if_changed(args.out, page)
     _draw(args.folder, results)
@@ -69,22 +64,28 @@ def run(args: argparse.Namespace) -> int:
 def _draw(folder: Path, results: Sequence[Stored]) -> None:
     """Draw the study of sizes, if there is one, into the folder."""
     from neuroflight.sim.plotting import save_png
-    from neuroflight.training.results_page.studies import PLOT, SIZES
-    from neuroflight.training.results_page.studies_plot import draw_sizes, points
+    from neuroflight.training.results_page.studies import PLOT, drawn_points
+    from neuroflight.training.results_page.studies_plot import draw_sizes
 
     for stored in results:
-        if stored.has("sweep") and stored.text("sweep") == SIZES and (drawn := points(stored)):
+        if drawn := drawn_points(stored):
             title = f"What a policy of the {stored.text('aircraft', 'name')} costs and gives by size"
             save_png(folder / PLOT, draw_sizes(drawn, title))
 
 
 def _make_again(folder: Path, names: Sequence[str]) -> None:
-    """Repeat commands in the project's folder; a file is replaced when its command has succeeded."""
+    """Repeat commands in the project's folder; what the page reads of each replaces its file."""
+    import shlex
+
     from rich.console import Console
 
+    from neuroflight.cli.training.pages import Lines
     from neuroflight.toolchain.errors import NeuroflightError
     from neuroflight.toolchain.files import write_text
-    from neuroflight.training.results_page.stored_results import COMMANDS, read_commands
+    from neuroflight.training.reproduction.experiments import Step
+    from neuroflight.training.reproduction.steps import Done, Place, run_steps
+    from neuroflight.training.results_page.stored_results import COMMANDS, compact, read_commands
+    from neuroflight.training.results_page.summary import summary
 
     commands = read_commands(folder)
     for name in names:
@@ -92,25 +93,18 @@ def _make_again(folder: Path, names: Sequence[str]) -> None:
             raise NeuroflightError(
                 f"{folder / COMMANDS}: {name}: not there, expected one of: {', '.join(commands)}"
             )
-    console = Console(stderr=True, highlight=False)
-    for name in names or commands:
-        words = commands[name]
-        told = f"{name}: `neuroflight {' '.join(words)}`"
-        with console.status(told):
-            done = subprocess.run(
-                [sys.executable, "-m", "neuroflight.cli.main", *words, "--json"],
-                cwd=ROOT,
-                capture_output=True,
-                text=True,
-                check=False,
-            )
-        if done.returncode:
-            last = (done.stderr.strip().splitlines() or ["it said nothing"])[-1]
-            raise NeuroflightError(f"{told} ended with {done.returncode}: {last}")
-        try:
-            json.loads(done.stdout)
-        except ValueError as error:
-            raise NeuroflightError(f"{told} printed no JSON ({error})") from error
-        write_text(folder / name, done.stdout)
-        if console.is_terminal:
-            console.print(told)
+    steps = [Step(Path(name).stem, *[shlex.join(commands[name])] * 2) for name in names or commands]
+
+    class Keeper(Lines):
+        """Stores each result as soon as it is there."""
+
+        def finished(self, done: Done, *, again: bool) -> None:
+            name = f"{done.step.name}.json"
+            write_text(folder / name, compact(summary(name, done.output)) + "\n")
+            super().finished(done, again=again)
+
+    console = Console(stderr=True, highlight=False, quiet=not sys.stderr.isatty())
+    keeper = Keeper(console, len(steps))
+    run_steps(steps, Place(ROOT, OUTPUTS.resolve(), "full"), jobs=1, force=True, watcher=keeper)
+    if keeper.reasons:
+        raise NeuroflightError("; ".join(f"{name}.json: {why}" for name, why in keeper.reasons.items()))

@@ -31,7 +31,9 @@ WIDTH = 160  # characters of a table printed to a file
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
-    parser.add_argument("file", type=Path, metavar="FILE.toml", help="what is varied; see docs/sweeps.md")
+    parser.add_argument(
+        "file", type=Path, metavar="FILE.toml", help="what is varied; see docs/guides/sweeps.md"
+    )
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for the results")
     add_plugin_argument(parser)
     again = parser.add_mutually_exclusive_group()

@@ -300,14 +300,14 @@ def _draw(out: Path, aircraft: Aircraft, planned: tuple[Planned, ...], best: int
     """Write monitor.png, if there is anything to draw."""
     from neuroflight.sim.plotting import save_png
     from neuroflight.training.checkpoints.monitor import EPISODES, flown
-    from neuroflight.training.checkpoints.monitor_plot import draw, read_monitor
+    from neuroflight.training.checkpoints.monitor_plot import draw_monitored, read_monitor
     from neuroflight.training.runs.train import MONITOR
 
     runs = [read_monitor(item.out / MONITOR) for item in planned if (item.out / MONITOR).exists()]
     if any(run.history for run in runs):
         task = flown(planned[0].config).task.name
         title = f"{aircraft.name}: each checkpoint on {EPISODES} {task} episodes, mean and range"
-        save_png(out / PLOT, draw(runs, f"seed {best}", title))
+        save_png(out / PLOT, draw_monitored(runs, f"seed {best}", title))
 
 
 def _print(

@@ -131,7 +131,7 @@ def run(args: argparse.Namespace) -> int:
     from neuroflight.sim.aircraft.model import FOLDER, load_aircraft, shipped
     from neuroflight.sim.aircraft.pid_write import write_pid
     from neuroflight.sim.plotting import save_png
-    from neuroflight.training.pid_tuning.tuning_plot import draw
+    from neuroflight.training.pid_tuning.tuning_plot import draw_tuning
 
     aircraft = load_aircraft(args.aircraft)
     if args.of == BETAFLIGHT:
@@ -150,7 +150,7 @@ def run(args: argparse.Namespace) -> int:
         write_pid(source, args.write, args.name, best, comment(args, checked))
     if args.plot:
         title = f"{aircraft.name}: PID tuning, seed {args.seed}"
-        save_png(args.plot, draw(tuning, aircraft, limits, _throttle(args, aircraft), title))
+        save_png(args.plot, draw_tuning(tuning, aircraft, limits, _throttle(args, aircraft), title))
     if args.json:
         print(json.dumps(document(args, aircraft, limits, tuning, checked), indent=2))
     else:
@@ -228,15 +228,15 @@ def _tune(args: argparse.Namespace, aircraft: Aircraft, limits: Limits) -> Tunin
     from neuroflight.training.pid_tuning.flying import FlyingTrials
     from neuroflight.training.pid_tuning.tuning import streams, tune
 
-    draw, search = streams(args.seed)
+    draw_tuning, search = streams(args.seed)
     tuner = chosen_tuner(args)
     with search_bar(args.budget, "ultimate gains") as show:
         if args.terms == DISSERTATION:
-            trials = DissertationTrials.of(aircraft, limits, args.seed, draw)
+            trials = DissertationTrials.of(aircraft, limits, args.seed, draw_tuning)
             return tune(trials, budget=args.budget, rng=search, progress=show, tuner=tuner)
         others = [settings for name, settings in aircraft.pids if name != args.name]
         begin = [settings for settings in others if settings.mixer is None]
-        flights = FlyingTrials(aircraft, limits, draw)
+        flights = FlyingTrials(aircraft, limits, draw_tuning)
         return tune(flights, budget=args.budget, rng=search, progress=show, begin=begin, tuner=tuner)
 
 

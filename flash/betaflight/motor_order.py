@@ -1,4 +1,4 @@
-"""Which output each motor of a Betaflight quadcopter is wired to, by the pins of the board's image."""
+"""The output that each motor of a Betaflight quadcopter is wired to, by the pins of the board's image."""
 
 from __future__ import annotations
 

@@ -30,7 +30,7 @@ class Group:
 
 
 @dataclass(frozen=True)
-class Plan:
+class ImportPlan:
     """The changes that a file asks for; each of its lines is in one group or among those left out."""
 
     groups: tuple[Group, ...]
@@ -43,7 +43,7 @@ class Plan:
         return {name: value for group in self.groups for name, value in group.changes.items()}
 
 
-def fitted(plan: Plan, settings: Settings) -> Plan:
+def fitted(plan: ImportPlan, settings: Settings) -> ImportPlan:
     """Drop the groups that the firmware behind `settings` would refuse. Raises LinkError if it is gone."""
     kept: list[Group] = []
     left, notes, changes = list(plan.left), list(plan.notes), dict[str, Value]()
@@ -59,10 +59,10 @@ def fitted(plan: Plan, settings: Settings) -> Plan:
             continue
         kept.append(group)
         changes |= group.changes
-    return Plan(tuple(kept), tuple(sorted(left, key=lambda one: one.line.number)), tuple(notes))
+    return ImportPlan(tuple(kept), tuple(sorted(left, key=lambda one: one.line.number)), tuple(notes))
 
 
-def needed(plan: Plan, present: Mapping[str, Value]) -> dict[str, Value]:
+def needed(plan: ImportPlan, present: Mapping[str, Value]) -> dict[str, Value]:
     """Return the settings whose values change. A new style of rates sets all rates, so these are kept."""
     changes = plan.changes
     turned = STYLE in changes and not same(STYLE, changes[STYLE], present[STYLE])

@@ -20,7 +20,7 @@ from neuroflight.flash.betaflight.counterparts import (
 from neuroflight.flash.betaflight.diff_file import Diff, Line
 from neuroflight.flash.betaflight.mode_ranges import HIGH_US, PREARM, box_name, placed, read_aux, unpacked
 from neuroflight.flash.betaflight.motor_order import MOTORS, OUTPUT_PINS, motor_outputs, read_pin
-from neuroflight.flash.betaflight.plan import Group, Left, Plan
+from neuroflight.flash.betaflight.plan import Group, ImportPlan, Left
 from neuroflight.flash.betaflight.rate_profiles import RateProfiles
 from neuroflight.flash.setting_text import STYLE, Value, known_setting
 from neuroflight.toolchain.contract import MODE_LOW_US, Mode, ModeRange
@@ -45,7 +45,9 @@ SCALE, DIVIDER, MULTIPLIER = VOLTAGE = ("vbat_scale", "vbat_divider", "vbat_mult
 DIVIDER_DEFAULT, MULTIPLIER_DEFAULT = 10, 1
 
 
-def make_plan(diff: Diff, board: str, present: Mapping[str, Value], rate_profile: int | None = None) -> Plan:
+def plan_import(
+    diff: Diff, board: str, present: Mapping[str, Value], rate_profile: int | None = None
+) -> ImportPlan:
     """Plan which settings `diff` changes in a firmware for `board` whose settings are `present`.
 
     rate_profile: instead of the active one. Raises LinkError if the file has none of that number.
@@ -77,7 +79,7 @@ class _Planner:
         self._lost_boxes: set[int] = set()  # modes with a range that could not be imported
         self._switches: dict[int, set[str]] = {}  # modes and other functions that each AUX channel switched
 
-    def plan(self) -> Plan:
+    def plan(self) -> ImportPlan:
         for line in self._counting_lines():
             try:
                 self._take(line)
@@ -90,7 +92,7 @@ class _Planner:
         self._join_rates()
         self._note_kept_ranges()
         groups = [group for group in self._groups.values() if group.changes]
-        return Plan(
+        return ImportPlan(
             tuple(groups), tuple(sorted(self._left, key=lambda one: one.line.number)), tuple(self._notes)
         )
 

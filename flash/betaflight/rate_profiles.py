@@ -54,7 +54,7 @@ class Selection:
 
     @property
     def unsure(self) -> bool:
-        """Whether the file has several and selects none after them, as in `diff all bare` or a cut file."""
+        """True if several profiles are named and none is selected after them, as in `diff all bare`."""
         told = self.told
         return len(set(told)) > 1 and told.count(told[-1]) == 1 and told[-1] == max(told)
 

@@ -1,4 +1,4 @@
-"""Which logs of a card a folder has copies of: only those are emptied."""
+"""Finding copies of a card's logs in a folder: only logs with a copy are emptied."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from neuroflight.flash.card.files import PIECE_BYTES, SECTOR, Card, LogFile, is_
 
 
 def copy_of(card: Card, log: LogFile, folder: Path, progress: Callable[[int], None]) -> Path | None:
-    """The file of `folder` that holds the whole of `log`; None: there is none.
+    """Return the file of `folder` that holds the whole of `log`, or None.
 
     It may be as long as the log, or as the card's file with the blank rest behind the log.
     """

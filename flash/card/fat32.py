@@ -53,7 +53,7 @@ class Fat32:
     """The file system in `file`, which stays the caller's."""
 
     def __init__(self, file: BinaryIO, name: str) -> None:
-        """name: of the image or device, for messages. Raises CardError where it is no FAT32."""
+        """Read the file system's layout; raises CardError if it is no FAT32. name: for messages."""
         self._file, self.name = file, name
         self.offset = _file_system_at(self._read(0, SECTOR), name)  # bytes from the start
         boot = self._read(self.offset, SECTOR)
@@ -75,7 +75,7 @@ class Fat32:
         self._piece_of_table = lru_cache(TABLE_PIECES_KEPT)(self._read_table)
 
     def files(self) -> list[Entry]:
-        """The root directory's files, in its order. Raises CardError for a damaged one."""
+        """List the root directory's files in its order. Raises CardError for a damaged one."""
         raw = b"".join(
             self._read(piece.at, piece.bytes) for piece in self._pieces(self._root, ROOT_BYTES_MAX)
         )
@@ -93,7 +93,7 @@ class Fat32:
         return found
 
     def pieces(self, entry: Entry) -> list[Piece]:
-        """Where a file lies, in order. Raises CardError where its chain of clusters is damaged."""
+        """Return the pieces of a file in order. Raises CardError if its chain of clusters is damaged."""
         if entry.bytes == 0:
             return []
         found = list(self._pieces(entry.first, entry.bytes))
@@ -105,7 +105,7 @@ class Fat32:
         return found
 
     def read(self, entry: Entry, offset: int, count: int) -> bytes:
-        """Bytes of a file, fewer at its end."""
+        """Read bytes of a file, fewer at its end."""
         parts, at = [], 0
         for piece in self.pieces(entry):
             low, high = max(offset, at), min(offset + count, at + piece.bytes)
@@ -115,13 +115,13 @@ class Fat32:
         return b"".join(parts)
 
     def free_bytes(self) -> int:
-        """What no file has, counted."""
+        """Count the bytes of all free clusters."""
         last = (self._end - 1) // TABLE_PIECE
         free = sum(self._piece_of_table(number).count(FREE) for number in range(last + 1))
         return free * self.cluster_bytes
 
     def _pieces(self, cluster: int, count: int) -> Iterator[Piece]:
-        """`count` bytes of the chain that begins there; fewer where it ends before."""
+        """Yield the pieces of `count` bytes of the chain that begins at `cluster`, fewer at its end."""
         while count > 0 and cluster < LAST_CLUSTER:
             first, clusters = cluster, 0
             while cluster == first + clusters and clusters * self.cluster_bytes < count:
@@ -132,7 +132,7 @@ class Fat32:
             count -= length
 
     def _next(self, cluster: int) -> int:
-        """The cluster behind one of a chain."""
+        """Return the cluster that follows `cluster` in its chain."""
         if not FIRST_CLUSTER <= cluster < self._end:
             raise CardError(
                 f"{self.name}: a file lies in cluster {cluster}, expected {FIRST_CLUSTER}..{self._end - 1}; "
@@ -159,7 +159,7 @@ class Fat32:
 
 
 def _file_system_at(sector: bytes, name: str) -> int:
-    """Where the first FAT32 file system begins [bytes]. Raises CardError for a table without one."""
+    """Find the first FAT32 file system: its offset [bytes]. Raises CardError for a table without one."""
     if _is_boot_sector(sector):
         return 0
     if sector[510:] != SIGNATURE:
@@ -182,7 +182,7 @@ def _file_system_at(sector: bytes, name: str) -> int:
 
 
 def _is_boot_sector(sector: bytes) -> bool:
-    """Whether a file system begins there, of whatever kind; else it may be a partition table."""
+    """Return True if a file system of any kind begins here; otherwise it may be a partition table."""
     if sector[3:8] in (b"EXFAT", b"NTFS "):
         return True
     (bytes_per_sector,) = struct.unpack_from("<H", sector, 11)

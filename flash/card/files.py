@@ -34,7 +34,7 @@ class LogFile:
 
     @property
     def number(self) -> int:
-        """That of its name, 0: none."""
+        """The number in its name; 0 without one."""
         found = NAME.fullmatch(self.name)
         return int(found[1]) if found else 0
 
@@ -45,48 +45,48 @@ class Card(Protocol):
     name: str
 
     def files(self) -> list[LogFile]:
-        """The files for logs, by name."""
+        """List the log files by name."""
 
     def free_bytes(self) -> int:
-        """What no file has."""
+        """Return the number of free bytes."""
 
     def read(self, name: str, offset: int, count: int) -> bytes:
-        """Bytes of a file, fewer at its end."""
+        """Read bytes of a file, fewer at its end."""
 
     def create(self, name: str, size: int, progress: Callable[[int], None]) -> None:
-        """A new file of that many zeros; whole, or not there. progress: gets the bytes written so far."""
+        """Create a file of zeros, whole or not at all. progress: called with the bytes written so far."""
 
     def clear(self, name: str, progress: Callable[[int], None]) -> None:
         """Overwrite all of a file with zeros, where it is."""
 
 
 def is_blank(sector: bytes) -> bool:
-    """Whether no log begins with `sector`, all or the first bytes of one."""
+    """Return True if `sector`, the first bytes of a file, is blank: no log begins with it."""
     return any(sector == bytes([blank]) * len(sector) for blank in BLANKS)
 
 
 def is_log_name(name: str) -> bool:
-    """Whether it is a file for logs."""
+    """Return True if a file of that name is a log file."""
     return NAME.fullmatch(name) is not None
 
 
 @dataclass(frozen=True)
-class Plan:
-    """Files that are to be made."""
+class NewFiles:
+    """Log files that are to be created."""
 
     names: list[str]
     size: int  # bytes of each
 
     @property
     def bytes(self) -> int:
-        """Of all."""
+        """Total size of the files."""
         return len(self.names) * self.size
 
 
-def make_plan(files: Sequence[LogFile], free: int, size: int, empty: int | None) -> Plan:
-    """What is missing to `empty` files that take a log; None: so many that they fill half of the room.
+def plan_files(files: Sequence[LogFile], free: int, size: int, empty: int | None) -> NewFiles:
+    """Plan the log files to create so that `empty` ones exist; None: enough to fill half of the free room.
 
-    free: bytes that no file has. Raises CardError where they find no room.
+    free: bytes that no file has. Raises CardError if the files do not fit.
     """
     blank = [file for file in files if file.blank and file.whole is not False]
     room = free // size
@@ -102,21 +102,21 @@ def make_plan(files: Sequence[LogFile], free: int, size: int, empty: int | None)
     first = max((file.number for file in files), default=0) + 1
     if first + missing - 1 > NUMBER_MAX:
         raise CardError(f"the names go up to {file_name(NUMBER_MAX)}, expected room behind the last one's")
-    return Plan([file_name(first + k) for k in range(missing)], size)
+    return NewFiles([file_name(first + k) for k in range(missing)], size)
 
 
 def file_name(number: int) -> str:
-    """The name of a file for logs."""
+    """Return the name of the log file with that number."""
     return f"{LOG_FILE_PREFIX}{number:05d}{LOG_FILE_SUFFIX}"
 
 
 def behind(progress: Progress, step: str, before: int, total: int) -> Callable[[int], None]:
-    """Progress of one of several files: `before` bytes of the `total` were done when it began."""
+    """Return a progress callback for one of several files; `before` of `total` bytes were done before it."""
     return lambda done: progress(step, before + done, total)
 
 
-def carry_out(card: Card, plan: Plan, progress: Progress) -> list[LogFile]:
-    """Make the files. Returns what is on the card afterwards.
+def carry_out(card: Card, plan: NewFiles, progress: Progress) -> list[LogFile]:
+    """Create the planned files and return the files on the card afterwards.
 
     Raises CardError for a file that got no room in one piece: it and those behind it are not there.
     """

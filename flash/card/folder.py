@@ -17,7 +17,7 @@ class FolderCard:
     """The root folder of a mounted FAT32 file system."""
 
     def __init__(self, folder: Path, device: Path | None) -> None:
-        """device: what is mounted there, looked at where that is allowed; None: not known."""
+        """device: the mounted device, read to see the files' pieces if that is allowed; None: unknown."""
         self.name, self._folder, self._device = str(folder), folder, device
 
     def files(self) -> list[LogFile]:
@@ -31,7 +31,7 @@ class FolderCard:
         ]
 
     def _wholeness(self) -> dict[str, bool]:
-        """Whether each file lies in one piece, as far as this user may look at the device."""
+        """Return, by file name, whether the file lies in one piece; empty if the device cannot be read."""
         if self._device is None:
             return {}
         try:
@@ -78,7 +78,7 @@ class FolderCard:
 
 
 def _write_zeros(handle: int, size: int, progress: Callable[[int], None]) -> None:
-    """From the file's place on; they are on the card when it returns."""
+    """Overwrite `size` bytes from the file's position on with zeros and wait until they are stored."""
     zeros, done = bytes(PIECE_BYTES), 0
     while done < size:
         done += os.write(handle, zeros[: size - done])
@@ -91,7 +91,7 @@ def _in_one_piece(system: Fat32, entry: Entry) -> bool:
 
 
 def in_pieces(card: str, name: str) -> CardError:
-    """The error where a new file got no room in one piece."""
+    """Return the error for a new file that would not lie in one piece."""
     return CardError(
         f"{card}: {name} would lie in several pieces, expected one; it was removed again: the card's room is "
         "scattered, so copy what is on it, format it anew (`mkfs.vfat -F 32`) and repeat this"

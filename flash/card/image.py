@@ -23,14 +23,14 @@ class ImageCard:
     """A FAT32 file system in an image file or on a device."""
 
     def __init__(self, path: Path) -> None:
-        """Raises CardError where it holds no FAT32 file system."""
+        """Check that the file holds a FAT32 file system; raises CardError if not."""
         self.name, self._path = str(path), path
         with self._system() as system:
             self._offset = system.offset
 
     @contextmanager
     def _system(self) -> Iterator[Fat32]:
-        """As it is now."""
+        """Open the file system as it is now."""
         with self._path.open("rb") as file:
             yield Fat32(file, self.name)
 
@@ -78,7 +78,7 @@ class ImageCard:
         progress(size)
 
     def _mtools(self, program: str, *words: str) -> None:
-        """Run one of mtools to its end, whatever keys are pressed meanwhile: half of a file would stay."""
+        """Run an mtools program to its end. Ctrl-C does not interrupt it: half a file would stay."""
         if shutil.which(program) is None:
             raise CardError(
                 f"{self.name}: mtools is not installed, expected {program} to make files in an image or on a "

@@ -1,4 +1,4 @@
-"""What the user means by a place: a mounted card, an image, a device; and places that are never touched."""
+"""The card that the user's path names: a mounted card, an image or a device; system disks are refused."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Mount:
 
 
 def read_mounts(text: str) -> list[Mount]:
-    """The lines of /proc/self/mountinfo."""
+    """Parse the lines of /proc/self/mountinfo."""
     found = []
     for line in text.splitlines():
         words = line.split()
@@ -41,14 +41,14 @@ def read_mounts(text: str) -> list[Mount]:
 
 
 def _unescaped(word: str) -> str:
-    """Blanks stand there as their octal number."""
+    """Replace the octal escapes of blanks in a path of mountinfo."""
     for escape, meant in (("\\040", " "), ("\\011", "\t"), ("\\012", "\n"), ("\\134", "\\")):
         word = word.replace(escape, meant)
     return word
 
 
 def disks_of(number: str, blocks: Path = BLOCKS) -> set[str]:
-    """Names of the disks that the device `number` (major:minor) lies on, through layers such as LVM."""
+    """Return the names of the disks below the device `number` (major:minor), through layers such as LVM."""
     device = blocks / number
     if not device.exists():
         return set()
@@ -67,7 +67,7 @@ def _disks_below(device: Path) -> set[str]:
 
 
 def open_card(place: Path) -> Card:
-    """The card that `place` names. Raises CardError where it is none that may be written."""
+    """Open the card that `place` names. Raises CardError for anything that must not be written."""
     mounts = read_mounts(MOUNTS.read_text()) if MOUNTS.exists() else []
     try:
         facts = place.stat()
@@ -87,7 +87,7 @@ def open_card(place: Path) -> Card:
 
 
 def check_folder(folder: Path, mounts: Sequence[Mount], blocks: Path = BLOCKS) -> Path | None:
-    """The device that is mounted there. Raises CardError unless the folder is the root of a FAT32 card."""
+    """Return the device mounted at `folder`. Raises CardError unless it is the root of a FAT32 card."""
     if not mounts:  # not Linux: what is mounted cannot be seen, and files alone do no harm
         return None
     mount = max(

@@ -44,7 +44,7 @@ class Button:
 
 @dataclass(frozen=True)
 class Mapping:
-    """What moves which channel. What nothing moves is at rest."""
+    """The axis or button of each channel. A channel without one is at rest."""
 
     axes: tuple[Axis, ...]
     buttons: tuple[Button, ...]
@@ -94,7 +94,7 @@ def _number(option: str, word: str, number: str) -> int:
 
 
 def channels_of(mapping: Mapping, axes: Sequence[float], buttons: Sequence[bool]) -> Channels:
-    """Channels of a device whose axes are -1..1, by number, and whose buttons are held or not."""
+    """Convert a device's axes, -1..1 by number, and held buttons to channels."""
     channels = list(REST)
     for axis in mapping.axes:
         value = max(-1.0, min(1.0, -axes[axis.number] if axis.inverted else axes[axis.number]))
@@ -111,7 +111,7 @@ class Gamepad:
     """A Source: an open gamepad, until it is closed or unplugged."""
 
     def __init__(self, index: int, mapping: Mapping) -> None:
-        """index: from 0, in the system's order. Raises LinkError: no library, no such device or axis."""
+        """index: from 0, in the system's order. Raises LinkError if library, device or axis is missing."""
         self._mapping = mapping
         self._gone = False  # for good, even if a device comes back in its place
         self._game = _library()
@@ -170,7 +170,7 @@ class Gamepad:
 
 
 def _library() -> Any:  # noqa: ANN401 - a module
-    """pygame, set up to work without a screen. Raises LinkError where it is not installed."""
+    """Import pygame, set up to work without a screen. Raises LinkError if it is not installed."""
     for name, value in NO_SCREEN.items():
         os.environ.setdefault(name, value)
     try:

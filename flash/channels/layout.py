@@ -39,25 +39,25 @@ REST: Channels = tuple(  # sticks centred, throttle down, every switch in its lo
 
 @dataclass(frozen=True)
 class Layout:
-    """How a board reads channels."""
+    """A board's reading of channels: their order on the wire and the ranges of its arm switch."""
 
     wire: tuple[int, ...]  # the place on the wire of each of NAMES
     arm: tuple[ModeRange, ...]  # ranges of the mode arm
     disarmed_us: tuple[tuple[int, int], ...]  # channel and width at which none of them holds
 
     def on_wire(self, channels: Channels) -> list[int]:
-        """`channels` in the order in which SET_RAW_RC has them."""
+        """Sort `channels` into the order of SET_RAW_RC."""
         sent = [0] * CHANNEL_COUNT
         for place, us in zip(self.wire, channels, strict=True):
             sent[place] = us
         return sent
 
     def arms(self, channels: Channels) -> bool:
-        """Whether any range of the arm switch holds, together with others or not: the cautious answer."""
+        """Return True if any range of the arm switch holds, even one that arms only together with others."""
         return any(_holds(span, channels[_channel(span)]) for span in self.arm)
 
     def disarmed(self, channels: Channels) -> Channels:
-        """`channels` with the arm switch off and the throttle down."""
+        """Return `channels` with the arm switch off and the throttle down."""
         changed = list(channels)
         for channel, us in self.disarmed_us:
             changed[channel] = us
@@ -65,25 +65,25 @@ class Layout:
         return tuple(changed)
 
     def resting(self) -> Channels:
-        """Sticks centred, throttle down, arm switch off."""
+        """Return channels with centred sticks, throttle down and arm switch off."""
         return self.disarmed(REST)
 
 
 def throttle_low(channels: Channels) -> bool:
-    """Whether the throttle is low enough to arm."""
+    """Return True if the throttle is low enough to arm."""
     return channels[CHANNEL_THROTTLE] <= THROTTLE_LOW_US
 
 
 def read_layout(get: Callable[[str], Value]) -> Layout:
-    """The layout that a board's settings describe; `get` gives a setting's value by name.
+    """Read the channel layout from a board's settings; `get` returns a setting's value by name.
 
-    Raises LinkError where the arm switch has no position that is off.
+    Raises LinkError if every position of the arm switch arms.
     """
     wire = list(range(CHANNEL_COUNT))
     for channel, name in enumerate(NAMES[:CHANNEL_MAPPED_COUNT]):
         wire[channel] = int(get(f"map_{name}"))
     if sorted(wire) != list(range(CHANNEL_COUNT)):
-        raise LinkError("the settings map_... name a channel twice, expected each once; see docs/settings.md")
+        raise LinkError("the settings map_... name a channel twice, expected each once")
     arm = tuple(_arm_ranges(int(get(f"mode{slot}")) for slot in range(1, MODE_SLOT_COUNT + 1)))
     channels = sorted({_channel(span) for span in arm})
     return Layout(tuple(wire), arm, tuple((channel, _off_us(channel, arm)) for channel in channels))
@@ -104,14 +104,14 @@ def _channel(span: ModeRange) -> int:
 
 
 def _holds(span: ModeRange, us: int) -> bool:
-    """As modes.c has it: what lies beyond the limits counts as the nearest value inside."""
+    """Return True if the range holds at `us`. As in modes.c, a limit at the end of the scale is open."""
     low = 0 if span.low_us <= MODE_LOW_US else span.low_us
     high = 1 << 16 if span.high_us >= MODE_HIGH_US else span.high_us
     return low <= us < high
 
 
 def _off_us(channel: int, arm: Sequence[ModeRange]) -> int:
-    """A width of that channel at which no range of the arm switch holds, low ones first."""
+    """Return a pulse width [us] of `channel` at which no range of the arm switch holds, low ones first."""
     positions: list[int] = [CHANNEL_MIN_US, CHANNEL_MAX_US]
     positions += range(CHANNEL_MIN_US, CHANNEL_MAX_US, MODE_STEP_US)
     for us in positions:
@@ -119,5 +119,5 @@ def _off_us(channel: int, arm: Sequence[ModeRange]) -> int:
             return us
     raise LinkError(
         f"the arm switch is on at every position of {NAMES[channel]}, expected one that is off; "
-        "set its mode range anew, see docs/settings.md"
+        "set its mode range anew, see docs/reference/settings.md"
     )

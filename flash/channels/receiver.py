@@ -1,4 +1,4 @@
-"""Why a board takes no channels over MSP, and how to make it."""
+"""The error for a board that takes no channels over MSP, with the settings to change."""
 
 from __future__ import annotations
 
@@ -11,9 +11,10 @@ SETTING, MSP = "receiver_protocol", "msp"
 
 
 def not_listening(name: str, get: Callable[[str], Value]) -> LinkError:
-    """The error of a board that refused a frame as ABSENT. name: of the port; get: a setting's value by name.
+    """Return the error for a board that refused a frame as ABSENT. name: of the port; get: a setting's value
+    by name.
 
-    Settings are told as they are stored: what the board flies since its last start may be another.
+    The stored settings are reported; those in use since the last start may differ.
     """
     told = value_text(SETTING, get(SETTING))
     why = "and not flown before a restart" if told == MSP else "so the board listens to its receiver"

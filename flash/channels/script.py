@@ -60,7 +60,7 @@ def read_script(path: Path) -> Script:
 
 
 def parse_script(data: bytes, where: str, suffix: str) -> Script:
-    """The script in the bytes of a file; `where` names it in messages. Raises LinkError."""
+    """Parse the bytes of a script file; `where` names it in messages. Raises LinkError."""
     if suffix not in (".csv", ".toml"):
         raise LinkError(f"script {where}: expected a name that ends in .csv or .toml")
     try:
@@ -141,7 +141,7 @@ def _check_names(where: str, names: list[str]) -> None:
 def _followed(
     rows: list[tuple[str, Mapping[str, object]]],
 ) -> tuple[tuple[float, ...], tuple[Channels, ...]]:
-    """Times and channels of the rows, each of which changes the one before it. Raises ValueError."""
+    """Return times and channels of the rows, each of which changes the one before it. Raises ValueError."""
     if not 2 <= len(rows) <= ROWS_MAX:
         raise ValueError(f"{len(rows)} rows, expected 2 to {ROWS_MAX}: the last one is the end")
     times_s: list[float] = []

@@ -32,7 +32,7 @@ BEHIND_SHARE = 0.1  # of the frames of that time: as many late ones are told
 
 @dataclass
 class Count:
-    """Of frames."""
+    """Numbers of frames sent, refused, unanswered and late."""
 
     taken: int = 0
     passed_over: int = 0  # the board had not yet taken up the one before
@@ -41,7 +41,7 @@ class Count:
 
 
 class Sender:
-    """Sends channels; use it in a `with`: leaving it disarms and falls silent."""
+    """A sender of channels for a `with` block: leaving it disarms and stops sending."""
 
     def __init__(
         self,
@@ -54,7 +54,7 @@ class Sender:
         clock: Callable[[], float] = time.monotonic,
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
-        """may_arm: else no frame is sent whose arm switch is on. tell: takes warnings, a line each."""
+        """may_arm: False: no frame that arms is sent. tell: called with each warning, one line."""
         self.count = Count()
         self.disarmed = False  # at the end: the board has said so
         self.began = False  # a frame went out
@@ -124,7 +124,7 @@ class Sender:
 
     # --- End -----------------------------------------------------------------------------------------
     def _end(self) -> None:
-        """Arm switch off and throttle down, until the board says that it is disarmed."""
+        """Send the arm switch off and the throttle down until the board reports that it is disarmed."""
         if not self.began:
             return
         self._taken_at = self._clock()
@@ -139,7 +139,7 @@ class Sender:
 
     # --- Shared --------------------------------------------------------------------------------------
     def _paced(self) -> Iterator[None]:
-        """Once each period; what could not be in time is passed over, not made up for."""
+        """Yield once each period; periods that have passed already are skipped."""
         while True:
             ahead = self._due - self._clock()
             if ahead > 0:
@@ -151,7 +151,7 @@ class Sender:
             yield
 
     def _note_late(self, frames: int) -> None:
-        """So many frames were due and could not be sent in time."""
+        """Count frames that were due and could not be sent in time; warn if they are many."""
         self.count.late += frames
         self._behind += frames
         since = self._clock() - self._behind_at
@@ -164,7 +164,7 @@ class Sender:
             self._behind, self._behind_at = 0, self._clock()
 
     def _send(self, channels: Channels) -> None:
-        """One frame. Raises LinkError where the board takes none, or none was taken for LOST_S."""
+        """Send one frame. Raises LinkError if the board refuses it or none was answered for LOST_S."""
         payload = requests.set_raw_rc(self._layout.on_wire(channels))
         self.began = True
         try:
@@ -185,7 +185,7 @@ class Sender:
             )
 
     def _look(self) -> None:
-        """Raise LinkError where the board is armed without leave: its settings tell another arm switch."""
+        """Raise LinkError if the board is armed without permission: its settings have changed."""
         if self._may_arm or self._clock() - self._looked_at < LOOK_S:
             return
         self._looked_at = self._clock()

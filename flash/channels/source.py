@@ -1,4 +1,4 @@
-"""Where channels come from: a script, a gamepad, a scenario. Each tells them for a moment of its time."""
+"""A source of channels over time: a script, a gamepad, a scenario."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from neuroflight.toolchain.errors import LinkError
 
 
 class Instead(Enum):
-    """What a source tells instead of channels."""
+    """Signals of a source that has no channels to send."""
 
     SILENCE = "nothing is sent, as by a transmitter that is switched off"
     END = "it has told all"
@@ -24,4 +24,4 @@ class Source(Protocol):
     """Channels over time."""
 
     def at(self, elapsed_s: float) -> Channels | Instead:
-        """What the sticks do so long after the begin. Raises SourceLostError; never what was true before."""
+        """Return the channels at that time since the start, never older ones. Raises SourceLostError."""

@@ -11,7 +11,7 @@ from neuroflight.flash.channels.source import Instead
 
 @dataclass(frozen=True)
 class Timeline:
-    """A Source: so long at rest, then armed with the throttle low, then a row each 1 / rate_hz."""
+    """A Source: at rest for a while, then armed with the throttle low, then `rate_hz` rows a second."""
 
     rest: Channels
     lead_s: float  # of rest, in which the receiver comes to be believed

@@ -1,4 +1,4 @@
-"""Who is at the other end of the line, and whether an image may be written there now."""
+"""The board at the other end of the line, and whether an image may be written to it now."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class Board:
 
 
 def read_board(client: Client) -> Board:
-    """Ask the board who it is and how it is. Raises LinkError, one line, for whoever else answers."""
+    """Read a board's identity and state. Raises LinkError if another firmware or nobody answers."""
     api_checked = _check_is_ours(client)
     banks = _banks(client)
     return Board(
@@ -54,7 +54,7 @@ def read_board(client: Client) -> Board:
 
 
 def _check_is_ours(client: Client) -> tuple[str, str]:
-    """Target and version. Raises LinkError for a firmware of another make."""
+    """Return target and version. Raises LinkError for a firmware of another make."""
     try:
         check_api(client)  # first: it closes a command line that another program left open on this port
         payload = client.request(Msp.IDENTITY)
@@ -72,7 +72,7 @@ def _check_is_ours(client: Client) -> tuple[str, str]:
 
 
 def _other_firmware(client: Client) -> str:
-    """What another make of firmware tells about itself."""
+    """Describe a firmware of another make by its own answers."""
     try:
         variant = messages.fc_variant(client.request(Msp.FC_VARIANT))
         version = messages.fc_version(client.request(Msp.FC_VERSION))
@@ -104,7 +104,7 @@ def _banks(client: Client) -> Banks:
 
 
 def check_ready(board: Board) -> None:
-    """Raise LinkError where flash must not be written now."""
+    """Raise LinkError if flash must not be written now."""
     if board.armed:
         raise LinkError(f"{board.port}: the motors are armed, expected a disarmed board; disarm first")
     battery = board.battery

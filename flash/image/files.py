@@ -53,7 +53,7 @@ class Image:
 
     @property
     def sha256(self) -> bytes:
-        """Of the image as it lies in flash."""
+        """SHA-256 of the image as it lies in flash."""
         return hashlib.sha256(self.data).digest()
 
 
@@ -67,7 +67,7 @@ class Policy:
 
     @property
     def sha256(self) -> str:
-        """Of its ONNX file."""
+        """SHA-256 of its ONNX file."""
         return self.header.policy_sha256
 
     @property
@@ -77,11 +77,11 @@ class Policy:
 
     @property
     def build(self) -> bytes:
-        """Of the images that it comes with: no other flies it."""
+        """Build of the images that it comes with; no other image flies it."""
         return self.header.build
 
     def blob(self, sequence: int) -> bytes:
-        """Its bytes with that sequence number."""
+        """Return the policy's bytes with that sequence number."""
         return bound_policy(self.data, self.build, sequence)
 
 
@@ -95,7 +95,7 @@ class ImageFile:
 
     @property
     def build(self) -> bytes:
-        """What names the build, the same in both banks."""
+        """Identity of the build, the same in both banks."""
         return self.images[0].header.build
 
     @property
@@ -104,19 +104,19 @@ class ImageFile:
         return self.images[0].header
 
     def of_bank(self, bank: int) -> Image | None:
-        """The image for that bank; None: the file has none."""
+        """Return the image for that bank, or None."""
         return next((image for image in self.images if image.bank == bank), None)
 
 
 def bank_name(bank: int) -> str:
-    """As people call it."""
+    """Return the name of a bank for messages."""
     return f"bank {'AB'[bank]}" if bank < len(FLASH_BANKS) else f"bank number {bank}"
 
 
 def read_images(path: Path) -> ImageFile:
-    """The images in a file and their policy, each checked: header, size, bank and CRC.
+    """Read the images of a file and their policy, checking header, size, bank and CRC of each.
 
-    Raises ImageError or LinkError, one line, for what is none, and for one of another layout.
+    Raises ImageError or LinkError for a file that is no image or has another layout.
     """
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
@@ -139,9 +139,9 @@ def read_images(path: Path) -> ImageFile:
 
 
 def image_for(file: ImageFile, bank: int) -> tuple[Image, Policy]:
-    """The file's image for that bank and its policy, or those of the same build's .nfi beside it.
+    """Return the file's image for that bank and its policy, or those of the same build's .nfi beside it.
 
-    Raises ImageError where neither is there.
+    Raises ImageError if neither has them.
     """
     if (image := file.of_bank(bank)) is not None and file.policy is not None:
         return image, file.policy
@@ -173,7 +173,7 @@ def _read(path: Path) -> bytes:
 
 
 def _split(path: Path, content: bytes) -> tuple[tuple[Image, ...], bytes]:
-    """The images that lie one behind the other, and what lies behind them."""
+    """Split `content` into the images at its start and the bytes behind them."""
     images: list[Image] = []
     while not images or image_header(content) is not None:
         image = _checked(path, content)
@@ -185,7 +185,7 @@ def _split(path: Path, content: bytes) -> tuple[tuple[Image, ...], bytes]:
 
 
 def _content(segments: Sequence[Segment], region: Region) -> bytes:
-    """What the segments put into a region from its begin on; empty for nothing."""
+    """Return the bytes that the segments put into a region, from its start on."""
     inside = [s for s in segments if region.address <= s.address < region.address + region.size]
     if not inside:
         return b""
@@ -197,7 +197,7 @@ def _content(segments: Sequence[Segment], region: Region) -> bytes:
 
 
 def _of_banks(path: Path, segments: Sequence[Segment]) -> tuple[Image, ...]:
-    """What the segments put into each bank."""
+    """Return the images that the segments put into the banks."""
     images = []
     for bank, region in enumerate(FLASH_BANKS):
         if not (content := _content(segments, region)):
@@ -214,7 +214,7 @@ def _of_banks(path: Path, segments: Sequence[Segment]) -> tuple[Image, ...]:
 
 
 def _checked(path: Path, content: bytes) -> Image:
-    """The image that `content` begins with."""
+    """Check the image at the start of `content`."""
     header = image_header(content)
     if header is None:
         raise ImageError(f"{path}: got no header of a Neuroflight image, expected one; {_MEND}")
@@ -244,7 +244,7 @@ def _checked(path: Path, content: bytes) -> Image:
 
 
 def _policy(path: Path, image: ImageHeader, content: bytes) -> Policy:
-    """The policy that `content` begins with, which that image has to be able to fly."""
+    """Check the policy at the start of `content`, which `image` has to be able to fly."""
     try:
         header, data = policy_for(image, content)
     except ValueError as error:

@@ -16,7 +16,7 @@ from enum import Enum, auto
 
 from neuroflight.flash.client import Client
 from neuroflight.flash.image.files import bank_name
-from neuroflight.flash.image.plan import Plan
+from neuroflight.flash.image.plan import InstallPlan
 from neuroflight.flash.image.settings_kept import Kept, keep_settings, read_settings
 from neuroflight.flash.image.trial import Ending, Trial, await_image
 from neuroflight.flash.image.update import Clock, Progress, patiently, switch, write_image
@@ -28,7 +28,7 @@ from neuroflight.toolchain.errors import LinkError
 
 
 class Stage(Enum):
-    """How far an installation is."""
+    """Stages of an installation, in order."""
 
     BEFORE = auto()
     WRITING = auto()
@@ -40,7 +40,7 @@ class Stage(Enum):
 
 @dataclass(frozen=True)
 class Installed:
-    """How an installation ended."""
+    """The result of an installation."""
 
     trial: Trial
     kept: Kept | None  # None: the new image does not run
@@ -48,18 +48,18 @@ class Installed:
 
 
 class Installation:
-    """Carries out a plan. It owns the client from `run` on."""
+    """The execution of an installation plan. It owns the client from `run` on."""
 
     def __init__(
         self,
         client: Client,
-        plan: Plan,
+        plan: InstallPlan,
         reopen: Callable[[], Transport],
         progress: Progress,
         clock: Clock = time.monotonic,
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
-        """reopen: opens the line again where it goes as the board restarts. clock, sleep: in seconds."""
+        """reopen: opens the line again if it is lost when the board restarts. clock, sleep: in seconds."""
         self.client = client
         self.plan = plan
         self.stage = Stage.BEFORE
@@ -69,7 +69,7 @@ class Installation:
 
     @property
     def consequence(self) -> str:
-        """What it means for the board if nothing more happens, as the end of a sentence."""
+        """Consequence for the board if nothing more happens, as the end of a sentence."""
         new, old = bank_name(self.plan.bank), bank_name(self.plan.board.banks.running)
         match self.stage:
             case Stage.BEFORE:
@@ -99,7 +99,8 @@ class Installation:
                 return "the image was written and decided on; its settings were not compared"
 
     def run(self, settings: Mapping[str, Value], *, reboot: bool = True) -> Installed | None:
-        """All of it; without `reboot` up to the switch, then None. settings: those from before.
+        """Carry out the plan; without `reboot` up to the switch, then return None. settings: those from
+        before.
 
         Raises LinkError, which ends with the consequence.
         """

@@ -17,7 +17,7 @@ _FITS, _NUMBERED, _CONFIRMED, _REJECTED, _INSTALLED = (1 << bit for bit in range
 
 @dataclass(frozen=True)
 class Bank:
-    """What a board tells about the image in one of its banks."""
+    """The state of the image in one of a board's banks."""
 
     fits: bool  # the header is one of an image for this board and bank; else the rest says nothing
     numbered: bool  # it was written whole and chosen
@@ -47,7 +47,7 @@ class Banks:
 
     @property
     def now(self) -> Bank:
-        """What runs."""
+        """The running bank's image."""
         return self.banks[self.running]
 
 
@@ -81,7 +81,7 @@ def _bank(reader: Reader) -> Bank:
 
 
 def image_begun(payload: bytes) -> int:
-    """Decode IMAGE_BEGIN: where to go on from [bytes]."""
+    """Decode IMAGE_BEGIN: the offset at which writing continues [bytes]."""
     (offset,) = Reader(Msp.IMAGE_BEGIN, payload).fields("I")
     return int(offset)
 

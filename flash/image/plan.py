@@ -1,4 +1,4 @@
-"""What installing an image will do to a board: where it and its policy go, how long that takes."""
+"""A plan of what installing an image does to a board: target bank, policy slot, duration."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ BITS_PER_BYTE = 10  # 8N1
 
 
 @dataclass(frozen=True)
-class Plan:
+class InstallPlan:
     """An image that goes to a board's spare bank, and its policy to the slot that is not flown."""
 
     board: Board
@@ -50,12 +50,12 @@ class Plan:
 
     @property
     def slot(self) -> PolicySource:
-        """Where its policy goes."""
+        """The slot that the policy is written to."""
         return swap.target(self.board.policies)
 
     @property
     def bytes(self) -> int:
-        """How many of the image are written."""
+        """Size of the image."""
         return len(self.image.data)
 
     @property
@@ -64,7 +64,7 @@ class Plan:
         return ceil(self.bytes / DATA_BYTES_MAX)
 
     def seconds(self, baud: int | None) -> float:
-        """About how long erasing, writing and the new image's proof take. baud: None for no serial line."""
+        """Estimate the seconds for erasing, writing and starting the image. baud: None if not serial."""
         line_bytes = self.bytes + self.frames * (2 * FRAME_OVERHEAD_MAX + OFFSET_BYTES)
         line_s = 0.0 if baud is None else line_bytes * BITS_PER_BYTE / baud
         write_s = self.bytes / WORD_BYTES * WORD_S + self.frames * FRAME_S
@@ -72,10 +72,10 @@ class Plan:
         return ERASE_S * len(self.sectors) + line_s + write_s + policy_s + START_S
 
 
-def make_plan(board: Board, file: ImageFile, *, keep_policy: bool = False) -> Plan:
-    """The plan for the file's image on that board. keep_policy: it is to fly the policy that the board flies.
+def plan_install(board: Board, file: ImageFile, *, keep_policy: bool = False) -> InstallPlan:
+    """Plan the installation of a file's image on a board. keep_policy: fly the board's present policy.
 
-    Raises ImageError for another board's image, one of no use, and a policy that cannot be kept.
+    Raises ImageError for another board's image, an unusable image, or a policy that cannot be kept.
     """
     if file.header.board != board.target:
         raise ImageError(
@@ -87,7 +87,7 @@ def make_plan(board: Board, file: ImageFile, *, keep_policy: bool = False) -> Pl
         _check_keeps(board, image)
     spare = board.banks.banks[board.banks.spare]
     now = board.banks.now
-    return Plan(
+    return InstallPlan(
         board=board,
         image=image,
         policy=None if keep_policy else policy,

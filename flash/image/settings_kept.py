@@ -19,7 +19,7 @@ from neuroflight.toolchain.files import write_text
 
 @dataclass(frozen=True)
 class Kept:
-    """How the settings came through an update."""
+    """The changes of settings across an update."""
 
     restored: dict[str, Value]  # that the new version read otherwise, and have their values again
     unknown: dict[str, Value]  # that the new version has no more
@@ -28,7 +28,7 @@ class Kept:
 
     @property
     def lines(self) -> list[str]:
-        """What the pilot should know, a sentence each."""
+        """Messages for the pilot, a sentence each."""
         told = []
         if self.restored:
             told.append(f"put back as they were: {', '.join(self.restored)}")
@@ -43,12 +43,12 @@ class Kept:
 
 
 def read_settings(client: Client) -> dict[str, Value]:
-    """All settings, as they are stored or were changed since. Raises LinkError."""
+    """Read all settings, as stored or changed since. Raises LinkError."""
     return {stored.name: stored.value for stored in Settings(client).read()}
 
 
 def write_backup(path: Path, target: str, version: str, values: Mapping[str, Value]) -> None:
-    """Write them as `neuroflight msp dump` does. Raises OSError."""
+    """Write settings in the format of `neuroflight msp dump`. Raises OSError."""
     head = f"# dump of {target} {version}: neuroflight msp --port PORT restore FILE"
     lines = [head, *(set_line(name, value) for name, value in in_order(values).items())]
     write_text(path, "\n".join(lines) + "\n")

@@ -25,7 +25,7 @@ POLL_S = 0.1
 
 
 class Ending(Enum):
-    """How a trial ended."""
+    """Outcomes of a trial."""
 
     KEPT = auto()  # the new image runs and has proven itself
     POLICY_BAD = auto()  # likewise, but its policy failed the self-test: motors stay stopped
@@ -36,7 +36,7 @@ class Ending(Enum):
 
 @dataclass(frozen=True)
 class Trial:
-    """What runs after the restart, and how that came."""
+    """The image that runs after the restart, and the outcome of its trial."""
 
     ending: Ending
     why: str  # one sentence for the pilot
@@ -117,7 +117,7 @@ def _judge(client: Client, image: Image, banks: Banks, clock: Clock) -> Trial:
 
 
 def _failure(client: Client, banks: Banks, bank: int) -> str:
-    """Why the image in that bank does not run, as far as the board tells."""
+    """Explain why the image in that bank does not run, as far as the board tells."""
     tried = banks.banks[bank]
     fault = records.faults(client.request(Msp.FAULTS)).pending
     why = f"; the last fault logged: {FAULTS[fault.kind.name]}, see `neuroflight msp faults`" if fault else ""

@@ -38,8 +38,8 @@ Reply = TypeVar("Reply")
 
 
 def patiently(client: Client, ask: Callable[[], Reply], clock: Clock) -> Reply:
-    """What `ask` returns, asked again while nobody answers. No reply to an earlier request can be taken for
-    its own. Raises LinkError after PATIENCE_S of silence."""
+    """Repeat `ask` while nobody answers and return its result. Late replies to earlier requests are discarded
+    first. Raises LinkError after PATIENCE_S of silence."""
     deadline = clock() + PATIENCE_S
     while True:
         try:
@@ -70,7 +70,7 @@ def write_image(client: Client, image: Image, progress: Progress, clock: Clock) 
 
 
 def _send(client: Client, image: Image, progress: Progress, clock: Clock) -> None:
-    """All of the image's bytes, in order."""
+    """Write all bytes of the image, in order."""
     size = len(image.data)
     at, moved = _begin(client, image, progress, clock), clock()
     while at < size:
@@ -87,7 +87,7 @@ def _send(client: Client, image: Image, progress: Progress, clock: Clock) -> Non
 
 
 def _begin(client: Client, image: Image, progress: Progress, clock: Clock) -> int:
-    """Where to go on from [bytes]."""
+    """Begin or resume the update; returns the offset to continue from [bytes]."""
 
     def ask() -> int:
         try:
@@ -134,7 +134,7 @@ def _check(client: Client, image: Image, clock: Clock) -> None:
 
 
 def hash_of(client: Client, bank: int, clock: Clock) -> bytes:
-    """The SHA-256 of a bank's image, as the board reads it from flash. Raises LinkError."""
+    """Return the SHA-256 of a bank's image, which the board computes from flash. Raises LinkError."""
 
     def ask() -> bytes:
         return image_hashed(client.request(Msp.IMAGE_HASH, image_hash(bank), timeout=FLASH_TIMEOUT_S))

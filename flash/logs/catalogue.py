@@ -1,4 +1,4 @@
-"""Which logs a firmware keeps; erasing them."""
+"""The list of logs that a firmware keeps; erasing them."""
 
 from __future__ import annotations
 
@@ -31,14 +31,14 @@ Reply = TypeVar("Reply")
 
 @dataclass(frozen=True)
 class Wait:
-    """Time, where the device takes a while."""
+    """Clock and sleep, for waiting while the device is busy."""
 
     clock: Callable[[], float]  # seconds, never going back
     sleep: Callable[[float], None]
 
 
 def read_info(client: Client) -> LogInfo:
-    """How the blackbox is doing. Raises LinkError for a firmware without one."""
+    """Read the blackbox's state. Raises LinkError for a firmware without one."""
     try:
         return log_info(client.request(Msp.LOG_INFO))
     except RefusedError as error:
@@ -46,7 +46,7 @@ def read_info(client: Client) -> LogInfo:
 
 
 def settled_info(client: Client, wait: Wait) -> LogInfo:
-    """The same, once the device has been looked at, as a card after power-up. Raises LinkError."""
+    """Read the blackbox's state once its device is ready, a while after power-up. Raises LinkError."""
     deadline = wait.clock() + STARTING_S
     while wait.clock() < deadline:
         info = read_info(client)
@@ -57,7 +57,7 @@ def settled_info(client: Client, wait: Wait) -> LogInfo:
 
 
 def read_entries(client: Client, info: LogInfo, wait: Wait) -> list[LogEntry]:
-    """The logs that can be read. Raises LinkError of one line that says why they cannot be."""
+    """Read the list of logs. Raises LinkError with the reason if they cannot be read."""
     check_readable(client, info)
     return [_read_entry(client, index, wait) for index in range(info.logs)]
 
@@ -67,7 +67,7 @@ def _read_entry(client: Client, index: int, wait: Wait) -> LogEntry:
 
 
 def check_readable(client: Client, info: LogInfo) -> None:
-    """Raise LinkError where logs cannot be read now."""
+    """Raise LinkError if logs cannot be read now."""
     if info.logging:
         raise LinkError(
             f"{client.name}: a log is being written, expected none; disarm, or end the mode BLACKBOX, first"
@@ -94,7 +94,7 @@ def _entry(client: Client, index: int) -> LogEntry | None:
 def _patiently(
     client: Client, ask: Callable[[], Reply | None], patience: float, wait: Wait, what: str
 ) -> Reply:
-    """What `ask` tells at last; None: not yet. Raises LinkError."""
+    """Repeat `ask` until it returns something other than None. Raises LinkError after `patience`."""
     deadline = wait.clock() + patience
     while True:
         try:
@@ -111,7 +111,7 @@ def _patiently(
 
 
 def refusal_words(client: Client, error: RefusedError) -> LinkError:
-    """Why the firmware refuses a request about logs."""
+    """Return the error for a refused request about logs, with how to mend it."""
     words = {
         Refusal.ARMED: "the motors are armed or under test: disarm, then try again",
         Refusal.ORDER: "a log is being written, expected none: disarm, or end the mode BLACKBOX, first",
@@ -126,6 +126,6 @@ def refusal_words(client: Client, error: RefusedError) -> LinkError:
 
 
 def state_words(info: LogInfo) -> str:
-    """What the device does, and what is wrong with it."""
+    """Describe the state of the log device and its error."""
     told = STATES[info.state]
     return told if info.error is LogError.NONE else f"{told}; {ERRORS[info.error]}"

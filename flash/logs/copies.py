@@ -1,4 +1,4 @@
-"""Files of logs on this computer: which of them hold a log that the firmware keeps."""
+"""Finding files on this computer that hold a log of the firmware."""
 
 from __future__ import annotations
 
@@ -15,9 +15,10 @@ SAME_NAMES_MAX = 1000
 
 
 def same_so_far(client: Client, log: LogEntry, path: Path, clock: Callable[[], float]) -> bool:
-    """Whether `path` holds the first bytes of `log`, whose both ends are compared.
+    """Return True if `path` holds the first bytes of `log`; both ends of the file are compared.
 
-    Raises LinkError, OSError."""
+    Raises LinkError, OSError.
+    """
     size = path.stat().st_size
     if not 0 < size <= log.bytes:
         return False
@@ -31,7 +32,7 @@ def same_so_far(client: Client, log: LogEntry, path: Path, clock: Callable[[], f
 
 
 def find_copy(client: Client, log: LogEntry, folder: Path, clock: Callable[[], float]) -> Path | None:
-    """The file of `folder` that holds the whole of `log`, None: there is none. Raises LinkError, OSError."""
+    """Return the file of `folder` that holds the whole of `log`, or None. Raises LinkError, OSError."""
     for path in sorted(folder.iterdir()) if folder.is_dir() else []:
         if path.is_file() and path.stat().st_size == log.bytes and same_so_far(client, log, path, clock):
             return path
@@ -39,7 +40,7 @@ def find_copy(client: Client, log: LogEntry, folder: Path, clock: Callable[[], f
 
 
 def take_name(part: Path, folder: Path, name: str) -> Path:
-    """Give the whole file `part` its name in `folder`, or the next one that is free: LOG00001-2.BBL."""
+    """Rename the complete file `part` to its name in `folder`, or the next free one: LOG00001-2.BBL."""
     first = Path(name)
     for number in range(1, SAME_NAMES_MAX):
         path = folder / (name if number == 1 else f"{first.stem}-{number}{first.suffix}")

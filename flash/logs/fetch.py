@@ -1,4 +1,4 @@
-"""A log from the firmware into a file, which goes on where a pulled cable ended it."""
+"""Fetching a log into a file; an interrupted transfer is continued."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ class Fetched:
 def fetch(
     client: Client, log: LogEntry, folder: Path, clock: Callable[[], float], progress: Progress
 ) -> Fetched:
-    """Get `log` into `folder`, where no other file is changed. Raises LinkError, OSError; what has come by
-    then stays in NAME.part."""
+    """Fetch `log` into `folder`; no other file is changed. Raises LinkError, OSError; bytes received before
+    that stay in NAME.part."""
     if not NAME.fullmatch(log.name):
         raise LinkError(f"{client.name}: log {log.number} is called {log.name!r}, expected an 8.3 name")
     folder.mkdir(parents=True, exist_ok=True)

@@ -1,4 +1,4 @@
-"""What LOG_INFO, LOG_ENTRY, LOG_READ and LOG_ERASE say, and what states and errors mean in words."""
+"""The messages LOG_INFO, LOG_ENTRY, LOG_READ and LOG_ERASE; states and errors in words."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ ERRORS = {
 
 @dataclass(frozen=True)
 class LogInfo:
-    """How the blackbox is doing."""
+    """The state of the blackbox."""
 
     device: LogDevice  # as set
     state: LogState
@@ -75,13 +75,13 @@ class LogEntry:
 
     @property
     def number(self) -> int:
-        """As users count: from 1."""
+        """Number as users count, from 1."""
         return self.index + 1
 
 
 @dataclass(frozen=True)
 class Block:
-    """Bytes of a log; `data` None: they are under way, ask again."""
+    """Bytes of a log; `data` None: not read yet, ask again."""
 
     index: int
     offset: int
@@ -129,6 +129,6 @@ def erase_request() -> bytes:
 
 
 def erased(payload: bytes) -> bool:
-    """Decode LOG_ERASE: whether it is done; else ask again. Raises LinkError."""
+    """Decode LOG_ERASE: True once it is done, otherwise ask again. Raises LinkError."""
     (later,) = Reader(Msp.LOG_ERASE, payload).fields("B")
     return not later

@@ -29,7 +29,7 @@ PATIENCE_S = 15.0  # without a new byte: a card that stalls takes half a second
 
 
 class LogReader:
-    """Reads one log from `start` on, in order, as far as `end` [bytes]."""
+    """A reader of one log from `start` to `end` [bytes], in order."""
 
     def __init__(
         self,
@@ -57,16 +57,16 @@ class LogReader:
 
     @property
     def at(self) -> int:
-        """Where the next bytes stand in the log."""
+        """Offset of the next bytes in the log."""
         return self._at
 
     def limit(self, window: int) -> None:
-        """Have at most so many requests on their way: the answers to others wait behind theirs."""
+        """Limit the number of pending requests, because answers to other requests wait behind theirs."""
         self._limit = window
         self._window = min(self._window, window)
 
     def read(self, timeout: float = SILENCE_S) -> bytes:
-        """The next bytes, as many as are there by now; b"" at the end, and where none came in `timeout` [s].
+        """Read the bytes that have arrived; b"" at the end or if none came in `timeout` [s].
 
         Raises LinkError where nothing came for PATIENCE_S, RefusedError where the firmware refuses.
         """
@@ -113,7 +113,7 @@ class LogReader:
             self._client.post(Msp.LOG_READ, read_request(self._index, *wanted))
 
     def _take(self, payload: bytes) -> None:
-        """A reply: of the bytes asked for, those before them were lost on the line."""
+        """Take a reply: requests sent before the one it answers were lost on the line."""
         block = log_block(payload)
         place = next((k for k, (offset, _) in enumerate(self._under_way) if offset == block.offset), None)
         if block.index != self._index or place is None:
@@ -148,7 +148,7 @@ class LogReader:
             heappush(self._again, one)
 
     def _prepare(self, sector: int) -> None:
-        """Have a sector read while the bytes of the one before are on the line."""
+        """Request a sector in advance while the bytes of the one before are on the line."""
         place = sector * SECTOR + 1  # from where no other request asks: the answer is passed over
         asked = not self._again and self._asked >= sector * SECTOR  # all of the sector before
         if self._one_sector and asked and sector > self._prepared and place < self._end:
@@ -166,7 +166,7 @@ class LogReader:
         return min(self._limit, self._in_sector) if self._one_sector else self._limit
 
     def _in_order(self) -> bytes:
-        """What has arrived without a gap."""
+        """Return the bytes that have arrived without a gap."""
         parts = []
         while (data := self._arrived.pop(self._at, None)) is not None:
             parts.append(data)
@@ -175,7 +175,7 @@ class LogReader:
 
 
 def read_bytes(client: Client, index: int, offset: int, count: int, clock: Callable[[], float]) -> bytes:
-    """`count` bytes of a log, which has so many there. Raises LinkError."""
+    """Read `count` bytes of a log that is long enough. Raises LinkError."""
     reader = LogReader(client, index, offset, offset + count, clock)
     parts = []
     while reader.at < offset + count:

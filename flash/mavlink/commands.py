@@ -37,13 +37,13 @@ class Request:
     source: Source
 
     def whole(self, number: int, low: int, high: int) -> int | None:
-        """Parameter `number`, from 1, if it is a whole number within low..high, else None."""
+        """Return parameter `number`, from 1, if it is a whole number within low..high, otherwise None."""
         value = self.params[number - 1]
         return int(value) if low <= value <= high and value == int(value) else None
 
 
 class Actions(Protocol):
-    """What commands can do; each returns a MAV_RESULT."""
+    """Actions that commands trigger; each returns a MAV_RESULT."""
 
     def send_once(self, message: int) -> int: ...
     def tell_capabilities(self, source: Source) -> int: ...
@@ -57,13 +57,13 @@ class Actions(Protocol):
 
 
 def read_request(message: Any, source: Source) -> Request:  # noqa: ANN401 - pymavlink's are untyped
-    """The request that COMMAND_LONG or COMMAND_INT is."""
+    """Read the request in a COMMAND_LONG or COMMAND_INT."""
     params = message.param1, message.param2, message.param3, message.param4
     return Request(int(message.command), params, source)
 
 
 def acknowledgement(request: Request, result: int) -> Any:  # noqa: ANN401
-    """COMMAND_ACK for who gave the command."""
+    """Return COMMAND_ACK to the sender of the command."""
     _, system, component = request.source
     return mavlink.MAVLink_command_ack_message(
         request.command, result, target_system=system, target_component=component
@@ -71,7 +71,7 @@ def acknowledgement(request: Request, result: int) -> Any:  # noqa: ANN401
 
 
 def carry_out(request: Request, actions: Actions) -> int:
-    """The MAV_RESULT of a command; unknown ones are UNSUPPORTED, impossible parameters DENIED."""
+    """Execute a command and return its MAV_RESULT: UNSUPPORTED, or DENIED for impossible parameters."""
     handler = COMMANDS.get(request.command)
     return handler(request, actions) if handler is not None else int(UNSUPPORTED)
 

@@ -1,5 +1,5 @@
-"""Tells by a client's messages which custom it follows: MAVLink leaves open how parameters hold whole numbers
-and what the numbers of modes mean, and PX4's clients and ArduPilot's take them differently.
+"""Detection of each client's custom: MAVLink leaves open how parameters hold whole numbers and what the
+numbers of modes mean, and PX4's clients and ArduPilot's differ.
 
 A client that asks for AUTOPILOT_VERSION by MAV_CMD_REQUEST_MESSAGE before it asks for parameters (MAVSDK,
 QGroundControl) is told there that whole numbers stand in bytes. Others take the field for a float; some ask

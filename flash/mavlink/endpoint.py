@@ -23,7 +23,7 @@ class Peer(Protocol):
     """One ground station or companion."""
 
     def receive(self) -> bytes | None:
-        """The next packet that has come, None: none is there. Never waits."""
+        """Return the next packet that has arrived, or None. Never waits."""
 
     def send(self, packet: bytes) -> None:
         """Send a packet; it is lost where nobody listens."""
@@ -31,7 +31,7 @@ class Peer(Protocol):
 
 @dataclass(frozen=True)
 class Address:
-    """Where a peer listens; numbers only."""
+    """The address that a peer listens at; numbers only."""
 
     family: socket.AddressFamily
     host: str
@@ -39,7 +39,7 @@ class Address:
 
     @property
     def loopback(self) -> bool:
-        """Whether only this computer can be there."""
+        """True if only this computer can have the address."""
         return ipaddress.ip_address(self.host.partition("%")[0]).is_loopback
 
 
@@ -69,7 +69,7 @@ def parse_address(text: str, *, remote: bool = False) -> Address:
 
 
 def _open(address: Address) -> socket.socket:
-    """A socket that talks to address only and never waits. Raises LinkError."""
+    """Open a non-blocking socket to `address` alone. Raises LinkError."""
     opened = socket.socket(address.family, socket.SOCK_DGRAM)
     try:
         opened.connect((address.host, address.port))
@@ -88,7 +88,7 @@ class UdpPeer:
     """A socket that talks to one address and hears no other."""
 
     def __init__(self, address: Address) -> None:
-        """Raises LinkError where the system has no way there."""
+        """Open the socket. Raises LinkError if the system has no route to the address."""
         self._socket = _open(address)
         if self._socket.getsockname() == self._socket.getpeername():
             # While nobody listens there, the system may give a socket the very port it is to send to. It
@@ -98,7 +98,7 @@ class UdpPeer:
                 self._socket = _open(address)
 
     def fileno(self) -> int:
-        """For select."""
+        """Return the descriptor, for select."""
         return self._socket.fileno()
 
     def receive(self) -> bytes | None:
@@ -118,7 +118,7 @@ class UdpPeer:
             self._socket.send(packet)
 
     def close(self) -> None:
-        """May be called twice."""
+        """Close the socket; may be called twice."""
         self._socket.close()
 
 
@@ -135,7 +135,7 @@ class Wire:
         self._encoder.seq = (self._encoder.seq + 1) % 256
 
     def messages(self, packets_max: int) -> Iterator[Any]:
-        """The messages of what has come, of so many packets at most; what is none is passed over."""
+        """Yield the messages of packets that have arrived, `packets_max` at most, skipping other bytes."""
         for _ in range(packets_max):
             packet = self.peer.receive()
             if packet is None:
@@ -144,8 +144,8 @@ class Wire:
 
 
 def parse(packet: bytes) -> Iterator[Any]:
-    """The MAVLink messages of a packet. Whatever else it holds is passed over: a frame that is cut short does
-    not reach into the next packet."""
+    """Yield the MAVLink messages of a packet. Other bytes are skipped; a frame cut short does not reach into
+    the next packet."""
     parser = mavlink.MAVLink(None)
     parser.robust_parsing = True
     waiting = packet

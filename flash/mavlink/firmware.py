@@ -1,4 +1,4 @@
-"""The firmware behind the gateway: who it is, what it told last, and channels to it."""
+"""The firmware behind the gateway: its identity, its last state, and channels to it."""
 
 from __future__ import annotations
 
@@ -72,16 +72,16 @@ class Firmware:
 
     @cached_property
     def sticks(self) -> Sticks:
-        """What channels mean. Raises LinkError where its settings leave that open."""
+        """Meaning of the channels. Raises LinkError if the settings leave that open."""
         return sticks_of(self._values)
 
     @property
     def hears_msp(self) -> bool:
-        """Whether it takes channels over MSP, as its settings say."""
+        """True if its settings make it take channels over MSP."""
         return value_text(receiver.SETTING, self._values[receiver.SETTING]) == receiver.MSP
 
     def not_listening(self) -> LinkError:
-        """The error where it does not."""
+        """Return the error for a firmware that takes no channels over MSP."""
         return receiver.not_listening(self._client.name, self._values.__getitem__)
 
     def close(self) -> None:
@@ -89,22 +89,22 @@ class Firmware:
         self._stream.stop()
 
     def ask_over(self, client: Client) -> None:
-        """Ask over another line from now on, to see whether it answers before all is read anew."""
+        """Send requests over another line from now on, to see whether the firmware answers there."""
         self._client = client
 
     def ask(self, command: Msp, payload: bytes = b"") -> bytes:
-        """Ask once, without repeating; brings `sample` up to date as well."""
+        """Send a request once, without retries; updates `sample` as well."""
         answer = self._client.request(command, payload, timeout=ASK_S, retries=0)
         self._take_samples()
         return answer
 
     def look(self) -> None:
-        """Bring `safety` and `status` up to date."""
+        """Update `safety` and `status`."""
         self.safety: Safety = records.safety(self.ask(Msp.SAFETY))
         self.status: StatusEx = messages.status_ex(self.ask(Msp.STATUS_EX))
 
     def _take_samples(self) -> None:
-        """The last one that came beside the answers so far."""
+        """Take the last sample that arrived with the answers so far."""
         while (payload := self._client.receive(Msp.STREAM_SAMPLE, 0.0)) is not None:
             first, self.sample = self.sample is None, decode_sample(payload)
             now = self._clock()
@@ -114,7 +114,7 @@ class Firmware:
                 self._started, self._seen = started, now
 
     def look_further(self) -> None:
-        """Bring `battery` and `fault` up to date; `restarted` says whether it is another start by now."""
+        """Update `battery` and `fault`; `restarted` becomes True if the firmware has started again."""
         self.battery: BatteryState = messages.battery_state(self.ask(Msp.BATTERY_STATE))
         faults = records.faults(self.ask(Msp.FAULTS))
         self.fault = faults.pending.kind if faults.pending is not None else None
@@ -122,12 +122,12 @@ class Firmware:
 
     @property
     def armed(self) -> bool:
-        """Whether the motors may turn."""
+        """True if the motors may turn."""
         return self.status.status.armed
 
     @property
     def condition(self) -> Condition:
-        """What changes are told of."""
+        """The state whose changes are announced."""
         return Condition(self.safety, self.armed, self.battery.level, self.fault)
 
     @property
@@ -154,30 +154,30 @@ class Firmware:
             self._stream.begin()
 
     def attitude(self) -> Attitude:
-        """Ask for it."""
+        """Read the attitude."""
         return messages.attitude(self.ask(Msp.ATTITUDE))
 
     def inertial(self) -> Inertial:
-        """Ask for the accelerometer; the gyro's are those of `sample`."""
+        """Read the accelerometer; the rates are those of `sample`."""
         told = messages.raw_imu(self.ask(Msp.RAW_IMU))
         force_g = tuple(count / self._counts_per_g for count in told.acceleration)
         return Inertial(self.gyro, force_g, self.safety.temperature_deg_c)
 
     def channels(self) -> tuple[int, ...]:
-        """Ask for what the receiver hears [us], in the order of MSP's RC."""
+        """Read the receiver's channels [us], in the order of MSP's RC."""
         return messages.rc(self.ask(Msp.RC))
 
     def motors(self) -> tuple[int, ...]:
-        """Ask for the motors' outputs [us]."""
+        """Read the motors' outputs [us]."""
         return messages.motor(self.ask(Msp.MOTOR))
 
     def reboot(self) -> None:
-        """Ask it to start anew. Raises RefusedError; an answer need not come, and the line may go with it."""
+        """Restart the firmware. Raises RefusedError; the answer or the line may be lost."""
         with contextlib.suppress(NoAnswerError, LineGoneError):
             self.ask(Msp.REBOOT)
 
     def value(self, parameter: Parameter) -> Value:
-        """What a parameter is now."""
+        """Read the present value of a parameter."""
         index = requests.setting_index(parameter.number)
         return requests.setting_value(self.ask(Msp.SETTING_GET, index))
 

@@ -11,13 +11,13 @@ Quaternion = tuple[float, float, float, float]  # w x y z
 
 
 def swap_frame(vector: Vector) -> Vector:
-    """A vector or rate in the one frame, given in the other: half a turn about the common x."""
+    """Convert a vector or rate between the two frames: half a turn about the common x."""
     x, y, z = vector
     return x, -y, -z
 
 
 def euler_frd(attitude: Attitude) -> Vector:
-    """Roll right +, pitch nose up +, yaw right + within +-pi [rad]: MAVLink's Euler angles."""
+    """Return roll right +, pitch nose up +, yaw right + within +-pi [rad], MAVLink's Euler angles."""
     yaw_deg = (attitude.heading_deg + 180.0) % 360.0 - 180.0
     return math.radians(attitude.roll_deg), math.radians(-attitude.pitch_deg), math.radians(yaw_deg)
 

@@ -1,4 +1,4 @@
-"""All peers together: who sent what, texts and messages for everybody, answers for one."""
+"""The ground: all peers together, with messages for all of them and answers to one."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Ground:
         clock: Callable[[], float],
         say: Callable[[str], None],
     ) -> None:
-        """system: MAVLink's id of the aircraft. say: gets each text that goes to the peers."""
+        """system: MAVLink's id of the aircraft. say: called with each text sent to the peers."""
         self._wires = [Wire(peer, system) for peer in peers]
         self._system, self._clock, self._say = system, clock, say
         self._texts = 0
@@ -36,7 +36,7 @@ class Ground:
         self._refused: dict[str, float] = {}  # lines of the last second, and when
 
     def heard(self) -> Iterator[tuple[Source, Any]]:
-        """Messages that have come for this aircraft or for everybody, and who sent them."""
+        """Yield the messages addressed to this aircraft or to all, each with its sender."""
         for index, wire in enumerate(self._wires):
             for message in wire.messages(PACKETS_MAX):
                 source = (index, message.get_srcSystem(), message.get_srcComponent())
@@ -49,34 +49,34 @@ class Ground:
         return system in (EVERYBODY, self._system) and component in (EVERYBODY, COMPONENT)
 
     def broadcast(self, message: Any) -> None:  # noqa: ANN401
-        """Send to all."""
+        """Send a message to all."""
         self.broadcast_each(lambda _: message)
 
     def broadcast_each(self, message: Callable[[int], Any]) -> None:
-        """Send to all what `message` makes for each, by its number."""
+        """Send to each peer the message that `message` returns for its number."""
         for index, wire in enumerate(self._wires):
             wire.send(message(index))
 
     def answer(self, source: Source, message: Any) -> None:  # noqa: ANN401
-        """Send to the peer of `source`."""
+        """Send a message to the peer of `source`."""
         self._wires[source[0]].send(message)
 
     def tell(self, severity: int, line: str) -> None:
-        """A text for all."""
+        """Send a text to all."""
         self._texts = self._texts % 0xFFFF + 1
         for message in status_texts(Text(severity, line), self._texts):
             self.broadcast(message)
         self._say(line)
 
     def complain(self, line: str) -> None:
-        """A text about what a peer sends again and again: one a second at most."""
+        """Send a warning about a repeated message of a peer, at most one a second."""
         if self._clock() >= self._complained + COMPLAINT_PERIOD_S:
             self._complained = self._clock()
             self.tell(mavlink.MAV_SEVERITY_WARNING, line)
 
     def refuse(self, line: str) -> None:
-        """Why something is not done: each line once a second, and so many lines in one. A peer may ask in a
-        flood that none of the others should hear."""
+        """Send the reason for a refusal: each text once a second and REFUSALS_MAX texts at most, so that a
+        peer that floods the gateway does not flood the others."""
         now = self._clock()
         self._refused = {told: at for told, at in self._refused.items() if now < at + COMPLAINT_PERIOD_S}
         if line not in self._refused and len(self._refused) < REFUSALS_MAX:

@@ -49,7 +49,7 @@ class Transfer:
 
 
 class LogServer:
-    """Answers for one firmware."""
+    """A server of log downloads from one firmware."""
 
     def __init__(self, client: Client, ground: Ground, clock: Callable[[], float]) -> None:
         self._client, self._ground, self._clock = client, ground, clock
@@ -63,11 +63,11 @@ class LogServer:
 
     @property
     def due(self) -> float | None:
-        """When there is something to do [s]; None: nothing."""
+        """Time of the next task [s]; None: there is none."""
         return self._due if self._listing or self._transfer is not None else None
 
     def handle(self, source: Source, message: Any) -> None:  # noqa: ANN401 - pymavlink's are untyped
-        """One of MESSAGES. Raises NoAnswerError, LinkError once the line is gone."""
+        """Handle one of MESSAGES. Raises NoAnswerError, and LinkError once the line is lost."""
         kind = message.get_type()
         if kind == "LOG_ERASE":
             self._ground.complain(
@@ -101,7 +101,7 @@ class LogServer:
             self._give_up(error)
 
     def _take_turn(self, source: Source) -> bool:
-        """Whether it is this peer's turn."""
+        """Return True if it is this peer's turn."""
         now = self._clock()
         if self._peer not in (None, source) and now < self._asked + HELD_S:
             return False
@@ -121,7 +121,7 @@ class LogServer:
 
     # --- The list --------------------------------------------------------------------------------------
     def _list(self, first: int, last: int) -> None:
-        """Both are told; where there is nothing to tell, that is told."""
+        """Announce the logs `first` to `last`, or that there are none."""
         self._entries.clear()
         self._transfer, self._count = None, 0
         try:
@@ -147,7 +147,7 @@ class LogServer:
         )
 
     def _entry(self, index: int) -> LogEntry | None:
-        """A log's name and size, None: ask again."""
+        """Read a log's name and size; None: ask again."""
         if index not in self._entries:
             told = log_entry(self._client.request(Msp.LOG_ENTRY, entry_request(index)))
             if told is None:
@@ -157,7 +157,7 @@ class LogServer:
 
     # --- The bytes -------------------------------------------------------------------------------------
     def _send(self, transfer: Transfer, *, steered: bool) -> None:
-        """The next packets of a transfer."""
+        """Send the next packets of a transfer."""
         if transfer.reader is None:
             entry = self._entry(transfer.index)
             if entry is None:
@@ -180,7 +180,7 @@ class LogServer:
             self._transfer = None
 
     def _read(self, transfer: Transfer, reader: LogReader, *, steered: bool) -> None:
-        """What comes within a turn; how much that is tells what the line bears."""
+        """Read the bytes that arrive within a turn; their number shows the line's speed."""
         now = self._clock()
         reader.limit(1 if steered else transfer.window)
         while len(transfer.bytes) < TURN_PACKETS * PACKET_BYTES and self._clock() < now + WAIT_S:

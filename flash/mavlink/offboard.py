@@ -1,7 +1,7 @@
-"""Who steers over MAVLink, and until when: the interlocks between a companion's wishes and SET_RAW_RC.
+"""The interlocks between a companion's setpoints over MAVLink and SET_RAW_RC.
 
-Nothing is sent before a companion whose setpoints already come enables it, and nothing after its setpoints
-have stayed away for the time-out: then the firmware's own failsafe acts. Only enabling anew goes on.
+Nothing is sent before a companion whose setpoints already come enables it, and nothing once its setpoints
+have been missing for the timeout: then the firmware's own failsafe acts. Only enabling again resumes.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class Setpoint:
 
 @dataclass(frozen=True)
 class Told:
-    """What is to be sent now."""
+    """The channels that are to be sent now."""
 
     channels_us: Mapping[int, int]
     armed: bool
@@ -60,7 +60,7 @@ class Offboard:
         self._off_until = 0.0
 
     def hear(self, source: Source, setpoint: Setpoint, now: float) -> None:
-        """A good setpoint came."""
+        """Record a valid setpoint."""
         self._heard.pop(source, None)
         self._heard[source] = now, setpoint
         while len(self._heard) > SOURCES_MAX:
@@ -68,7 +68,7 @@ class Offboard:
             del self._heard[oldest]
 
     def why_not(self, source: Source, now: float) -> str:
-        """Why `source` may not steer, "" if it may."""
+        """Return the reason why `source` may not steer, "" if it may."""
         if not self.allowed:
             return "start the gateway with --offboard to let a companion steer"
         if self.owner not in (None, source):
@@ -78,7 +78,7 @@ class Offboard:
         return ""
 
     def enable(self, source: Source, now: float, *, armed: bool) -> str:
-        """Let `source` steer; returns why not, "" if it does.
+        """Let `source` steer; return the reason if it may not, "" if it does.
 
         armed: whether the firmware is armed and flies: then its switch stays on.
         """
@@ -92,7 +92,7 @@ class Offboard:
         self.owner, self.armed, self._off_until = None, False, 0.0
 
     def arm(self, source: Source, now: float) -> str:
-        """Put the arm switch on; returns why not, "" if it is on."""
+        """Switch the arm switch on; return the reason if that is refused, "" if it is on."""
         setpoint = self._fresh(source, now)
         if not self.may_arm:
             return "start the gateway with --allow-arm to arm over MAVLink"
@@ -104,7 +104,7 @@ class Offboard:
         return ""
 
     def disarm(self, now: float) -> str:
-        """Put the arm switch off; returns why not, "" if it is off. Anybody may."""
+        """Switch the arm switch off; return the reason if refused, "" if it is off. Any source may."""
         if not self.allowed:
             return "the channels are not ours: use the transmitter"
         self.armed = False
@@ -113,21 +113,21 @@ class Offboard:
         return ""
 
     def expire(self, now: float) -> bool:
-        """Whether the companion has just been silent for the time-out; nothing is sent from now on."""
+        """Return True if the companion has just been silent for the timeout; sending stops then."""
         if self.owner is None or self._fresh(self.owner, now) is not None:
             return False
         self.release()
         return True
 
     def told(self, now: float) -> Told | None:
-        """What is to be sent, None: nothing."""
+        """Return the channels to send now, or None."""
         if self.owner is not None:
             setpoint = self._fresh(self.owner, now)
             return Told(setpoint.channels_us, self.armed) if setpoint is not None else None
         return Told(IDLE, armed=False) if now < self._off_until else None
 
     def beyond(self) -> bool:
-        """Whether who steers asks for more than the sticks can say."""
+        """Return True if the steering companion asks for more than the sticks can express."""
         return self.owner is not None and self.owner in self._heard and self._heard[self.owner][1].beyond
 
     def _fresh(self, source: Source, now: float) -> Setpoint | None:

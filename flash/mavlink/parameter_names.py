@@ -30,8 +30,8 @@ SHORT = {
 
 
 def parameter_name(setting: str) -> str:
-    """The parameter that the setting called `setting` is; a long one that is not in the table, as of a newer
-    firmware, gets the beginning of its name and a checksum of it."""
+    """Return the parameter's name for a setting. A long name that is not in the table, as of a newer
+    firmware, becomes the beginning of its name and a checksum."""
     if len(setting) <= NAME_MAX:
         return setting
     return SHORT.get(setting) or f"{setting[:11]}_{zlib.crc32(setting.encode()) & 0xFFFF:04x}"

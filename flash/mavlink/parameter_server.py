@@ -36,7 +36,7 @@ TYPE_MISMATCH = 7  # MAV_PARAM_ERROR_TYPE_MISMATCH, which pymavlink does not nam
 
 @dataclass(frozen=True)
 class _Answer:
-    """A value that one source asked for."""
+    """A requested value and who asked for it."""
 
     parameter: Parameter
     source: Source
@@ -45,7 +45,7 @@ class _Answer:
 
 
 class ParameterServer:
-    """Answers for one firmware."""
+    """A parameter server for one firmware."""
 
     def __init__(self, firmware: Firmware, ground: Ground, customs: Customs) -> None:
         self._firmware, self._ground, self._customs = firmware, ground, customs
@@ -55,11 +55,11 @@ class ParameterServer:
 
     @property
     def busy(self) -> bool:
-        """Whether values are to be told."""
+        """True if values are waiting to be sent."""
         return bool(self._answers or self._queue)
 
     def tell_one(self) -> None:
-        """Tell the next value. Raises LinkError; it is told again then."""
+        """Send the next value. If LinkError is raised, the value is sent again later."""
         answer = next(iter(self._answers), None)
         parameter = answer.parameter if answer is not None else self._queue[0]
         value = self._firmware.value(parameter)
@@ -80,11 +80,11 @@ class ParameterServer:
         self._ground.broadcast_each(message)
 
     def tell_all(self) -> None:
-        """Tell every value."""
+        """Send every value."""
         self._queue = deque(self._firmware.parameters)
 
     def handle(self, source: Source, message: Any) -> None:  # noqa: ANN401
-        """One of MESSAGES. Raises NoAnswerError, LinkError once the line is gone."""
+        """Handle one of MESSAGES. Raises NoAnswerError, and LinkError once the line is lost."""
         self._readers[source[0]] = source
         self._customs.hear_parameters(source)
         if message.get_type() == "PARAM_REQUEST_LIST":
@@ -112,8 +112,8 @@ class ParameterServer:
         return known[index] if 0 <= index < len(known) else None
 
     def _set(self, source: Source, parameter: Parameter, message: Any) -> bool:  # noqa: ANN401
-        """Set it, or say why not; what it is then is told in either case. Returns whether the value came in
-        bytes: the answer does, too."""
+        """Set a parameter or refuse it, then send its value. Returns whether the value came in bytes: then
+        the answer does, too."""
         field, told = message.param_value, message.param_type
         error = OUT_OF_RANGE
         try:

@@ -45,11 +45,11 @@ class Parameter:
 
 
 class TypeMismatchError(ValueError):
-    """The param_type is none that this parameter can be set with."""
+    """The param_type does not fit this parameter."""
 
 
 def parameter_list(settings: Iterable[SettingInfo]) -> tuple[Parameter, ...]:
-    """The parameters that the settings of a firmware are, in its order."""
+    """Return the parameters of a firmware's settings, in its order."""
     kept = [(number, info) for number, info in enumerate(settings) if info.kind != "text"]
     return tuple(
         Parameter(parameter_name(info.name).upper(), info.name, info.whole, index, number)
@@ -75,7 +75,7 @@ def came_in_bytes(field: float, told: int) -> bool:
 
 
 def decode_value(parameter: Parameter, field: float, told: int) -> float:
-    """The value that a PARAM_SET asks for; its limits are the firmware's business.
+    """Decode the value that a PARAM_SET asks for; the firmware checks its limits.
 
     told: the param_type beside it. Raises ValueError that says what is wrong.
     """

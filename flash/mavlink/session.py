@@ -40,7 +40,7 @@ LINE_S = 60.0  # own choice, for a lost line to come back: a board needs 1 s, a 
 
 @dataclass(frozen=True)
 class Options:
-    """What the user allows."""
+    """The options that the user gave."""
 
     offboard: bool = False
     allow_arm: bool = False
@@ -60,8 +60,8 @@ class Session:
         say: Callable[[str], None] = lambda line: None,
         reopen: Callable[[], Transport] | None = None,
     ) -> None:
-        """client: its line is closed with the session. clock: seconds, never going back. say: gets each text
-        that goes to the peers. reopen: opens the line again where it has gone; None: that ends the session.
+        """client: its line is closed with the session. clock: monotonic [s]. say: called with each text sent
+        to the peers. reopen: opens a lost line again; None: a lost line ends the session.
 
         Raises LinkError where nobody answers, and where offboard is wanted and cannot be.
         """
@@ -91,12 +91,11 @@ class Session:
 
     @property
     def steered(self) -> bool:
-        """Whether a companion steers."""
+        """True if a companion steers."""
         return self._steering.steered
 
     def step(self) -> float:
-        """Do what is due, or a part of it; returns the seconds until something is. Raises LinkError once the
-        line is gone."""
+        """Do the next due task; return the seconds until the next one. Raises LinkError on a lost line."""
         try:
             self._steering.expire()  # before later setpoints are heard that came while the firmware was slow
             for source, message in self._ground.heard():
@@ -136,7 +135,7 @@ class Session:
         return max(0.0, min(times) - now)
 
     def _work(self) -> bool:
-        """Do the first task that is due; returns whether there was one."""
+        """Do the first task that is due; return True if there was one."""
         now = self._clock()
         for task, period in self._periods.items():
             if not period or now < self._due[task]:
@@ -176,11 +175,11 @@ class Session:
 
     @property
     def _late(self) -> bool:
-        """Whether a lost line has not come back within LINE_S."""
+        """True if a lost line has not come back within LINE_S."""
         return self._line_lost is not None and self._clock() >= self._line_lost + LINE_S
 
     def _open_line(self) -> bool:
-        """Open the line again; returns whether it is there. Raises LinkError once it has taken too long."""
+        """Open the line again; return True if it is open. Raises LinkError once that has taken too long."""
         assert self._reopen is not None
         try:
             self._client = Client(self._reopen())
@@ -198,7 +197,7 @@ class Session:
             self._attach()
 
     def _attach(self) -> None:
-        """Read all of the firmware anew once it answers, perhaps after a restart; nobody steers then."""
+        """Read everything again once the firmware answers, perhaps restarted; nobody steers then."""
         self.firmware = Firmware(self._client, self._clock)
         allowed = self._options.offboard and self.firmware.hears_msp
         if allowed:
@@ -321,7 +320,7 @@ class Session:
         return self._steering.disarm(request)
 
     def _attempt(self, action: Callable[[], None]) -> int:
-        """Do it and return the MAV_RESULT; a refusal is told to the peers."""
+        """Execute `action` and return the MAV_RESULT; a refusal is sent to the peers."""
         try:
             action()
         except NoAnswerError:

@@ -1,4 +1,4 @@
-"""Compares the setpoints that a firmware flies with those that its channels were meant to give.
+"""Comparison of the setpoints that a firmware flies with those that the sent channels mean.
 
 They differ where its settings were changed since it started: it flies the old ones until the next start.
 """
@@ -20,7 +20,7 @@ Rates = tuple[float, ...]
 
 
 class SetpointCheck:
-    """What was asked for lately, and whether it is flown."""
+    """The setpoints sent lately, compared with those flown."""
 
     def __init__(self) -> None:
         self.wrong = False  # for good
@@ -29,7 +29,7 @@ class SetpointCheck:
         self._misses = 0
 
     def sent(self, setpoint: Rates, now: float) -> None:
-        """Channels went out that mean `setpoint` [rad/s]."""
+        """Record that channels for `setpoint` [rad/s] were sent."""
         if self._asked and now - self._asked[-1][0] > PAUSE_S:
             self._asked.clear()
         if not self._asked:
@@ -39,8 +39,7 @@ class SetpointCheck:
             self._asked.popleft()
 
     def see(self, sample: Sample, now: float) -> bool:
-        """A sample that is no older than WINDOW_S; returns whether it has just become clear that the
-        setpoints are wrong."""
+        """Check a sample that is no older than WINDOW_S; return True when the setpoints first prove wrong."""
         steered = bool(self._asked) and now - self._asked[-1][0] < PAUSE_S and now - self._since >= WINDOW_S
         if self.wrong or not steered or sample.state not in OBEYED:
             return False
@@ -49,7 +48,7 @@ class SetpointCheck:
         return self.wrong
 
     def _is_asked(self, setpoint: Rates) -> bool:
-        """Whether each axis lies between the least and the most that was asked of it lately."""
+        """Return True if each axis lies within the range asked for lately."""
         for told, *asked in zip(setpoint, *(rates for _, rates in self._asked), strict=True):
             low, high = min(asked), max(asked)
             room = TOLERANCE * (1 + max(abs(low), abs(high)))

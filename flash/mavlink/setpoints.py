@@ -1,4 +1,4 @@
-"""Messages that steer, as channels: body rates, a joystick, channels themselves.
+"""Conversion of steering messages to channels: body rates, a joystick, channels themselves.
 
 Each function returns the setpoint, or raises ValueError that says what is wrong with the message.
 """
@@ -38,7 +38,7 @@ _IGNORED_LATER = (*_IGNORED, 0xFFFE)  # of those behind the eighth
 
 
 def attitude_target(message: Any, sticks: Sticks) -> Setpoint:  # noqa: ANN401 - pymavlink's are untyped
-    """Body rates [rad/s] about forward, right, down, and a thrust 0..1."""
+    """Convert body rates [rad/s] about forward, right, down, and a thrust 0..1."""
     if message.type_mask != _MASK:
         raise ValueError(
             f"SET_ATTITUDE_TARGET has type_mask {message.type_mask}, expected {_MASK}: body rates and thrust"
@@ -52,7 +52,7 @@ def attitude_target(message: Any, sticks: Sticks) -> Setpoint:  # noqa: ANN401 -
 
 
 def manual_control(message: Any, sticks: Sticks) -> Setpoint:  # noqa: ANN401
-    """A joystick: x forward, y right, z thrust, r right: the stick itself, with the curve of its rate."""
+    """Convert a joystick to sticks, whose rate curves apply: x forward, y right, z thrust, r right."""
     axes = {CHANNEL_PITCH: message.x, CHANNEL_ROLL: message.y, CHANNEL_YAW: message.r}
     if not all(abs(value) <= MANUAL_FULL for value in (*axes.values(), message.z)):
         raise ValueError("MANUAL_CONTROL lacks an axis: expected x, y, z, r within 1000")
@@ -62,7 +62,7 @@ def manual_control(message: Any, sticks: Sticks) -> Setpoint:  # noqa: ANN401
 
 
 def channels_override(message: Any, sticks: Sticks) -> Setpoint:  # noqa: ANN401
-    """Channels as they are; the four sticks have to be there, others may."""
+    """Convert channels as they are; the four sticks are required, others optional."""
     channels = {}
     for index, channel in enumerate(ORDER):
         us = getattr(message, f"chan{index + 1}_raw")

@@ -1,4 +1,4 @@
-"""A companion's setpoints on their way to the firmware, and the arm switch beside them."""
+"""The companion's setpoints on their way to the firmware, and the arm switch."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class _Switching:
 
 
 class Steering:
-    """Channels for one firmware."""
+    """The steering of one firmware."""
 
     def __init__(
         self, firmware: Firmware, ground: Ground, offboard: Offboard, clock: Callable[[], float]
@@ -49,7 +49,7 @@ class Steering:
 
     @property
     def steered(self) -> bool:
-        """Whether a companion steers."""
+        """True if a companion steers."""
         return self._offboard.owner is not None
 
     def mode(self, peer: int, others: Callable[[int], int]) -> int:
@@ -65,7 +65,7 @@ class Steering:
 
     @property
     def due(self) -> float | None:
-        """When channels go out next, None: none do."""
+        """Time of the next channels to send [s]; None: none are sent."""
         return self._due if self._offboard.told(self._clock()) is not None else None
 
     def release(self) -> None:
@@ -98,12 +98,15 @@ class Steering:
         self._ground.tell(texts.ERROR, "No channels taken: receiver_protocol msp is not flown yet, reboot")
 
     def _may_switch_on(self) -> bool:
-        """A switch that is moved too early, or was not off for long enough to be heard, arms nothing."""
+        """Return True if the arm switch may be switched on.
+
+        If it moves too early, or was not off long enough for the firmware to see it, it arms nothing.
+        """
         ready = self._offs >= OFF_FRAMES and not self._firmware.safety.arming_flags
         return self._on or ready
 
     def handle(self, source: Source, message: Any) -> None:  # noqa: ANN401 - pymavlink's are untyped
-        """A message of setpoints.STEERING."""
+        """Handle a message of setpoints.STEERING."""
         owner = self._offboard.owner
         if not self._offboard.allowed:
             self._ground.complain("Setpoints are not taken: start the gateway with --offboard")
@@ -123,7 +126,7 @@ class Steering:
                 self._ground.complain("Setpoint beyond full stick: its end is flown")
 
     def look(self) -> None:
-        """The firmware has told of itself: what follows for the arm switch and the setpoints."""
+        """Update the arm switch and the check of setpoints from the firmware's new state."""
         sample, before = self._firmware.sample, self._seen
         self._seen = sample
         if sample is not None and sample is not before and self._check.see(sample, self._clock()):

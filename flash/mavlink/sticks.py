@@ -1,4 +1,4 @@
-"""The way back through the firmware's sticks: which channels make a rate, a thrust and an arm switch.
+"""The inverse of the firmware's sticks: the channels for a rate, a thrust and an arm switch.
 
 `firmware/src/receiver/rates.c` has the curves. A channel is whole microseconds, so the nearest of 1001 rates
 is flown.
@@ -39,7 +39,7 @@ ROUNDING = 1e-6  # relative: so far the firmware's float32 and this float64 may 
 
 @dataclass(frozen=True)
 class Sticks:
-    """What the settings of a firmware make of channels."""
+    """The meaning of channels under a firmware's settings."""
 
     curves: tuple[tuple[float, ...], ...]  # for roll, pitch, yaw: |rate| [rad/s] at 0..500 us off the centre
     wire: tuple[int, ...]  # place in SET_RAW_RC of each channel
@@ -52,8 +52,8 @@ class Sticks:
         return tuple(curve[-1] for curve in self.curves)
 
     def rate_channels(self, rates: tuple[float, float, float]) -> tuple[dict[int, int], bool]:
-        """Channels [us] whose setpoint is nearest to `rates` [rad/s] about the house's axes, and whether a
-        stick's end is nearer to the centre than what was asked for."""
+        """Return the channels [us] whose setpoint is nearest to `rates` [rad/s] about the house's axes, and
+        whether a rate is beyond the end of its stick."""
         channels = {}
         beyond = False
         for curve, channel, sign, rate in zip(self.curves, CHANNELS, SIGNS, rates, strict=True):
@@ -63,7 +63,7 @@ class Sticks:
         return channels, beyond
 
     def setpoint(self, channels_us: Mapping[int, int]) -> tuple[float, ...]:
-        """The rates [rad/s] about the house's axes that the firmware makes of `channels_us`."""
+        """Return the rates [rad/s] about the house's axes that the firmware makes of `channels_us`."""
         return tuple(
             math.copysign(curve[min(abs(offset), HALF_STICK_US)], offset * sign)
             for curve, channel, sign in zip(self.curves, CHANNELS, SIGNS, strict=True)
@@ -71,8 +71,8 @@ class Sticks:
         )
 
     def frame(self, channels_us: Mapping[int, int], *, armed: bool) -> tuple[int, ...]:
-        """SET_RAW_RC's channels in the order of the wire. Channels that are not given are left out, which
-        switches no mode on; those that could arm are left to `armed`, whatever was given."""
+        """Return SET_RAW_RC's channels in wire order. Channels that are not given are sent as untold, which
+        switches no mode on; those that could arm are set by `armed`, whatever was given."""
         told = {channel: us for channel, us in channels_us.items() if channel not in self.arming}
         told |= self.arm if armed else {}
         frame = [CHANNEL_UNTOLD_US] * CHANNEL_COUNT
@@ -82,13 +82,13 @@ class Sticks:
 
 
 def thrust_channel(thrust: float) -> tuple[int, bool]:
-    """The throttle channel [us] of a thrust 0..1, and whether it lay beyond."""
+    """Return the throttle channel [us] for a thrust 0..1, and whether the thrust was out of range."""
     kept = min(max(thrust, 0.0), 1.0)
     return CHANNEL_MIN_US + round(kept * (CHANNEL_MAX_US - CHANNEL_MIN_US)), kept != thrust
 
 
 def nearest(curve: tuple[float, ...], rate: float) -> int:
-    """The smallest way off the centre [us] whose rate is nearest to `rate`, both >= 0."""
+    """Return the smallest stick deflection [us] whose rate is nearest to `rate`, both >= 0."""
     above = bisect_left(curve, rate)
     if above == len(curve):
         return bisect_left(curve, curve[-1])
@@ -98,8 +98,7 @@ def nearest(curve: tuple[float, ...], rate: float) -> int:
 
 
 def sticks_of(settings: Mapping[str, Value]) -> Sticks:
-    """What `settings`, by name, make of channels. Raises LinkError where their map or their arm switch is
-    none."""
+    """Derive the meaning of channels from `settings`. Raises LinkError for an invalid map or arm switch."""
     layout = read_layout(settings.__getitem__)
     return Sticks(
         curves=tuple(_curve(settings, axis) for axis in AXES),
@@ -135,8 +134,8 @@ def _channel(found: ModeRange) -> int:
 
 
 def _arm_channels(ranges: Sequence[ModeRange]) -> dict[int, int]:
-    """Of the ranges of ARM the first that is enough alone, else all those that must hold together; a value
-    in the middle of each."""
+    """Return the channels [us] that arm: the middle of the first range that suffices alone, otherwise of all
+    ranges that must hold together."""
     alone = [found for found in ranges if not found.and_others][:1]
     spans: dict[int, tuple[int, int]] = {}
     for found in alone or ranges:

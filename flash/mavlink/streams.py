@@ -29,7 +29,7 @@ SAMPLED = (ATTITUDE, mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION, *telemetry.IMU)
 
 
 def streamed(number: int, fw: Firmware) -> Any:  # noqa: ANN401 - pymavlink's are untyped
-    """Ask the firmware what the message of that number tells, and return it; for those of DEFAULT_HZ."""
+    """Ask the firmware for the content of a message of DEFAULT_HZ, by number, and return the message."""
     match number:
         case mavlink.MAVLINK_MSG_ID_ATTITUDE:
             told = fw.attitude()  # before the time and the rates beside it
@@ -55,6 +55,6 @@ def streamed(number: int, fw: Firmware) -> Any:  # noqa: ANN401 - pymavlink's ar
 
 
 def default_period(message: int) -> float:
-    """Return the seconds between two of a message unless a peer asks otherwise; 0: only on request."""
+    """Return the seconds between two messages unless a peer sets another interval; 0: only on request."""
     hz = DEFAULT_HZ[message]
     return 1 / hz if hz else 0.0

@@ -1,4 +1,4 @@
-"""What a firmware tells over MSP, as MAVLink messages."""
+"""MAVLink messages from what a firmware reports over MSP."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ RSSI_MAX = 254
 
 @dataclass(frozen=True)
 class Vehicle:
-    """What does not change while a firmware runs."""
+    """The properties of the vehicle that do not change while its firmware runs."""
 
     motor_count: int
     version: tuple[int, int, int]
@@ -87,7 +87,7 @@ def heartbeat(vehicle: Vehicle, safety: Safety, *, armed: bool, mode: int) -> Ms
 
 
 def system_status(safety: Safety) -> int:
-    """MAV_STATE: a PID that took over in flight is an emergency that can be flown home."""
+    """Return MAV_STATE: CRITICAL if the PID took over in flight, as the aircraft can still be flown home."""
     fell_back = safety.pid_flies and safety.fallback_cause not in (FallbackCause.NONE, FallbackCause.SWITCH)
     if safety.state is FlightState.ARMED and fell_back:
         return int(mavlink.MAV_STATE_CRITICAL)
@@ -95,7 +95,7 @@ def system_status(safety: Safety) -> int:
 
 
 def attitude(boot_ms: int, told: Attitude, gyro: tuple[float, ...]) -> Msg:
-    """ATTITUDE. gyro: rates [rad/s] about the house's axes."""
+    """Return ATTITUDE. gyro: rates [rad/s] about the house's axes."""
     roll, pitch, yaw = euler_frd(told)
     rollspeed, pitchspeed, yawspeed = swap_frame((gyro[0], gyro[1], gyro[2]))
     return mavlink.MAVLink_attitude_message(boot_ms, roll, pitch, yaw, rollspeed, pitchspeed, yawspeed)
@@ -115,7 +115,7 @@ def extended_sys_state(safety: Safety, *, armed: bool) -> Msg:
 
 @dataclass(frozen=True)
 class Inertial:
-    """What gyro and accelerometer measure, axes forward, left, up."""
+    """Measurements of gyro and accelerometer, axes forward, left, up."""
 
     rates: tuple[float, ...]  # [rad/s]
     force_g: tuple[float, ...]  # specific force [g]
@@ -168,7 +168,7 @@ def _short(value: float) -> int:
 
 
 def sys_status(vehicle: Vehicle, safety: Safety, status: StatusEx, battery: BatteryState) -> Msg:
-    """SYS_STATUS. The link's losses are not known to the firmware: they are 0."""
+    """Return SYS_STATUS. The firmware does not know the link's losses: they are 0."""
     wrong = 0
     if safety.gyro_health is not GyroHealth.GOOD:
         wrong |= mavlink.MAV_SYS_STATUS_SENSOR_3D_GYRO
@@ -196,20 +196,20 @@ def sys_status(vehicle: Vehicle, safety: Safety, status: StatusEx, battery: Batt
 
 
 def millivolts(battery: BatteryState) -> int:
-    """Voltage of the pack [mV], UNKNOWN where none is measured."""
+    """Return the pack's voltage [mV], UNKNOWN if none is measured."""
     absent = battery.level is BatteryLevel.ABSENT and battery.voltage_v == 0
     return UNKNOWN if absent else min(round(1000 * battery.voltage_v), MILLIVOLTS_MAX)
 
 
 def remaining(vehicle: Vehicle, battery: BatteryState) -> int:
-    """What is left [%], -1 where the pack's capacity is not told."""
+    """Return the remaining charge [%], -1 if the pack's capacity is unknown."""
     if vehicle.capacity_mah == 0:
         return -1
     return min(max(round(100 * (1 - battery.drawn_mah / vehicle.capacity_mah)), 0), 100)
 
 
 def battery_status(vehicle: Vehicle, battery: BatteryState) -> Msg:
-    """BATTERY_STATUS: the pack's voltage stands in the first cell, as cells are not measured."""
+    """Return BATTERY_STATUS with the pack's voltage as its first cell, as cells are not measured."""
     return mavlink.MAVLink_battery_status_message(
         id=0,
         battery_function=mavlink.MAV_BATTERY_FUNCTION_ALL,
@@ -227,8 +227,7 @@ def battery_status(vehicle: Vehicle, battery: BatteryState) -> Msg:
 
 
 def rc_channels(boot_ms: int, told: Sequence[int], percent: int) -> Msg:
-    """RC_CHANNELS: roll, pitch, throttle, yaw, aux 1.. told: in the order of MSP's RC; percent: the link's
-    quality."""
+    """Return RC_CHANNELS. told: channels in the order of MSP's RC; percent: the link's quality."""
     roll, pitch, yaw, throttle, *aux = told
     channels = [roll, pitch, throttle, yaw, *aux][:CHANNELS]
     fields = channels + [UNKNOWN] * (CHANNELS - len(channels))
@@ -237,13 +236,13 @@ def rc_channels(boot_ms: int, told: Sequence[int], percent: int) -> Msg:
 
 
 def servo_output_raw(boot_ms: int, motors_us: Sequence[int]) -> Msg:
-    """SERVO_OUTPUT_RAW: the motors' outputs, 1000 stopped, 2000 full; 0 where there is none."""
+    """Return SERVO_OUTPUT_RAW: the motors' outputs, 1000 stopped, 2000 full; 0 for a missing motor."""
     fields = [*motors_us, *[0] * SERVOS][:SERVOS]
     return mavlink.MAVLink_servo_output_raw_message(boot_ms * 1000 & 0xFFFFFFFF, 0, *fields)
 
 
 def autopilot_version(vehicle: Vehicle) -> Msg:
-    """AUTOPILOT_VERSION. Builds are reproducible and know no revision: the custom versions are zeros."""
+    """Return AUTOPILOT_VERSION. Builds are reproducible and know no revision: custom versions are zeros."""
     capabilities = (
         mavlink.MAV_PROTOCOL_CAPABILITY_MAVLINK2
         | mavlink.MAV_PROTOCOL_CAPABILITY_COMMAND_INT

@@ -1,4 +1,4 @@
-"""What STATUSTEXT says: changes of what a firmware tells of itself, in words; texts cut into packets."""
+"""The texts of STATUSTEXT: changes of a firmware's state in words, cut into packets."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class Text:
 
 @dataclass(frozen=True)
 class Condition:
-    """How a firmware does, as far as changes of it are told."""
+    """The state of a firmware whose changes are announced."""
 
     safety: Safety
     armed: bool
@@ -51,7 +51,7 @@ class Condition:
 
 
 def changes(before: Condition | None, now: Condition) -> Iterator[Text]:
-    """What to say of `now`, where `before` is what was told before, None: nothing yet."""
+    """Yield a text for each change; `before` is the state announced last, or None."""
     old = before.safety if before is not None else None
     safety = now.safety
     if old is None or old.state is not safety.state:
@@ -81,15 +81,14 @@ def changes(before: Condition | None, now: Condition) -> Iterator[Text]:
 
 
 def arming_texts(flags: int) -> Iterator[Text]:
-    """What forbids arming, and how to lift it."""
+    """Yield a text for each reason that forbids arming, with how to lift it."""
     for reason in arming_reasons(flags):
         hint = HINTS.get(reason, "")
         yield Text(WARNING, f"Not ready: {words(reason)}{': ' if hint else ''}{hint}")
 
 
 def status_texts(text: Text, number: int) -> list[Any]:
-    """STATUSTEXT messages of `text`, as many as it needs. number: 1..65535, of this text alone, where it
-    needs several."""
+    """Split `text` into STATUSTEXT messages. number: 1..65535, of this text, used if it needs several."""
     data = text.text[:TEXT_MAX].encode("ascii", "replace")
     chunks = [data[at : at + CHUNK] for at in range(0, len(data), CHUNK)] or [b""]
     several = number if len(chunks) > 1 else 0

@@ -1,4 +1,4 @@
-"""What a firmware does at one moment, all that it tells."""
+"""A firmware's complete state at one moment."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ BETAFLIGHT_GYRO_COUNTS = (
 
 @dataclass(frozen=True)
 class Snapshot:
-    """Read one after the other, within tens of milliseconds."""
+    """A state whose parts are read one after the other, within tens of milliseconds."""
 
     overview: Overview
     rates_deg_s: tuple[int, int, int]  # roll, pitch, yaw
@@ -37,7 +37,7 @@ class Snapshot:
 
 
 def read_snapshot(client: Client, info: Info) -> Snapshot:
-    """Ask for all of it. info: of that firmware. Raises LinkError."""
+    """Read all of it. info: of that firmware. Raises LinkError."""
     overview = read_overview(client)
     widths = messages.rc(client.request(Msp.RC))
     ours = overview.flight is not None
@@ -62,5 +62,5 @@ def _rates(counts: tuple[int, int, int], info: Info) -> tuple[int, int, int]:
 
 
 def _there(outputs: tuple[int, ...], count: int | None) -> tuple[int, ...]:
-    """Those of the motors that are there."""
+    """Return the outputs of the motors that exist."""
     return outputs[:count] if count is not None else tuple(us for us in outputs if us)

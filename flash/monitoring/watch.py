@@ -1,4 +1,4 @@
-"""Looks at a firmware again and again, through restarts and pulled cables."""
+"""Repeated looks at a firmware, through restarts and pulled cables."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ ANSWER_S = 0.5  # for one answer: a display must not stand still for long
 
 @dataclass(frozen=True)
 class Sight:
-    """What one look found, and how the link does."""
+    """The result of one look: the state and the quality of the link."""
 
     info: Info | None  # None: nobody has answered yet
     snapshot: Snapshot | None  # the newest there is
@@ -32,7 +32,7 @@ class Sight:
 
 
 class Watch:
-    """Looks, with a line of its own that is opened anew whenever it is gone."""
+    """A watcher with a line of its own, which is opened again whenever it is lost."""
 
     def __init__(self, reopen: Callable[[], Transport], clock: Callable[[], float] = time.monotonic) -> None:
         """reopen: opens the line."""
@@ -51,7 +51,7 @@ class Watch:
         self._close()
 
     def look(self) -> Sight:
-        """Look once. A firmware that does not answer is a Sight with a problem, never an error."""
+        """Look once. If the firmware does not answer, the Sight has a problem; no error is raised."""
         self._looks += 1
         begin, problem = self._clock(), ""
         try:
@@ -77,7 +77,7 @@ class Watch:
         )
 
     def _see(self) -> None:
-        """Raises LinkError."""
+        """Read the firmware's state and keep it. Raises LinkError."""
         fresh = self._client is None
         if self._client is None:
             self._client = Client(self._reopen(), self._clock, timeout=ANSWER_S, retries=0)
@@ -91,7 +91,7 @@ class Watch:
         self._snapshot = seen
 
     def _has_restarted(self, seen: Snapshot) -> bool:
-        """As its count of boots says; a firmware of another make does not tell."""
+        """Return True if the count of boots has changed; another make of firmware gives none."""
         before = self._snapshot.overview.flight if self._snapshot is not None else None
         now = seen.overview.flight
         return before is not None and now is not None and before.boots != now.boots

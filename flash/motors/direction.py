@@ -1,4 +1,4 @@
-"""Tells ESCs by DShot commands which way their motors turn, and has them keep it."""
+"""Setting the direction of motors by DShot commands, which each ESC stores."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def _send(
     clock: Callable[[], float],
     sleep: Callable[[float], None],
 ) -> None:
-    """One command to one motor, once the one before it is through."""
+    """Send one command to one motor, once the one before it is done."""
     deadline = clock() + BUSY_S
     while True:
         try:

@@ -1,4 +1,4 @@
-"""Which output each motor's ESC is wired to: from which motor turned to the settings that say so."""
+"""The wiring of motors to outputs, from the motors that turned, as settings."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from neuroflight.toolchain.errors import LinkError
 
 
 def outputs_of(outputs: Sequence[int], turned: Sequence[int]) -> tuple[int, ...]:
-    """The output of each motor, motor order, from 1.
+    """Return the output of each motor, motor order, from 1.
 
-    outputs: that each motor was believed to be wired to; turned[i]: index of the motor that turned when
-    motor i was to turn, a permutation. Raises LinkError where it is none: two answers name the same motor.
+    outputs: the assumed output of each motor; turned[i]: index of the motor that turned when motor i was to
+    turn. \\ Raises LinkError if `turned` is no permutation: two answers name the same motor.
     """
     if sorted(turned) != list(range(len(outputs))):
         told = ", ".join(str(motor + 1) for motor in turned)
@@ -26,6 +26,6 @@ def outputs_of(outputs: Sequence[int], turned: Sequence[int]) -> tuple[int, ...]
 
 
 def order_changes(before: Sequence[int], after: Sequence[int]) -> Mapping[str, float]:
-    """The settings to change, by name."""
+    """Return the settings to change, by name."""
     pairs = enumerate(zip(before, after, strict=True), 1)
     return {f"motor{number}_output": float(new) for number, (old, new) in pairs if old != new}

@@ -1,4 +1,4 @@
-"""Whether a board may turn its motors on the bench, and what they are."""
+"""A board's readiness to turn its motors on the bench."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def read_bench(client: Client) -> Bench:
 
 
 def check_ready(client: Client) -> BatteryLevel:
-    """Raise LinkError unless it is disarmed with its switch off and has a battery that suffices."""
+    """Raise LinkError unless it is disarmed with its arm switch off and its battery suffices."""
     state = records.safety(client.request(Msp.SAFETY)).state
     if state is not FlightState.DISARMED:
         raise LinkError(
@@ -82,7 +82,7 @@ def check_ready(client: Client) -> BatteryLevel:
 
 
 def motors_stand(client: Client) -> bool:
-    """Whether every motor is sent nothing but stop."""
+    """Return True if every motor is stopped."""
     return all(us in STANDING_US for us in messages.motor(client.request(Msp.MOTOR)))
 
 
@@ -91,7 +91,7 @@ def await_standing(
     clock: Callable[[], float] = time.monotonic,
     sleep: Callable[[float], None] = time.sleep,
 ) -> None:
-    """Wait until the motors are told to stand and the firmware has forgotten the test. Raises LinkError."""
+    """Wait until the motors are stopped and the firmware has ended the test. Raises LinkError."""
     deadline = clock() + STAND_S
     while True:
         flags = records.safety(client.request(Msp.SAFETY)).arming_flags

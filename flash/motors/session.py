@@ -35,7 +35,7 @@ class MotorTest:
     """A motor test of a firmware: open inside its `with` block, all motors stopped at first."""
 
     def __init__(self, client: Client, motor_count: int, limit: float = LIMIT_DEFAULT) -> None:
-        """limit: motor fraction that no motor is turned above, as checked by `check_limit`."""
+        """limit: motor fraction that no motor may exceed, as checked by `check_limit`."""
         check_limit(limit)
         self._client, self._motor_count, self._limit = client, motor_count, limit
 
@@ -88,7 +88,7 @@ class MotorTest:
             ) from None
 
     def _close(self) -> None:
-        """Stop and close, as far as the line still lives; else the firmware does it by itself."""
+        """Stop the motors and close the test; if the line is lost, the firmware does it by itself."""
         with contextlib.suppress(LinkError):
             close_test(self._client)
 

@@ -1,4 +1,4 @@
-"""Turns motors for a while: up a ramp, held, stopped."""
+"""Turning motors for a while: ramp, hold, stop."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ SECONDS_MAX = 60.0  # of one spin: small motors without an airstream grow warm
 
 @dataclass(frozen=True)
 class Spin:
-    """What is turned, how fast and how long; checked when it is made. Raises LinkError."""
+    """Motors, fraction and duration, checked on construction. Raises LinkError."""
 
     motors: Collection[int]  # by index
     motor_count: int
@@ -47,7 +47,7 @@ class Spin:
         check_sum(self.at(math.inf))
 
     def at(self, elapsed_s: float) -> list[float]:
-        """Motor fractions, motor order, so long after the begin."""
+        """Return the motor fractions, motor order, at that time since the start."""
         share = 1.0 if elapsed_s >= self.ramp_s else elapsed_s / self.ramp_s
         value = self.fraction * share
         return [value if motor in self.motors else 0.0 for motor in range(self.motor_count)]
@@ -59,7 +59,7 @@ def spin(
     clock: Callable[[], float] = time.monotonic,
     sleep: Callable[[float], None] = time.sleep,
 ) -> None:
-    """Open a test, turn the motors as wanted, stop them, close it. Raises LinkError; they stand then, too."""
+    """Open a test, turn the motors, stop them, close the test. Raises LinkError with them stopped."""
     with MotorTest(client, wanted.motor_count, wanted.limit) as test:
         begin = clock()
         while (elapsed := clock() - begin) < wanted.seconds:

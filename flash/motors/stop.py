@@ -1,4 +1,4 @@
-"""Stops motors that a test turns, whoever opened it."""
+"""Stopping motors that any test turns."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def stop(
     clock: Callable[[], float] = time.monotonic,
     sleep: Callable[[float], None] = time.sleep,
 ) -> None:
-    """Stop at once, close the test, end DShot commands; then see that the motors stand.
+    """Stop the motors at once, close the test, end DShot commands; then check that the motors are stopped.
 
     Raises LinkError when they do not, and for an armed board, whose motors only its arm switch stops.
     """

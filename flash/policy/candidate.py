@@ -1,4 +1,4 @@
-"""A compiled policy that is to be flown, held against the image that would fly it."""
+"""A compiled policy, compared with the image that would fly it."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from neuroflight.toolchain.errors import LinkError
 
 @dataclass(frozen=True)
 class Candidate:
-    """A policy, compiled."""
+    """A compiled policy."""
 
     file: str  # as the user wrote it
     network: str  # such as 19-64-64-4 tanh
@@ -32,7 +32,7 @@ class Candidate:
 
     @property
     def build(self) -> bytes:
-        """It is for any image of its architecture."""
+        """Build it belongs to: any image of its architecture."""
         return bytes(IMAGE_BUILD_BYTES)
 
     @property
@@ -42,7 +42,7 @@ class Candidate:
 
 
 def differences(candidate: Candidate, policies: Policies) -> list[str]:
-    """What keeps the running image from flying it: each what it is, and what the image asks for."""
+    """List what keeps the running image from flying it: the policy's value and the image's."""
     info, flown = policies.info, policies.flown
     figures = (
         ("control rate [Hz]", candidate.control_rate_hz, info.control_rate_hz),

@@ -1,4 +1,4 @@
-"""Whether a board may have its policy changed now."""
+"""A check that a board's policy may be changed now."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def check_ready(client: Client, unwritten: str) -> None:
 
 
 def check_started(name: str, policies: Policies, unwritten: str) -> None:
-    """Raise LinkError where the flown slot was given up: before its next start the firmware takes none."""
+    """Raise LinkError if the flown slot was given up: until its next start the firmware accepts no policy."""
     if policies.given_up:
         raise LinkError(
             f"{name}: {policies.flown_text} was given up and is flown until the next start; {unwritten}: "

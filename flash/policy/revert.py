@@ -1,4 +1,4 @@
-"""Back to the policy that was flown before."""
+"""Return to the policy that was flown before."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ UNTOUCHED = "nothing was changed"
 
 
 def plan(policies: Policies, *, other_aircraft: bool) -> tuple[Place, Place]:
-    """The policy that a revert gives up, and the one that is flown after it.
+    """Return the policy that a revert gives up, and the one that is flown after it.
 
-    Raises LinkError where there is none to go back to, a newer one waits for its first start, or the one
-    before is for another aircraft and that is not meant.
+    Raises LinkError if there is none to return to, if a newer one waits for its first start, or if the one \\
+    before is for another aircraft and `other_aircraft` is False.
     """
     flown = policies.flown
     if flown is None:
@@ -42,7 +42,7 @@ def plan(policies: Policies, *, other_aircraft: bool) -> tuple[Place, Place]:
 
 
 def revert(client: Client) -> None:
-    """Make the flown slot hold none; asked twice, it is done once. Raises LinkError."""
+    """Empty the flown slot; repeating it changes nothing. Raises LinkError."""
     try:
         client.request(Msp.POLICY_SLOT_REVERT)
     except NoAnswerError as error:
@@ -52,7 +52,7 @@ def revert(client: Client) -> None:
 
 
 def start(client: Client, flown: Place, before: Place, board: Board) -> Client:
-    """Start the firmware anew and check that it flies `before`. Returns a client of the new start.
+    """Restart the firmware and check that it flies `before`. Returns a client of the new start.
 
     Raises LinkError, the client closed.
     """

@@ -1,4 +1,4 @@
-"""What each place of a policy holds, which one is flown, and which one after the next start."""
+"""The policies of a board: content of each slot, the one flown, and the one after the next start."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ SHA_SHOWN = 12  # digits of a SHA-256 that tell two policies apart for people
 
 @dataclass(frozen=True)
 class Place:
-    """A policy slot; where it holds no whole policy, what follows `flown` is 0."""
+    """A policy slot; without a whole policy in it, the fields after `flown` are 0."""
 
     source: PolicySource
     found: int  # GOOD, else an error of nf_err.h: why it could not be flown now
@@ -43,35 +43,35 @@ class Place:
 
     @property
     def name(self) -> str:
-        """For people."""
+        """Name for messages."""
         return NAMES[self.source]
 
     @property
     def good(self) -> bool:
-        """Whether it may be flown."""
+        """True if its policy may be flown."""
         return self.found == GOOD
 
     @property
     def text(self) -> str:
-        """Its policy and place, for people."""
+        """Its policy and slot, for messages."""
         return _text(self.source, self.sequence, self.aircraft, self.sha256)
 
 
 @dataclass(frozen=True)
 class Policies:
-    """All that a firmware has, as of one moment."""
+    """All policies of a firmware, as of one moment."""
 
     info: PolicyInfo  # of the flown one
     places: tuple[Place, ...]  # in the order of PLACES
 
     @property
     def flown(self) -> Place | None:
-        """The one that is flown; None: none is good."""
+        """The slot that is flown, or None if no policy is good."""
         return next((place for place in self.places if place.flown), None)
 
     @property
     def flown_text(self) -> str:
-        """The one that is flown, for people; known also where its slot was given up since."""
+        """The flown policy, for messages; known also after its slot was given up."""
         info = self.info
         if info.source is PolicySource.NONE:
             return "no policy"
@@ -79,13 +79,13 @@ class Policies:
 
     @property
     def given_up(self) -> bool:
-        """Whether the flown slot was made invalid, and the firmware has not started since."""
+        """True if the flown slot was made invalid and the firmware has not started since."""
         return self.flown is not None and self.flown.found == EMPTY
 
     def after_start(self, without: Place | None = None) -> Place | None:
-        """The one that is flown from the next start on, if it passes its self-test; None: none is good.
+        """Return the slot flown from the next start on, if it passes its self-test; None: none is good.
 
-        without: a place that will hold none. As `policy_slots_best` of the firmware decides.
+        without: a slot that will be empty. The firmware's rule: `policy_slots_best`.
         """
         good = [place for place in self.places if place.good and place is not without]
         if len(good) == 2 and newer(good[1].sequence, good[0].sequence):
@@ -93,7 +93,7 @@ class Policies:
         return next(iter(good), None)
 
     def holding(self, sha256: str, sequence: int) -> Place | None:
-        """The place of the policy with that sequence number."""
+        """Return the slot that holds the policy with that hash and sequence number, or None."""
         found = (place for place in self.places if (place.sha256, place.sequence) == (sha256, sequence))
         return next(found, None)
 
@@ -104,7 +104,7 @@ def _text(source: PolicySource, sequence: int, aircraft: str, sha256: str) -> st
 
 
 def newer(a: int, b: int) -> bool:
-    """Whether sequence number `a` comes after `b`: they wrap (RFC 1982)."""
+    """Return True if sequence number `a` comes after `b`; numbers wrap (RFC 1982)."""
     return 0 < (a - b) % SEQUENCE_SPAN < SEQUENCE_SPAN // 2
 
 
@@ -114,7 +114,7 @@ def slot_info(source: PolicySource) -> bytes:
 
 
 def place_of(source: PolicySource, payload: bytes) -> Place:
-    """Decode POLICY_SLOT_INFO of that place. Raises LinkError."""
+    """Decode POLICY_SLOT_INFO of that slot. Raises LinkError."""
     reader = Reader(Msp.POLICY_SLOT_INFO, payload)
     found, flown, sequence, architecture, filters, rate, idle = reader.fields("bB4If")
     aircraft, sha256 = reader.counted_text(), reader.bytes(32).hex()
@@ -135,7 +135,7 @@ def place_of(source: PolicySource, payload: bytes) -> Place:
 
 
 def read_policies(client: Client) -> Policies:
-    """Ask a firmware for all of them. Raises LinkError."""
+    """Read all slots of a firmware. Raises LinkError."""
     info = messages.policy_info(client.request(Msp.POLICY_INFO))
     places = []
     for source in PLACES:
@@ -145,7 +145,7 @@ def read_policies(client: Client) -> Policies:
 
 
 def read_patiently(client: Client, clock: Callable[[], float]) -> Policies:
-    """The same, asked again while nobody answers: nothing is changed by it. Raises LinkError."""
+    """Read all slots, repeating the request while nobody answers: it changes nothing. Raises LinkError."""
     deadline = clock() + PATIENCE_S
     while True:
         try:

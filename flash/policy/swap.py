@@ -46,7 +46,7 @@ Progress = Callable[[int, int], None]  # bytes written, of so many
 
 @dataclass(frozen=True)
 class Board:
-    """The line to a firmware, and how time passes on it."""
+    """The line to a firmware, with the clock and sleep used on it."""
 
     reopen: Callable[[], Transport]
     clock: Callable[[], float] = field(default=time.monotonic)
@@ -54,7 +54,7 @@ class Board:
 
 
 class Blob(Protocol):
-    """A policy that can be put into a slot."""
+    """A policy that can be written to a slot."""
 
     @property
     def file(self) -> str: ...  # as the user wrote it
@@ -73,20 +73,21 @@ class Blob(Protocol):
 
 
 def target(policies: Policies) -> PolicySource:
-    """The slot that a swap erases: the one that is not flown, as `policy_slots_to_be_written` decides."""
+    """Return the slot that a swap erases, as `policy_slots_to_be_written` does: the one not flown."""
     kept = policies.flown or policies.after_start()
     return PolicySource.SLOT_B if kept is policies.places[0] else PolicySource.SLOT_A
 
 
 def seconds(size: int, slot: PolicySource, baud: int | None, *, start: bool) -> float:
-    """About how long `size` bytes take; baud: of a serial line, None: another. start: the restart, too."""
+    """Estimate the seconds for `size` bytes. baud: of a serial line or None. start: include the restart."""
     blocks = -(-size // requests.SLOT_BYTES_MAX)
     line = size * LINE_BITS / baud if baud else 0.0
     return ERASE_S[slot] + line + size * PROGRAM_S + blocks * TURN_S + (START_S if start else 0.0)
 
 
 def write(client: Client, candidate: Blob, board: Board, progress: Progress) -> tuple[Client, Place]:
-    """Put it into the slot that is not flown. Returns the client, another where the line went, and the place.
+    """Write it into the slot that is not flown. Returns the client, a new one if the line was opened again,
+    and the slot.
 
     Raises LinkError, `client` closed, after ATTEMPTS, and at once where the firmware refuses for good: then
     the board goes on with the policy that it flies.
@@ -125,7 +126,7 @@ def write(client: Client, candidate: Blob, board: Board, progress: Progress) -> 
 
 
 def _arrived(candidate: Blob, place: Place) -> bool:
-    """Whether it is whole there: the running image flies none that comes with another one."""
+    """Return True if the slot holds it whole; it may be for another image than the running one."""
     return place.build == candidate.build.hex() and (
         place.good or (any(candidate.build) and place.found == OTHER_IMAGE)
     )
@@ -146,7 +147,7 @@ def _write_blocks(client: Client, blob: bytes, progress: Progress) -> None:
 
 
 def _reopened(client: Client, board: Board) -> Client | None:
-    """A client on the line opened again; None: it does not open within REOPEN_S."""
+    """Open the line again and return a client on it; None if that fails for REOPEN_S."""
     client.close()
     deadline = board.clock() + REOPEN_S
     while board.clock() < deadline:
@@ -167,7 +168,7 @@ def _left(candidate: Blob, ending: bool) -> str:
 
 
 def start(client: Client, candidate: Candidate, place: Place, board: Board) -> Client:
-    """Start the firmware anew and check that it flies what is in `place`. Returns a client of the new start.
+    """Restart the firmware and check that it flies the policy in `place`. Returns a client of the new start.
 
     Raises LinkError, the client closed, when the board does not come back, and when it flies another policy.
     """

@@ -32,23 +32,23 @@ DRAIN_BYTES_MAX = 1 << 16
 
 
 class NoBootLoaderError(LinkError):
-    """Nobody speaks AN3155 on the line."""
+    """No boot loader answers by AN3155 on the line."""
 
 
 class RefusedError(LinkError):
-    """The boot loader said NACK, whenever it was asked."""
+    """The boot loader answered NACK to every try."""
 
 
 @dataclass(frozen=True)
 class Chip:
-    """Who answers."""
+    """The chip that answers."""
 
     product_id: int
     version: int  # of the protocol: 0x31 is 3.1
 
 
 class _LineError(Exception):
-    """One try failed; another may not."""
+    """A failed try; another may succeed."""
 
     def __init__(self, why: str, *, refused: bool = False) -> None:
         super().__init__(why)
@@ -56,10 +56,10 @@ class _LineError(Exception):
 
 
 class RomClient:
-    """Speaks to the ROM over an open transport, which it owns: use it in a `with`, or close it."""
+    """A client of the ROM over an open transport, which it owns: use it in a `with`, or close it."""
 
     def __init__(self, transport: Transport, clock: Callable[[], float] = time.monotonic) -> None:
-        """clock: seconds, never going back."""
+        """clock: monotonic [s]."""
         self._transport, self._clock = transport, clock
         self._pending = bytearray()  # come, but not taken
         self.repeated = 0  # tries beyond the first, so far
@@ -80,7 +80,7 @@ class RomClient:
         return self._transport.name
 
     def connect(self) -> Chip:
-        """Find the boot loader. Raises NoBootLoaderError: silence, somebody else, or another chip."""
+        """Find the boot loader. Raises NoBootLoaderError for silence, another device or another chip."""
         try:
             return self._introduce()
         except LinkError as error:
@@ -109,25 +109,25 @@ class RomClient:
         return Chip(product, version)
 
     def read(self, address: int, size: int) -> bytes:
-        """At most 256 bytes from `address` on. Raises RefusedError for a protected chip, LinkError."""
+        """Read at most 256 bytes from `address` on. Raises RefusedError for a protected chip, LinkError."""
         return self._try(f"read {size} bytes at 0x{address:08X}", self._read, address, size)
 
     def write(self, address: int, data: bytes) -> None:
-        """At most 256 bytes to erased flash. Whoever needs certainty reads them back.
+        """Write at most 256 bytes to erased flash. To be certain, read them back.
 
-        Raises ValueError for any other place: the ROM would write option bytes, too, and with them a read
-        protection that nothing takes back.
+        Raises ValueError outside flash: the ROM would also write option bytes, and a read protection set
+        there is \\ permanent.
         """
         if not FLASH_BASE <= address <= FLASH_BASE + FLASH_BYTES - len(data):
             raise ValueError(f"{len(data)} bytes at 0x{address:08X}, expected flash")
         self._try(f"write {len(data)} bytes at 0x{address:08X}", self._write, address, data)
 
     def erase(self, sector: int) -> None:
-        """One sector, by its number: of a list, the checksum does not notice every change."""
+        """Erase one sector, by its number; in a list, the checksum would not detect every change."""
         self._try(f"erase sector {sector}", self._erase, sector)
 
     def go(self, address: int) -> bool:
-        """Start the program whose vectors lie at `address`; the boot loader is gone after it.
+        """Start the program whose vectors lie at `address`; the boot loader ends.
 
         Returns whether it has agreed. It is not asked twice: the program that has started would be.
         """
@@ -141,7 +141,7 @@ class RomClient:
     # ---- one try of a command ----
 
     def _commands(self, command: int) -> bytes:
-        """What GET and GET ID answer, between their acknowledgements."""
+        """Return the answer of GET or GET ID, without its acknowledgements."""
         self._command(command)
         count = self._take(1, TIMEOUT_S)[0] + 1
         data = self._take(count, TIMEOUT_S)
@@ -181,7 +181,7 @@ class RomClient:
             raise _LineError(f"it answers 0x{answer:02X}, which is neither yes nor no")
 
     def _take(self, size: int, timeout: float) -> bytes:
-        """The next `size` bytes; each piece of them within `timeout` [s]."""
+        """Read the next `size` bytes; each piece must arrive within `timeout` [s]."""
         while len(self._pending) < size:
             more = self._transport.read(timeout)
             if not more:
@@ -194,12 +194,12 @@ class RomClient:
     # ---- several ----
 
     def _ask(self, what: str, command: int, is_right: Callable[[bytes], bool]) -> bytes:
-        """What `command` answers. It carries no checksum: what is not right is asked for once more."""
+        """Return the answer of `command`, which has no checksum: a wrong answer is asked for once more."""
         answer = self._try(what, self._commands, command)
         return answer if is_right(answer) else self._try(what, self._commands, command)
 
     def _try(self, what: str, command: Callable[..., bytes], *arguments: object) -> bytes:
-        """Do `command` until it succeeds, TRIES times at most. Raises LinkError: `what` was not done."""
+        """Repeat `command` until it succeeds, TRIES times at most. Raises LinkError: `what` was not done."""
         failure = _LineError("")
         for tried in range(TRIES):
             self.repeated += tried > 0
@@ -220,7 +220,8 @@ class RomClient:
         )
 
     def _synchronise(self) -> bytes | None:
-        """Make a command begin with the next byte. Returns None, or what came instead of an answer.
+        """Synchronise, so that a command begins with the next byte. Returns None, or the bytes received
+        instead of an answer.
 
         The first 0x7F after power-up is acknowledged. Later ones complete whatever was cut short, and a pair
         of them is no command: that is refused, which proves that both ends agree.
@@ -238,7 +239,7 @@ class RomClient:
         return heard
 
     def _drain(self) -> bytes:
-        """Everything that comes until the line is silent, or for three seconds."""
+        """Read until the line is silent, or for three seconds."""
         heard, end = bytes(self._pending), self._clock() + 3.0
         self._pending.clear()
         while more := self._transport.read(SILENCE_S):
@@ -249,7 +250,7 @@ class RomClient:
 
 
 def _missing(commands: bytes) -> str:
-    """Those that flashing needs and that are not among `commands`, as text; "" where there is none."""
+    """List the needed commands that are not among `commands`; "" if all are."""
     return ", ".join(f"0x{code:02X}" for code in NEEDED if code not in commands)
 
 
@@ -262,7 +263,7 @@ def _checked(data: bytes) -> bytes:
 
 
 def _describe(heard: bytes) -> str:
-    """What came in place of an answer."""
+    """Describe the bytes that came in place of an answer."""
     if not heard:
         return "nobody answers"
     if set(heard) == {SYNC}:

@@ -1,4 +1,4 @@
-"""Whether an image would start on this board and fly: its vectors, its header, its checksum, its policy."""
+"""A check that an image would start on this board and fly: vectors, header, checksum, policy."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ SHA_SHOWN = 12  # digits of a SHA-256 that tell two policies apart for people
 
 @dataclass(frozen=True)
 class ImageFacts:
-    """What an image says of itself."""
+    """The properties of an image, from its header."""
 
     board: str
     bank: int  # 0: A, 1: B
@@ -51,7 +51,7 @@ class ImageFacts:
 
 
 def check_image(segments: Sequence[Segment]) -> ImageFacts:
-    """The facts of an image of boot part and bank. Raises LinkError of one line: why it would not start."""
+    """Check an image of boot part and bank and return its properties. Raises LinkError if it cannot start."""
     _check_boot_part(segments)
     for number, bank in enumerate(FLASH_BANKS):
         content = _content(segments, bank)
@@ -100,7 +100,7 @@ def _check_bank(number: int, content: bytes, slot: bytes) -> ImageFacts:
 
 
 def _check_policy(number: int, image: ImageHeader, slot: bytes) -> PolicyHeader:
-    """What the image will fly. Without a policy that fits no policy would fly."""
+    """Check the policy that the image will fly; raises LinkError without a policy that fits."""
     try:
         return policy_for(image, slot)[0]
     except ValueError as error:
@@ -108,9 +108,9 @@ def _check_policy(number: int, image: ImageHeader, slot: bytes) -> PolicyHeader:
 
 
 def policy_for(image: ImageHeader, content: bytes) -> tuple[PolicyHeader, bytes]:
-    """Header and bytes of the policy that `content` begins with: the one that comes with that image.
+    """Return header and bytes of the policy at the start of `content`, which must belong to that image.
 
-    Raises ValueError, which says what it is, for anything else.
+    Raises ValueError that says what it is otherwise.
     """
     header = policy_header(content)
     if header is None:
@@ -133,7 +133,7 @@ def _refuse(number: int, why: str) -> NoReturn:
 
 
 def _content(segments: Sequence[Segment], region: Region) -> bytes:
-    """What the segments put into a region from its begin on; b"" for nothing."""
+    """Return the bytes that the segments put into a region, from its start on."""
     content = bytearray([ERASED]) * region.size
     end = 0
     for segment in segments:

@@ -26,34 +26,34 @@ Progress = Callable[[str, int, int], None]  # what is being done, how much of it
 
 
 @dataclass(frozen=True)
-class Plan:
-    """What will be done to a chip."""
+class FlashPlan:
+    """The changes of a chip's flash."""
 
     segments: tuple[Segment, ...]  # ascending
     sectors: tuple[int, ...]  # to be erased, ascending
 
     @property
     def bytes(self) -> int:
-        """To be written."""
+        """Number of bytes to write."""
         return sum(len(segment.data) for segment in self.segments)
 
     @property
     def kept(self) -> tuple[int, ...]:
-        """Sectors that stay as they are."""
+        """Sectors that stay unchanged."""
         return tuple(number for number in range(len(FLASH_SECTORS)) if number not in self.sectors)
 
     def seconds(self, baud: float) -> float:
-        """About how long erasing, writing and reading back take."""
+        """Estimate the seconds for erasing, writing and reading back."""
         commands = -(-self.bytes // DATA_MAX)
         line = (self.bytes + commands * OVERHEAD_BYTES) * BITS_PER_BYTE / baud
         erasing = sum(ERASE_S[FLASH_SECTORS[number].size >> 10] for number in self.sectors)
         return erasing + 2 * line + self.bytes * PROGRAM_S
 
 
-def make_plan(segments: Sequence[Segment], *, erase_bank_b: bool = False) -> Plan:
-    """What putting `segments` on a chip takes: those of `read_segments`, which `check_image` has accepted.
+def plan_flash(segments: Sequence[Segment], *, erase_bank_b: bool = False) -> FlashPlan:
+    """Plan the flashing of `segments`, from `read_segments` and accepted by `check_image`.
 
-    erase_bank_b: so that no image there can be started in place of this one.
+    erase_bank_b: erase it, so that no image there can start in place of this one.
     """
     slot_b = FLASH_POLICY_SLOTS[1].address
     cleared = () if any(s.address <= slot_b < s.end for s in segments) else (Segment(slot_b, bytes(_WORD)),)
@@ -61,10 +61,10 @@ def make_plan(segments: Sequence[Segment], *, erase_bank_b: bool = False) -> Pla
     sectors = set(touched_sectors(padded))
     if erase_bank_b:
         sectors.add(FLASH_SECTORS.index(FLASH_BANK_B))
-    return Plan(padded, tuple(sorted(sectors)))
+    return FlashPlan(padded, tuple(sorted(sectors)))
 
 
-def install(client: RomClient, plan: Plan, progress: Progress = lambda what, done, total: None) -> None:
+def install(client: RomClient, plan: FlashPlan, progress: Progress = lambda what, done, total: None) -> None:
     """Erase, write and read back. Raises LinkError of one line that says how far it came.
 
     The chip must have been found by `client.connect`. Nothing is started.
@@ -88,7 +88,7 @@ def install(client: RomClient, plan: Plan, progress: Progress = lambda what, don
     verify(client, plan, progress)
 
 
-def verify(client: RomClient, plan: Plan, progress: Progress = lambda what, done, total: None) -> None:
+def verify(client: RomClient, plan: FlashPlan, progress: Progress = lambda what, done, total: None) -> None:
     """Read back what the plan writes and compare. Raises LinkError with the first difference."""
     compared = different = 0
     first: int | None = None
@@ -117,12 +117,12 @@ def verify(client: RomClient, plan: Plan, progress: Progress = lambda what, done
 
 
 def start(client: RomClient) -> bool:
-    """Start what is in flash. Returns whether the ROM has agreed; if not, power without BOOT does it."""
+    """Start the program in flash. Returns False if the ROM did not agree: a power cycle starts it then."""
     return client.go(FLASH_BOOT.address)
 
 
-def _state(plan: Plan, erased: Sequence[int], written: int) -> str:
-    """How far a flashing that failed has come."""
+def _state(plan: FlashPlan, erased: Sequence[int], written: int) -> str:
+    """Describe how far a failed flashing has come."""
     if not erased:
         return "nothing was written"
     numbers = ", ".join(map(str, erased))
@@ -133,7 +133,7 @@ def _state(plan: Plan, erased: Sequence[int], written: int) -> str:
 
 
 def _aligned(segments: Iterable[Segment]) -> tuple[Segment, ...]:
-    """From word to word, as the ROM writes; what is added is erased."""
+    """Extend the segments to whole words, as the ROM writes them; added bytes are erased ones."""
     filler = bytes([ERASED])
     aligned: list[Segment] = []
     for segment in segments:
@@ -148,6 +148,6 @@ def _aligned(segments: Iterable[Segment]) -> tuple[Segment, ...]:
 
 
 def _pieces(segment: Segment) -> list[tuple[int, bytes]]:
-    """Address and at most 256 bytes each."""
+    """Yield address and bytes of each piece, 256 bytes at most."""
     data, address = segment.data, segment.address
     return [(address + i, data[i : i + DATA_MAX]) for i in range(0, len(data), DATA_MAX)]

@@ -49,7 +49,7 @@ class Segment:
 
 
 def read_segments(path: Path) -> tuple[Segment, ...]:
-    """The segments of an image file, by its suffix. Raises LinkError of one line for what is no image."""
+    """Read the segments of an image file, by its suffix. Raises LinkError if it is no image."""
     limits = {".elf": ELF_BYTES_MAX, ".hex": HEX_BYTES_MAX, ".bin": FLASH_BYTES}
     suffix = path.suffix.lower()
     if suffix not in limits:
@@ -65,7 +65,7 @@ def read_segments(path: Path) -> tuple[Segment, ...]:
 
 
 def elf_segments(content: bytes) -> tuple[Segment, ...]:
-    """The loadable parts of an ELF file for an ARM processor. Raises ValueError for what is none."""
+    """Return the loadable parts of an ELF file for an ARM processor. Raises ValueError for any other file."""
     try:
         elf = ELFFile(io.BytesIO(content))
         if elf.elfclass != 32 or elf.get_machine_arch() != _MACHINE:
@@ -87,7 +87,7 @@ def elf_segments(content: bytes) -> tuple[Segment, ...]:
 
 
 def hex_segments(content: bytes) -> tuple[Segment, ...]:
-    """The data of an Intel HEX file. Raises ValueError that names the line of what is wrong."""
+    """Return the data of an Intel HEX file. Raises ValueError that names the wrong line."""
     segments: list[Segment] = []
     base, ended = 0, False
     for number, line in enumerate(content.split(b"\n"), 1):
@@ -116,7 +116,7 @@ def hex_segments(content: bytes) -> tuple[Segment, ...]:
 
 
 def _hex_record(number: int, line: bytes) -> tuple[int, int, bytes]:
-    """Kind, address below 64 KiB and data of a record."""
+    """Return kind, address below 64 KiB and data of a record."""
     if not line.startswith(b":") or len(line) > _HEX_RECORD_MAX:
         raise ValueError(f"line {number}: got no record of Intel HEX, expected one that begins with ':'")
     try:
@@ -131,9 +131,9 @@ def _hex_record(number: int, line: bytes) -> tuple[int, int, bytes]:
 
 
 def bin_segments(content: bytes, base: int = FLASH_BASE) -> tuple[Segment, ...]:
-    """What a plain copy of flash from `base` on holds, without longer erased stretches.
+    """Return the content of a plain copy of flash from `base` on, without longer erased stretches.
 
-    Raises ValueError where it holds nothing.
+    Raises ValueError if it is empty.
     """
     segments, at = [], 0
     for gap in re.finditer(b"\xff{%d,}" % GAP_BYTES, content):
@@ -146,9 +146,9 @@ def bin_segments(content: bytes, base: int = FLASH_BASE) -> tuple[Segment, ...]:
 
 
 def joined(segments: Iterable[Segment]) -> tuple[Segment, ...]:
-    """Sorted by address, those that touch made one.
+    """Sort segments by address and join adjacent ones.
 
-    Raises ValueError for none at all, for bytes outside flash and for an address that two segments claim.
+    Raises ValueError for an empty list, bytes outside flash, or an address that two segments claim.
     """
     parts: list[list[Segment]] = []
     for segment in sorted((s for s in segments if s.data), key=lambda s: s.address):
@@ -170,7 +170,7 @@ def joined(segments: Iterable[Segment]) -> tuple[Segment, ...]:
 
 
 def touched_sectors(segments: Iterable[Segment]) -> tuple[int, ...]:
-    """Numbers of the flash sectors that hold a byte of the segments, ascending."""
+    """Return the numbers of the flash sectors that hold a byte of the segments, ascending."""
     return tuple(
         number
         for number, sector in enumerate(FLASH_SECTORS)

@@ -43,14 +43,15 @@ class AdvanceRatio:
         return min([*ends, RATIO_LAST])
 
     def factors(self, ratio: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Factors of thrust and torque at advance ratios, any shape: the formula of rotor.c."""
+        """Compute the factors of thrust and torque at advance ratios of any shape; rotor.c has the
+        formula."""
         at = np.clip(np.asarray(ratio, np.float64), self.ratio_least, self.ratio_max)
         thrust, torque = (1.0 + (first + second * at) * at for first, second in (self.thrust, self.torque))
         return np.maximum(thrust, 0.0), np.maximum(torque, 0.0)
 
 
 def read_advance(table: StrictTable) -> AdvanceRatio:
-    """The table's coefficients. Raises the table's error, one line, on what no propeller has."""
+    """Read the table's coefficients. Raises the table's error, one line, for an impossible propeller."""
     thrust = _terms(table, "thrust")
     torque = _terms(table, "torque")
     least = table.number("ratio_least", -RATIO_LAST, 0.0, 0.0)

@@ -45,13 +45,13 @@ class Meshes:
         self._files: dict[str, bytes] = {}
 
     def read(self, name: str) -> bytes:
-        """Bytes of a mesh, `name` being relative to the aircraft file. Raises ValueError: what is wrong."""
+        """Read a mesh, `name` being relative to the aircraft file. Raises ValueError saying what is wrong."""
         if name not in self._files:
             self._files[name] = self._load(name)
         return self._files[name]
 
     def contents(self) -> tuple[bytes, ...]:
-        """The meshes that were read, in that order."""
+        """Return the meshes that were read, in that order."""
         return tuple(self._files.values())
 
     def _load(self, name: str) -> bytes:
@@ -76,12 +76,12 @@ class Meshes:
 
 
 def read_parts(root: StrictTable, meshes: Meshes) -> list[Part]:
-    """Every [[part]]."""
+    """Read every [[part]]."""
     return [_placed_part(table, meshes) for table in root.tables("part", 1, PARTS_MAX)]
 
 
 def read_rotors(root: StrictTable, meshes: Meshes) -> tuple[tuple[Rotor, ...], list[Part]]:
-    """Every [[rotor]], and the motors and propellers that sit on them."""
+    """Read every [[rotor]], and the motors and propellers on them."""
     motor = _mounted_part(root, "motor_part", meshes)
     propeller = _mounted_part(root, "propeller_part", meshes)
     rotors: list[Rotor] = []
@@ -129,7 +129,7 @@ def _placed_part(table: StrictTable, meshes: Meshes) -> Part:
 
 
 def _mounted_part(root: StrictTable, key: str, meshes: Meshes) -> Part | None:
-    """The part that sits on every rotor, or None where the file has no such table."""
+    """Read the part that sits on every rotor, or None if the file has no such table."""
     if not root.has(key):
         return None
     table = root.table(key)
@@ -146,7 +146,7 @@ def _rotation(table: StrictTable) -> Vector:
 
 
 def _part(table: StrictTable, name: str, meshes: Meshes) -> Part:
-    """A part of the table's mass and inertia, at the origin; the caller places it."""
+    """Read a part with the table's mass and inertia, at the origin; the caller places it."""
     mass = table.number("mass_kg", 1e-6, 1000)
     form = table.either("inertia_kg_m2", "mesh", "box_m", "cylinder_m")
     if form == "inertia_kg_m2":
@@ -179,7 +179,7 @@ def _mesh(table: StrictTable, meshes: Meshes) -> Solid:
 
 
 def _inertia(table: StrictTable) -> Tensor:
-    """Three principal moments along the part's axes, or the six elements xx, yy, zz, xy, xz, yz."""
+    """Read three principal moments along the part's axes, or the six elements xx, yy, zz, xy, xz, yz."""
     values = table.numbers("inertia_kg_m2", 3, 6, -1000, 1000)
     if len(values) not in (3, 6):
         raise table.error("inertia_kg_m2", f"got {len(values)} numbers, expected 3 or 6")

@@ -25,7 +25,8 @@ EARLIER = {
 
 
 def flown_sha256(document: Mapping[str, Any], mesh: Callable[[str], bytes]) -> str:
-    """Digest of what the twin flies: the parsed file without names, comments and PIDs, the meshes' content.
+    """Compute a digest of what the twin flies: the parsed file without names, comments and PIDs, and the
+    meshes' content.
 
     Order of keys, layout and how a number is written do not count; a key written out counts, even with the
     value that it has when left out. document: of a valid aircraft. mesh: returns a mesh's bytes by its name.
@@ -37,7 +38,7 @@ def flown_sha256(document: Mapping[str, Any], mesh: Callable[[str], bytes]) -> s
 
 
 def file_sha256(data: bytes, meshes: Iterable[bytes]) -> str:
-    """Digest of the file's bytes and, where there are any, of the meshes in the order they were named."""
+    """Compute a digest of the file's bytes and of the meshes, in the order they were named."""
     digest = hashlib.sha256(data)
     for content in meshes:
         digest.update(hashlib.sha256(content).digest())
@@ -45,7 +46,7 @@ def file_sha256(data: bytes, meshes: Iterable[bytes]) -> str:
 
 
 def _canonical(value: Any, mesh: Callable[[str], bytes]) -> Any:  # noqa: ANN401
-    """`value` with every number as a float, and the digest of its content for the name of a mesh."""
+    """Return `value` with every number as a float, and a mesh's name replaced by its content's digest."""
     if isinstance(value, Mapping):
         return {
             key: hashlib.sha256(mesh(each)).hexdigest() if key == "mesh" else _canonical(each, mesh)

@@ -60,7 +60,7 @@ def edit_aircraft(path: Path, changes: Changes) -> None:
 
 
 def _with_key(text: str, table: str, key: str, value: str) -> str:
-    """`text` with `key` of `table` set: its value replaced, or a line added below the table's header."""
+    """Set `key` of `table` in `text`: replace its value, or add a line below the table's header."""
     bare = _OPAQUE.sub(lambda m: (" " if m.group("comment") else "x") * len(m.group()), text)
     newline = "\r\n" if "\r\n" in text else "\n"
     inside, below = False, -1

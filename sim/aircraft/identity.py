@@ -1,4 +1,4 @@
-"""Which aircraft a policy was trained on, by the digest that it carries."""
+"""The aircraft that a policy was trained on, by the digest in its file."""
 
 from __future__ import annotations
 

@@ -14,7 +14,7 @@ Tensor = tuple[Vector, Vector, Vector]
 
 @dataclass(frozen=True)
 class MeshPose:
-    """How a mesh was brought into its part's frame: turned about its own origin, then moved."""
+    """The placement of a mesh in its part's frame: turned about its own origin, then moved."""
 
     rotation_deg: Vector  # roll, pitch, yaw: about the fixed x, then y, then z axis
     offset: Vector  # [m]
@@ -38,7 +38,7 @@ class Part:
 
 @dataclass(frozen=True)
 class MassProperties:
-    """Of all parts together."""
+    """Mass, centre and inertia of all parts together."""
 
     mass: float  # [kg]
     centre: NDArray[np.float64]  # (3,) [m], body frame
@@ -46,7 +46,7 @@ class MassProperties:
 
 
 def mass_properties(parts: Sequence[Part]) -> MassProperties:
-    """Sum of the parts by the parallel-axis theorem."""
+    """Combine the parts by the parallel-axis theorem."""
     turns = [rotation_matrix(part.rotation) for part in parts]
     masses = np.array([part.mass for part in parts])
     centres = np.array(
@@ -62,7 +62,7 @@ def mass_properties(parts: Sequence[Part]) -> MassProperties:
 
 
 def principal(inertia: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Principal moments (3,) and their axes, the columns of (3, 3), of a symmetric inertia tensor.
+    """Return principal moments (3,) and their axes, the columns of (3, 3), of a symmetric inertia tensor.
 
     In the order of the body axes that the principal axes are nearest to; each points along its body axis.
     """
@@ -76,7 +76,7 @@ def principal(inertia: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArra
 
 
 def rotation_matrix(rotation: Vector) -> NDArray[np.float64]:
-    """Part to body for roll, pitch, yaw [rad] about the fixed x, then y, then z axis, shape (3, 3)."""
+    """Return the rotation (3, 3), part to body, of roll, pitch, yaw [rad] about the fixed x, y, z axes."""
     (cx, cy, cz), (sx, sy, sz) = np.cos(rotation), np.sin(rotation)
     about_x = np.array([[1.0, 0.0, 0.0], [0.0, cx, -sx], [0.0, sx, cx]])
     about_y = np.array([[cy, 0.0, sy], [0.0, 1.0, 0.0], [-sy, 0.0, cy]])

@@ -35,7 +35,7 @@ class Solid:
 
 
 def read_solid(data: bytes, unit: float) -> Solid:
-    """The solid inside an STL mesh whose coordinates are in `unit` [m].
+    """Compute the solid inside an STL mesh whose coordinates are in `unit` [m].
 
     Raises ValueError saying what is wrong with it: no STL, open, inside out, empty, or of absurd size.
     """
@@ -82,7 +82,7 @@ def placed(solid: Solid, pose: MeshPose) -> Solid:
 
 
 def box(size: Vector, centre: Vector) -> Solid:
-    """A box of `size` [m] along the axes about `centre` [m]."""
+    """Return a box of `size` [m] along the axes about `centre` [m]."""
     x, y, z = np.array(size) ** 2 / 12
     # Two triangles a face, counter-clockwise seen from outside.
     signs = np.array([[i, j, k] for i in (-1, 1) for j in (-1, 1) for k in (-1, 1)])
@@ -95,7 +95,7 @@ def box(size: Vector, centre: Vector) -> Solid:
 
 
 def cylinder(radius: float, height: float, centre: Vector) -> Solid:
-    """A cylinder [m] about z around `centre` [m]."""
+    """Return a cylinder [m] about z around `centre` [m]."""
     across, along = radius**2 / 4 + height**2 / 12, radius**2 / 2
     angle = 2 * np.pi * np.arange(CORNERS) / CORNERS
     x, y = radius * np.cos(angle), radius * np.sin(angle)
@@ -114,7 +114,7 @@ def cylinder(radius: float, height: float, centre: Vector) -> Solid:
 
 
 def equal_box(mass: float, inertia: Tensor) -> tuple[Array, Array]:
-    """Size (3,) [m] and axes, columns (3, 3), of the uniform box with this mass and inertia.
+    """Return size (3,) [m] and axes, columns (3, 3), of the uniform box with this mass and inertia.
 
     Source: I_x = m (l_y^2 + l_z^2) / 12 and its like, solved for the sides.
     """
@@ -123,7 +123,7 @@ def equal_box(mass: float, inertia: Tensor) -> tuple[Array, Array]:
 
 
 def _corners(data: bytes) -> Array:
-    """Triangles (K, 3, 3) of an STL file, in its own unit. Raises ValueError if it is none."""
+    """Read the triangles (K, 3, 3) of an STL file, in its own unit. Raises ValueError if it is none."""
     if len(data) >= _HEADER:
         (count,) = struct.unpack_from("<I", data, _HEADER - 4)
         if len(data) == _HEADER + count * _TRIANGLE.itemsize:

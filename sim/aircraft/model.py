@@ -1,7 +1,7 @@
 """The model of an aircraft, frozen dataclasses, and the reader of its TOML file.
 
 Keys carry their unit; each number's source stands in the file. A file that is missing, malformed or has an
-unknown key is an error that names the key. docs/own-aircraft.md lists every key.
+unknown key is an error that names the key. docs/reference/aircraft.md lists every key.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ Response = TorqueResponse | FirstOrderResponse
 
 @dataclass(frozen=True)
 class Propulsion:
-    """What a motor command does to a rotor, the same for every rotor of the aircraft.
+    """The response of a rotor to a motor command, the same for every rotor of the aircraft.
 
     Coefficients are polynomials of rotor speed w [rad/s], lowest power first; one number is a constant.
     """
@@ -140,7 +140,7 @@ class Thermal:
 
 @dataclass(frozen=True)
 class EscTelemetry:
-    """What the ESCs report, rounded to these steps; 0 is unrounded."""
+    """The resolution of the ESCs' reports; 0 is unrounded."""
 
     speed_step: float = 0.0  # [rad/s]
     voltage_step: float = 0.0  # [V]
@@ -175,7 +175,7 @@ class PidSettings:
 
 @dataclass(frozen=True)
 class Aircraft:
-    """All that an aircraft file says."""
+    """The content of an aircraft file."""
 
     name: str
     description: str
@@ -214,7 +214,7 @@ class Aircraft:
 
 
 def shipped() -> tuple[str, ...]:
-    """Names of the aircraft that come with the project."""
+    """List the aircraft that come with the project by name."""
     return tuple(sorted(path.stem for path in FOLDER.glob("*.toml")))
 
 
@@ -246,7 +246,7 @@ def load_aircraft(name: str | Path) -> Aircraft:
 
 
 def parse_aircraft(data: bytes, where: str, folder: Path | None = None, *, out: bool = False) -> Aircraft:
-    """Aircraft from the bytes of its file; `where` names it in messages. Raises AircraftError.
+    """Parse the bytes of an aircraft file; `where` names it in messages. Raises AircraftError.
 
     folder: where its meshes lie; without one, a file that names a mesh is refused. out: with its propellers
     out, all turning the other way than in the file.
@@ -298,7 +298,7 @@ def parse_aircraft(data: bytes, where: str, folder: Path | None = None, *, out: 
 
 
 def thrust_coefficient(c_t: float, diameter: float, density: float) -> float:
-    """K_T [N s^2/rad^2] of a propeller [m] in air of `density` [kg/m^3] from its dimensionless C_T.
+    """Compute K_T [N s^2/rad^2] of a propeller [m] in air of `density` [kg/m^3] from its dimensionless C_T.
 
     Source: T = C_T rho n^2 D^4 with n = w / 2 pi revolutions a second (UIUC Propeller Data Site).
     """
@@ -306,7 +306,7 @@ def thrust_coefficient(c_t: float, diameter: float, density: float) -> float:
 
 
 def torque_ratio(c_t: float, c_q: float, diameter: float) -> float:
-    """K_Q [m], torque over thrust, of a propeller [m] from its dimensionless C_T and C_Q.
+    """Compute K_Q [m], torque over thrust, of a propeller [m] from its dimensionless C_T and C_Q.
 
     Source: Q = C_Q rho n^2 D^5, beside T as above; C_Q is C_P / 2 pi.
     """
@@ -362,7 +362,7 @@ def _propulsion(table: StrictTable) -> Propulsion:
 
 
 def _coefficients(table: StrictTable, speed_max: float) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """K_T and K_Q, given as such or by the propeller's dimensionless C_T and C_Q."""
+    """Read K_T and K_Q, given as such or by the propeller's dimensionless C_T and C_Q."""
     if table.either("thrust_coefficient", "c_t") == "thrust_coefficient":
         table.either("torque_ratio_m", "c_q")
         thrust = _coefficient(table, "thrust_coefficient", speed_max, 1)
@@ -375,7 +375,7 @@ def _coefficients(table: StrictTable, speed_max: float) -> tuple[tuple[float, ..
 
 
 def _coefficient(table: StrictTable, key: str, speed_max: float, high: float) -> tuple[float, ...]:
-    """A number, or a polynomial of rotor speed that stays positive up to `speed_max` [rad/s]."""
+    """Read a number, or a polynomial of rotor speed that stays positive up to `speed_max` [rad/s]."""
     polynomial = table.numbers(key, 1, COEFFICIENT_TERMS_MAX, -high, high)
     speeds = np.linspace(0.0, speed_max, 1001)
     values = np.polynomial.polynomial.polyval(speeds, polynomial)

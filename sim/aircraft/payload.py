@@ -31,7 +31,7 @@ class Payload:
 
 
 def parse_payload(text: str) -> Payload:
-    """A payload from GRAMS@X,Y,Z, metres in the body frame. Raises AircraftError."""
+    """Parse a payload from GRAMS@X,Y,Z, metres in the body frame. Raises AircraftError."""
     expected = (
         f"expected GRAMS@X,Y,Z in g and m, such as 50@0.04,0,0.02, up to {GRAMS_MAX:g} g, {REACH_MAX:g} m"
     )
@@ -47,7 +47,7 @@ def parse_payload(text: str) -> Payload:
 
 
 def loaded(aircraft: Aircraft, payload: Payload) -> Aircraft:
-    """`aircraft` with the payload fixed to it."""
+    """Return `aircraft` with the payload fixed to it."""
     nothing = (ZERO, ZERO, ZERO)
     part = Part("payload", payload.mass, payload.position, ZERO, ZERO, nothing)
     parts = (*aircraft.parts, part)

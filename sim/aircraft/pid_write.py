@@ -55,7 +55,7 @@ def write_pid(source: Path, target: Path, name: str, settings: PidSettings, comm
 
 
 def _place(lines: list[str], name: str) -> tuple[int, int]:
-    """Lines to replace: those of [pid.NAME] and our comment above, or none before the first other PID."""
+    """Return the lines to replace: [pid.NAME] and our comment above, or none before the first PID."""
     tables = [(number, match[1]) for number, line in enumerate(lines) if (match := _HEADER.match(line))]
     own = [number for number, table in tables if _is(table, name)]
     if own:
@@ -70,7 +70,7 @@ def _place(lines: list[str], name: str) -> tuple[int, int]:
 
 
 def _comment_above(lines: list[str], number: int) -> int:
-    """First of the comment lines right above line `number`, or `number` itself."""
+    """Return the first of the comment lines right above line `number`, or `number` itself."""
     while number > 0 and lines[number - 1].startswith("#"):
         number -= 1
     return number

@@ -30,19 +30,19 @@ GYRO_OF = "nf1"  # whose gyro and accelerometer an aircraft has that says nothin
 LAG_S = (0.03, 0.04)  # assumed; small brushless drives have 20 to 60 ms
 DELAY_S = 0.002
 ROTOR_MASS = 0.013  # of the aircraft's, a propeller: the NF1's is 1.3 %, the Iris' 1.7 %
-BLADE = 0.6 / 12  # of a tapered rod's moment, in m D^2; see docs/own-aircraft.md
+BLADE = 0.6 / 12  # of a tapered rod's moment, in m D^2; see docs/guides/own-aircraft.md
 
 
 @dataclass(frozen=True)
 class Said:
-    """A value of the aircraft file, and whose it is."""
+    """A value of the aircraft file with its source."""
 
     value: Any
     source: str
 
 
 class Writer:
-    """Writes the file, and keeps what is assumed in it."""
+    """A writer of the file, which also keeps the assumed values."""
 
     def __init__(
         self, robot: Robot, drives: list[Drive], where: str, other: Aircraft | None, like: str | None
@@ -122,7 +122,7 @@ class Writer:
         return lines
 
     def _common(self, key: str, tag: str) -> Any:  # noqa: ANN401 - a number or a vector
-        """What all drives say alike. Raises AircraftError where they differ: an aircraft's are all alike."""
+        """Return the value that all drives share. Raises AircraftError if they differ."""
         values = [getattr(drive, key) for drive in self._drives]
         if any(value is not None and value != values[0] for value in values):
             raise AircraftError(

@@ -52,7 +52,7 @@ def read_sdf(root: ET.Element, path: Path, where: str) -> Robot:
 
 
 class _Reader:
-    """Collects links and drives of a model and of those that it includes."""
+    """A reader that collects links and drives of a model and of those that it includes."""
 
     def __init__(self, where: str) -> None:
         self.where = where

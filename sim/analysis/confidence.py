@@ -27,7 +27,8 @@ class Mean:
 
 
 def mean_of(values: Array, valid: NDArray[np.bool_], each: int = 1) -> Mean:
-    """Mean of the `valid` ones of values (E, ...) with Student's t interval; a single one has no width.
+    """Compute the mean of the `valid` ones of values (E, ...) with Student's t interval; a single one has no
+    width.
 
     each: how many values one after another are of one flight. They depend on each other, so that the
     interval is that of as many independent values as there are flights: of the sums over a flight of what
@@ -51,7 +52,7 @@ def mean_of(values: Array, valid: NDArray[np.bool_], each: int = 1) -> Mean:
 
 
 def paired(first: Array, second: Array) -> Mean:
-    """Mean of second - first with Student's t interval.
+    """Compute the mean of second - first with Student's t interval.
 
     first, second: (E,), or (E, A), of whose A differences each episode counts the mean. Pairs that lack a
     number (NaN) are left out.
@@ -64,7 +65,7 @@ def paired(first: Array, second: Array) -> Mean:
 
 
 def share_of(hits: NDArray[np.bool_], each: int = 1) -> Mean:
-    """Share of hits (E, ...), 0..1, with Wilson's interval, which has a width at 0 and at 1 too.
+    """Compute the share of hits (E, ...), 0..1, with Wilson's interval, which has a width at 0 and at 1 too.
 
     each: see `mean_of`; the interval is that of as many hits and misses as there are flights.
     """
@@ -78,7 +79,7 @@ def share_of(hits: NDArray[np.bool_], each: int = 1) -> Mean:
 
 
 def student(freedom: NDArray[np.integer]) -> Array:
-    """97.5 % quantile of Student's t; from 11 degrees of freedom on by Cornish and Fisher's expansion."""
+    """Compute the 97.5 % quantile of Student's t; above 10 degrees of freedom by Cornish and Fisher."""
     z, n = NORMAL, np.maximum(freedom, 1).astype(np.float64)
     first, second = (z**3 + z) / 4, (5 * z**5 + 16 * z**3 + 3 * z) / 96
     third = (3 * z**7 + 19 * z**5 + 17 * z**3 - 15 * z) / 384

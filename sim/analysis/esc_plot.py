@@ -23,7 +23,7 @@ TITLES = {  # of each topic, its unit
 
 
 def draw_topics(topics: Mapping[str, Array], rate_hz: int, title: str) -> Figure:
-    """Six panels; a topic that the aircraft file does not give says so."""
+    """Draw six panels; a topic that is missing in the aircraft file is marked so."""
     figure = titled_figure((12.5, 9.0), title)
     panels = figure.subplots(3, 2, sharex=True)
     for panel, (name, (label, unit)) in zip(panels.flat, TITLES.items(), strict=True):

@@ -63,7 +63,7 @@ class Flight:
 
 
 def table(flights: Sequence[Flight]) -> list[tuple[str, ...]]:
-    """Rows of text: a heading, then each figure with one column a flight; errors as roll / pitch / yaw."""
+    """Return rows of text: a heading, then each figure with a column a flight; errors by axis."""
     rows: list[tuple[str, ...]] = [("", *(flight.name for flight in flights))]
 
     def add(label: str, values: Sequence[str]) -> None:
@@ -89,7 +89,7 @@ def table(flights: Sequence[Flight]) -> list[tuple[str, ...]]:
 
 
 def _add_holding(add: Callable[[str, Sequence[str]], None], held: Sequence[Holding]) -> None:
-    """Rows about centred sticks: early in the flight, and in the hover at its end."""
+    """Add rows about centred sticks: early in the flight, and in the hover at its end."""
     add("rest early, deg/s", [_axes(each.early[0], 2) for each in held])
     add("rest late, deg/s", [_axes(each.hover[0], 2) for each in held])
     add(f"drift in {DRIFT_S:g} s, deg", [_axes(each.drift[0], 1) for each in held])
@@ -98,7 +98,7 @@ def _add_holding(add: Callable[[str, Sequence[str]], None], held: Sequence[Holdi
 def _add_response(
     add: Callable[[str, Sequence[str]], None], responses: Sequence[ResponseFigures | None]
 ) -> None:
-    """Rows about commands that were held; a dash for a flight that holds none."""
+    """Add rows about held commands; a dash for a flight that holds none."""
     rows = (
         ("success, %", "success", 100, 1),
         ("in band after 500 ms, %", "in_band_500", 100, 1),
@@ -110,8 +110,8 @@ def _add_response(
         add(label, [_axes(factor * mean.value, digits) if mean else "-" for mean in means])
 
 
-def draw(flights: Sequence[Flight], title: str) -> Figure:
-    """Rates of each axis, then error and motors of the first flight; at most WINDOW_S of it."""
+def draw_flights(flights: Sequence[Flight], title: str) -> Figure:
+    """Draw the rates of each axis, then error and motors of the first flight; WINDOW_S of it at most."""
     figure = titled_figure((11, 11.5), title, (0.06, 0.08))
     panels: list[Axes] = list(
         figure.subplots(5, 1, sharex=True, gridspec_kw={"height_ratios": (3, 3, 3, 2.4, 2.6)})
@@ -135,13 +135,13 @@ def draw(flights: Sequence[Flight], title: str) -> Figure:
 
 def save_plot(path: Path, flights: Sequence[Flight], title: str) -> None:
     """Write the plot as PNG."""
-    save_png(path, draw(flights, title))
+    save_png(path, draw_flights(flights, title))
 
 
 def save_report(path: Path, flights: Sequence[Flight], title: str, note: str) -> None:
     """Write one HTML page with the figures and the plot inside; nothing is loaded from elsewhere."""
     heading, *rows = table(flights)
-    picture = base64.b64encode(png(draw(flights, "")))
+    picture = base64.b64encode(png(draw_flights(flights, "")))
     write_text(
         path,
         f"<!doctype html>\n<html lang=en><meta charset=utf-8><title>{html.escape(title)}</title>"
@@ -186,7 +186,7 @@ def _draw_error(panel: Axes, flight: Flight, shown: NDArray[np.bool_]) -> None:
 
 
 def _draw_motors(panel: Axes, flight: Flight, shown: NDArray[np.bool_]) -> None:
-    """Each motor as it was, faint, and its moving average over SMOOTH_S."""
+    """Draw each motor, faint, and its moving average over SMOOTH_S."""
     trace = flight.trace
     width = max(1, round(SMOOTH_S * trace.control_rate_hz))
     for motor in range(trace.motors.shape[1]):

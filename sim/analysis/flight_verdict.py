@@ -75,7 +75,7 @@ def faults(flight: Flight, beside: Flight | None = None) -> list[str]:
 
 
 def _stopped(flight: Flight) -> Iterator[str]:
-    """Its motors stood still for a while."""
+    """Yield a fault if its motors stood still for a while."""
     still = (flight.trace.dshot == 0).any(axis=1)
     if still.any():
         at_s = flight.trace.t[still.argmax()] - flight.trace.t[0]
@@ -83,7 +83,7 @@ def _stopped(flight: Flight) -> Iterator[str]:
 
 
 def _held(flight: Flight, beside: Flight | None) -> Iterator[str]:
-    """With centred sticks it turns, or more than when the flight was young."""
+    """Yield a fault if it turns with centred sticks, or turns more late in the flight than early."""
     if (held := flight.holding) is None:
         return
     other = None if beside is None else beside.holding
@@ -117,7 +117,7 @@ def _held(flight: Flight, beside: Flight | None) -> Iterator[str]:
 
 
 def _swings(flight: Flight, beside: Flight | None) -> Iterator[str]:
-    """Its motors go up and down: over the flight, in a command that is held, or in the hover."""
+    """Yield a fault if its motors oscillate: over the flight, in a held command, or in the hover."""
     trace, step_s = flight.trace, flight.trace.step_s
     if not step_s:
         return
@@ -140,7 +140,7 @@ def _swings(flight: Flight, beside: Flight | None) -> Iterator[str]:
 
 
 def _windows(flight: Flight) -> Iterator[tuple[slice, float]]:
-    """Rows of the flight that are measured, and the limit of the motors' change in them."""
+    """Yield the measured rows of the flight, with the limit of the motors' change in them."""
     trace = flight.trace
     running: NDArray[np.bool_] = np.all(trace.dshot > 0, axis=1)
     entry, least = round(ENTRY_S / trace.step_s), max(3, round(HELD_S / trace.step_s))
@@ -158,7 +158,7 @@ def _windows(flight: Flight) -> Iterator[tuple[slice, float]]:
 
 
 def _follows(flight: Flight, beside: Flight | None) -> Iterator[str]:
-    """It follows the sticks worse than the reference."""
+    """Yield a fault if it follows the sticks worse than the reference."""
     if beside is None:
         return
     own, other = flight.figures.tracking, beside.figures.tracking

@@ -1,4 +1,4 @@
-"""Whether a controller holds in a flight of a minute: errors by the flight's age, and drift. Pure functions.
+"""A controller's holding over a flight of a minute: errors by the flight's age, and drift. Pure functions.
 
 A policy whose memory winds up flies its first command well and its tenth badly, and turns on when the sticks
 are centred; figures of single commands do not show it. A flight here is `commands` equal parts of a command
@@ -57,7 +57,7 @@ class HoldingFigures:
 
 
 def holding(setpoint: ArrayLike, rate: ArrayLike, step_s: float, commands: int, before: int) -> Holding:
-    """Figures of flights.
+    """Compute the figures of flights.
 
     setpoint, rate: (E, T, 3) [rad/s], true, rows `step_s` apart; before: rows before the hover; commands: the
     equal parts of these, of which errors are told. Raises ValueError on a hover shorter than DRIFT_S, on one
@@ -86,7 +86,7 @@ def holding(setpoint: ArrayLike, rate: ArrayLike, step_s: float, commands: int, 
 
 
 def holding_figures(each: Holding) -> HoldingFigures:
-    """Means over the flights."""
+    """Average over the flights."""
     parts = {
         "mae": each.mae.mean(axis=2),
         "mse": each.mse.mean(axis=2),
@@ -98,7 +98,7 @@ def holding_figures(each: Holding) -> HoldingFigures:
 
 
 def settled(setpoint: ArrayLike, step_s: float) -> NDArray[np.bool_]:
-    """Whether all sticks have been centred for SETTLED_S at each row of a flight's setpoints (T, 3)."""
+    """Return True for each row of setpoints (T, 3) at which all sticks have been centred for SETTLED_S."""
     steps = np.arange(len(np.asarray(setpoint)))
     moved = np.asarray(setpoint).any(axis=1)
     last = np.maximum.accumulate(np.where(moved, steps, -1))
@@ -107,6 +107,6 @@ def settled(setpoint: ArrayLike, step_s: float) -> NDArray[np.bool_]:
 
 
 def _rest(error: Array, resting: NDArray[np.bool_]) -> Array:
-    """Mean error of the rows at rest in each fifth, (FIFTHS, 3)."""
+    """Compute the mean error of the rows at rest in each fifth, (FIFTHS, 3)."""
     fifths = zip(np.array_split(error, FIFTHS), np.array_split(resting, FIFTHS), strict=True)
     return np.array([part[at].mean(axis=0) if at.any() else np.full(3, np.nan) for part, at in fifths])

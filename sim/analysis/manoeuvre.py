@@ -18,7 +18,7 @@ STEP_MIN_DEG_S = 20.0  # a smaller change of a command has no overshoot to speak
 
 @dataclass(frozen=True)
 class ManoeuvreFigures:
-    """Of one flight, without the hovers before and behind it; errors are against the true rate."""
+    """Figures of one flight, without the hovers before and behind it; errors are against the true rate."""
 
     mae: float  # [deg/s], mean of the axes
     mse: float  # [(deg/s)^2], likewise
@@ -36,7 +36,7 @@ class ManoeuvreFigures:
 def manoeuvre_figures(
     trace: Trace, thrust: Array, commanded: tuple[bool, bool, bool], settle_s: float, hover_s: float
 ) -> ManoeuvreFigures:
-    """Figures of a flight from `settle_s` [s] on, whose last `hover_s` are a hover.
+    """Compute the figures of a flight from `settle_s` [s] on, whose last `hover_s` are a hover.
 
     thrust: of all rotors over weight at each row of the trace, (N,). commanded: axes that have a command at
     some time, and not all of them. Raises ValueError if nothing is left of the flight, or of the hover.
@@ -75,7 +75,7 @@ def manoeuvre_figures(
 
 
 def shake(error: Array, step_s: float) -> float:
-    """Root mean square of errors (T, 3) between SHAKE_HZ, of all axes."""
+    """Compute the root mean square of errors (T, 3) between SHAKE_HZ, of all axes."""
     parts = np.fft.rfft(error - error.mean(axis=0), axis=0)
     frequency = np.fft.rfftfreq(len(error), step_s)
     inside = (frequency >= SHAKE_HZ[0]) & (frequency <= SHAKE_HZ[1])
@@ -84,9 +84,9 @@ def shake(error: Array, step_s: float) -> float:
 
 
 def overshoot(setpoint: Array, rate: Array) -> float:
-    """How far a rate (T,) goes past a setpoint (T,) that jumps, in % of the jump; the most of all jumps.
+    """Return the largest overshoot of a rate (T,) past the jumps of a setpoint (T,), in % of the jump.
 
-    Each jump counts until the next one. Jumps below STEP_MIN_DEG_S [deg/s] are none.
+    A jump counts until the next one. Jumps below STEP_MIN_DEG_S [deg/s] do not count.
     """
     jumps = np.flatnonzero(np.abs(np.diff(setpoint)) >= STEP_MIN_DEG_S) + 1
     most = 0.0

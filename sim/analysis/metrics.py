@@ -34,7 +34,7 @@ class Tracking:
     itse: Array
 
     def mean(self) -> Tracking:
-        """Averaged over all leading axes (episodes), shape (3,)."""
+        """Average over all leading axes (episodes), shape (3,)."""
         return Tracking(*(getattr(self, field.name).reshape(-1, 3).mean(axis=0) for field in fields(self)))
 
 
@@ -58,7 +58,7 @@ class Figures:
 
 
 def tracking(setpoint: ArrayLike, rate: ArrayLike, step_s: float) -> Tracking:
-    """Errors over time.
+    """Compute errors over time.
 
     setpoint, rate: [rad/s], shape (..., T, 3), rows `step_s` [s] apart. Raises ValueError on other shapes.
     """
@@ -84,7 +84,7 @@ def controller_output(
     idle: float = IDLE_DEFAULT,
     mix: Mix | None = Mix.ATTITUDE_FIRST,
 ) -> Array:
-    """The controller's y (..., T, M) behind motor fractions u', by undoing idle and throttle mix.
+    """Compute the controller's y (..., T, M) from motor fractions u', by undoing idle and throttle mix.
 
     u' = idle + (1 - idle) u and u_i = T (1 - max y) + y_i, so max u = T + (1 - T) max y, from which max y
     and then y follow. At full throttle the mix keeps only differences: max y is then taken as max u.
@@ -103,7 +103,7 @@ def controller_output(
 
 
 def effort(output: ArrayLike, step_s: float) -> Effort:
-    """Mean output and mean change over 1 ms of controller outputs y (..., T, M), rows `step_s` [s] apart."""
+    """Compute mean output and mean change over 1 ms of outputs y (..., T, M), rows `step_s` [s] apart."""
     y = np.asarray(output, np.float64)
     stride = max(1, round(CHANGE_S / step_s))
     samples = y[..., ::stride, :]
@@ -117,7 +117,7 @@ def figures(
     idle: float = IDLE_DEFAULT,
     mix: Mix | None = Mix.ATTITUDE_FIRST,
 ) -> Figures:
-    """Figures of a flight of `episodes` equal episodes; mix: as `controller_output` has it.
+    """Compute the figures of a flight of `episodes` equal episodes; mix: see `controller_output`.
 
     Raises ValueError if its rows do not divide.
     """

@@ -114,7 +114,7 @@ class ResponseFigures:
 
 
 def hold(setpoint: ArrayLike, rate: ArrayLike, step_s: float) -> Hold | None:
-    """The held command of each episode, found from the setpoints themselves; None if one is under HOLD_S.
+    """Find the held command of each episode in the setpoints; None if one is shorter than HOLD_S.
 
     setpoint, rate: (E, T, 3) [rad/s], rows `step_s` apart. A command begins where the setpoint leaves zero
     and lasts until it changes again; all are cut to the shortest.
@@ -139,28 +139,28 @@ def hold(setpoint: ArrayLike, rate: ArrayLike, step_s: float) -> Hold | None:
 
 
 def progress(held: Hold) -> Array:
-    """Progress of the rate, (E, L, 3): 0 where it began, 1 at the setpoint; 0 without a command."""
+    """Compute the progress of the rate, (E, L, 3): 0 at its beginning, 1 at the setpoint."""
     initial = held.initial[:, None]
     part: Array = 1.0 - held.error / np.where(initial == 0.0, 1.0, initial)
     return np.where(initial == 0.0, 0.0, part)
 
 
 def in_band(held: Hold, floor_deg_s: float = FLOOR_DEG_S) -> Mask:
-    """Whether each sample is in the band, (E, L, 3)."""
+    """Return True for each sample in the band, (E, L, 3)."""
     band = np.maximum(BAND * np.abs(held.initial), np.deg2rad(floor_deg_s))
     inside: Mask = np.abs(held.error) <= band[:, None]
     return inside
 
 
 def large(held: Hold, floor_deg_s: float = FLOOR_DEG_S) -> Mask:
-    """Axes whose initial error can be taken percentages of, (E, 3)."""
+    """Return True for axes whose initial error is large enough for percentages, (E, 3)."""
     size = np.abs(held.initial)
     enough: Mask = (size >= np.deg2rad(floor_deg_s)) & (size > 0.0)
     return enough
 
 
 def response(held: Hold, floor_deg_s: float = FLOOR_DEG_S) -> Response:
-    """Figures of each axis of each episode."""
+    """Compute the figures of each axis of each episode."""
     late, later, end = (round(s / held.step_s) for s in (LATE_S, LATER_S, STEADY_S))
     size = np.abs(held.initial)
     error = np.abs(held.error)
@@ -198,7 +198,7 @@ def response(held: Hold, floor_deg_s: float = FLOOR_DEG_S) -> Response:
 
 
 def together(each: Sequence[Response]) -> Response:
-    """The episodes of several responses as those of one."""
+    """Join the episodes of several responses."""
     joined = {
         field.name: np.concatenate([getattr(one, field.name) for one in each]) for field in fields(Response)
     }
@@ -206,12 +206,12 @@ def together(each: Sequence[Response]) -> Response:
 
 
 def response_figures(held: Hold, floor_deg_s: float = FLOOR_DEG_S) -> ResponseFigures:
-    """Means over the episodes with their 95 % confidence."""
+    """Average over the episodes, with 95 % confidence."""
     return mean_figures(response(held, floor_deg_s), floor_deg_s)
 
 
 def mean_figures(each: Response, floor_deg_s: float = FLOOR_DEG_S, commands: int = 1) -> ResponseFigures:
-    """Means of responses taken with that floor, with their 95 % confidence.
+    """Average responses taken with that floor, with 95 % confidence.
 
     commands: how many one after another are of one flight; see `mean_of`.
     """
@@ -245,14 +245,14 @@ def mean_figures(each: Response, floor_deg_s: float = FLOOR_DEG_S, commands: int
 
 
 def _settled(inside: Mask, step_s: float) -> tuple[Mask, NDArray[np.intp]]:
-    """Whether each axis settles (E, 3), and the first sample from which it stays in the band."""
+    """Return True for axes that settle (E, 3), and the first sample from which each stays in the band."""
     steps = inside.shape[1]
     outside_last = np.where(inside.all(axis=1), 0, steps - (~inside[:, ::-1]).argmax(axis=1))
     return outside_last <= steps - round(STAY_S / step_s), outside_last
 
 
 def _first_crossing(part: Array, level: float) -> tuple[Array, Mask]:
-    """Sample (E, 3) at which `part` (E, L, 3) first reaches `level`, between two by line; and whether."""
+    """Return the sample (E, 3) at which `part` (E, L, 3) first reaches `level`, and whether it does."""
     above = part >= level
     reached: Mask = np.asarray(above.any(axis=1))
     after = above.argmax(axis=1)[:, None]
@@ -264,7 +264,7 @@ def _first_crossing(part: Array, level: float) -> tuple[Array, Mask]:
 
 
 def _slope(values: Array, step_s: float) -> Array:
-    """Slope (E, 3) of the least-squares line through values (E, K, 3)."""
+    """Fit the slope (E, 3) of the least-squares line through values (E, K, 3)."""
     t = np.arange(values.shape[1]) * step_s
     t -= t.mean()
     return np.asarray(np.einsum("k,ekj->ej", t, values) / (t @ t))

@@ -27,9 +27,8 @@ PERCENTILES = (5, 25, 50, 75, 95)
 
 
 def draw(held: Hold, figures: ResponseFigures, line: Line, title: str) -> Figure:
-    """A panel for each axis with median, percentiles, rise and peak; below, the share of commands in the
-    band over time, and the spectrum of the motors.
-    """
+    """Draw a panel for each axis with median, percentiles, rise and peak; below, the share of commands in the
+    band over time, and the spectrum of the motors."""
     figure = titled_figure((12, 8), title)
     grid = figure.add_gridspec(2, 3, height_ratios=(3, 2))
     shown = held.t < WINDOW_S
@@ -54,7 +53,7 @@ def draw(held: Hold, figures: ResponseFigures, line: Line, title: str) -> Figure
 def _draw_axis(
     panel: Axes, t: NDArray[np.float64], part: NDArray[np.float64], figures: ResponseFigures, axis: int
 ) -> None:
-    """Responses (E, L) of one axis [%] over t [ms]."""
+    """Draw the responses (E, L) of one axis [%] over t [ms]."""
     colour = AXIS_COLOURS[axis]
     panel.axhspan(100 * (1 - BAND), 100 * (1 + BAND), color=SHADE, zorder=0)
     panel.axhline(100, color=INK, lw=1.0, ls=(0, (4, 2)), zorder=2)
@@ -113,6 +112,6 @@ def _draw_band(panel: Axes, held: Hold, figures: ResponseFigures, shown: NDArray
 
 
 def _top(part: NDArray[np.float64], enough: NDArray[np.bool_]) -> float:
-    """Upper end of the rates' scale [%]: above nearly every response, but not beyond three commands."""
+    """Return the upper end of the rates' scale [%]: above nearly every response, three commands at most."""
     tops = [np.percentile(part[enough[:, a], :, a], 95, axis=0).max() for a in range(3) if enough[:, a].any()]
     return min(300.0, 1.06 * float(max(tops, default=0.0)))

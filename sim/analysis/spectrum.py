@@ -38,7 +38,7 @@ class Spectrum:
     amplitude: Array  # (B,) motor fraction
 
     def document(self) -> dict[str, list[float]]:
-        """As JSON has it, with the digits that mean something."""
+        """Return the spectrum for JSON, rounded to significant digits."""
         return {
             "frequency_hz": [float(f"{value:.5g}") for value in self.frequency_hz],
             "amplitude": [float(f"{value:.4g}") for value in self.amplitude],
@@ -46,7 +46,7 @@ class Spectrum:
 
 
 def components(output: ArrayLike, step_s: float) -> Components:
-    """Components of outputs (..., T, M), rows `step_s` [s] apart; none of fewer than two samples."""
+    """Compute the components of outputs (..., T, M), rows `step_s` [s] apart; none of one sample."""
     stride = max(1, round(SAMPLE_S / step_s))
     y = np.asarray(output)[..., ::stride, :]
     samples, motors = y.shape[-2:]
@@ -63,14 +63,14 @@ def components(output: ArrayLike, step_s: float) -> Components:
 
 
 def smoothness(parts: Components) -> Array:
-    """Sm of each episode, (...); 0 where there is no component."""
+    """Compute Sm of each episode, (...); 0 without a component."""
     count = max(1, len(parts.frequency_hz))
     weighed: Array = 2.0 / (count * parts.rate_hz) * (parts.amplitude @ parts.frequency_hz)
     return weighed
 
 
 def spectrum(parts: Components, count: int = BANDS) -> Spectrum:
-    """Mean over episodes and over `count` bands of frequency; bands without a component are left out."""
+    """Average over episodes and over `count` bands of frequency; bands without a component are left out."""
     frequency = parts.frequency_hz
     mean = parts.amplitude.mean(axis=tuple(range(parts.amplitude.ndim - 1)))
     if len(frequency) < 2:

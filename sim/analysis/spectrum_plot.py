@@ -23,7 +23,7 @@ class Line:
 
 
 def draw_spectra(panel: Axes, lines: Sequence[Line]) -> None:
-    """Amplitude of one component over its frequency, both logarithmic; the first line in front."""
+    """Draw the amplitude of one component over its frequency, both logarithmic; the first line in front."""
     for number, line in enumerate(lines):
         panel.plot(
             line.spectrum.frequency_hz,

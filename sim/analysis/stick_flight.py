@@ -20,7 +20,7 @@ TOUCH_S = 0.02  # before the touch, of which the speed is taken: the contact its
 
 @dataclass(frozen=True)
 class StickFigures:
-    """Of one flight by eye."""
+    """Figures of one flight by eye."""
 
     height_error_m: float  # mean |height - wanted| of the last STEADY_S of segments with a height above 0
     tilt_deg: float  # mean in the air
@@ -32,7 +32,7 @@ class StickFigures:
 
 
 def stick_figures(scenario: Scenario, motion: Motion, control_rate_hz: int) -> StickFigures:
-    """Figures of a flight of `scenario`, whose last height is 0: the landing."""
+    """Compute the figures of a flight of `scenario`, whose last height is 0: the landing."""
     height = motion.position[:, 2] - motion.position[0, 2]
     speed, tilt = motion.velocity, np.rad2deg(motion.tilt)
     ends = np.cumsum(scenario.steps(control_rate_hz))
@@ -62,7 +62,7 @@ def stick_figures(scenario: Scenario, motion: Motion, control_rate_hz: int) -> S
 
 @dataclass(frozen=True)
 class DescentFigures:
-    """Of one descent from a hover, the throttle closed."""
+    """Figures of one descent from a hover, the throttle closed."""
 
     sink_m_s: float  # downward speed, mean of the last second
     fallen_m: float  # since the throttle closed
@@ -70,7 +70,7 @@ class DescentFigures:
 
 
 def descent_figures(motion: Motion, closed_at: int, control_rate_hz: int) -> DescentFigures:
-    """Figures of a flight whose throttle closes at row `closed_at`."""
+    """Compute the figures of a flight whose throttle closes at row `closed_at`."""
     height = motion.position[:, 2]
     return DescentFigures(
         sink_m_s=float(-motion.velocity[-control_rate_hz:, 2].mean()),

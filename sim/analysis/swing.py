@@ -1,4 +1,4 @@
-"""Motors that swing: how much they change in a millisecond, amplitude and frequency. Pure functions."""
+"""Oscillation of motors: change in a millisecond, amplitude and frequency. Pure functions."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ SWING_HZ = (20.0, 200.0)  # above: no rotor follows; below: the way to a command
 
 
 def swing(motors: ArrayLike, step_s: float) -> tuple[float, float]:
-    """Amplitude and main frequency [Hz] of what motors (T, M) do between 20 and 200 Hz.
+    """Return amplitude and main frequency [Hz] of motors (T, M) between 20 and 200 Hz.
 
     The amplitude is that of a sine with the power of this band, mean over the motors; a Hann window keeps
     what is slower out of it.
@@ -26,6 +26,6 @@ def swing(motors: ArrayLike, step_s: float) -> tuple[float, float]:
 
 
 def change(motors: ArrayLike, step_s: float) -> float:
-    """Mean |change| of a motor's fraction in 1 ms, of motors (T, M)."""
+    """Compute the mean |change| of a motor's fraction in 1 ms, of motors (T, M)."""
     samples = np.asarray(motors)[:: max(1, round(CHANGE_S / step_s))]
     return float(np.abs(np.diff(samples, axis=0)).mean(dtype=np.float64))

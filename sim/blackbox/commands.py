@@ -1,4 +1,4 @@
-"""What a pilot asked for in a flight: the distribution of the commanded rates.
+"""The pilot's commands in a flight: the distribution of the commanded rates.
 
 Training draws commands from a distribution (Koch 2019, chapter 5); a flown log says what pilots really ask
 for: the dissertation's had 786,022 samples with a standard deviation of 12.4 deg/s.
@@ -67,7 +67,7 @@ class Commands:
 
 @dataclass(frozen=True, eq=False)
 class Sticks:
-    """What a pilot asked for in one flight of N rows."""
+    """The pilot's sticks in one flight of N rows."""
 
     setpoint: NDArray[np.float32]  # (N, 3) [rad/s]
     throttle: NDArray[np.float32]  # (N,) 0..1
@@ -75,7 +75,7 @@ class Sticks:
 
 
 def log_sticks(log: Log, part: Part = WHOLE) -> Sticks:
-    """What was asked for in a log's armed rows. Raises TraceError where it has no setpoint."""
+    """Return the commands in a log's armed rows. Raises TraceError if it has no setpoint."""
     told = channels(log)
     if told.setpoint is None:
         raise TraceError(f"{log.path}: log {log.number} has {told.pilot.lacks}")
@@ -93,13 +93,13 @@ def log_sticks(log: Log, part: Part = WHOLE) -> Sticks:
 
 
 def trace_sticks(trace: Trace, part: Part = WHOLE) -> Sticks:
-    """What was asked for in a trace. Raises TraceError where `part` holds no row of it."""
+    """Return the commands in a trace. Raises TraceError if `part` holds no row of it."""
     taken = cut(trace, part)
     return Sticks(taken.setpoint, taken.throttle, taken.t)
 
 
 def commands(flights: Sequence[Sticks]) -> Commands:
-    """The distribution of what was asked for in all flights together; there is at least one."""
+    """Compute the distribution of the commands in all flights together; there is at least one."""
     asked = np.concatenate([_deg_s(one) for one in flights])
     size = np.abs(asked)
     turning = size >= ASKED_DEG_S
@@ -127,7 +127,7 @@ def commands(flights: Sequence[Sticks]) -> Commands:
 
 
 def _histograms(asked: Array) -> Histograms:
-    """Of commands (N, 3) [deg/s]."""
+    """Count the histograms of commands (N, 3) [deg/s]."""
     edges, counts, normal = [], [], []
     for axis in asked.T:
         # Odd widths put the edges between whole numbers: many logs count whole deg/s, and a command on an
@@ -142,17 +142,17 @@ def _histograms(asked: Array) -> Histograms:
 
 
 def _normal_below(value: float, mean: float, sigma: float) -> float:
-    """Part of a normal distribution below `value`; without a width all of it lies at the mean."""
+    """Return the share of a normal distribution below `value`; without a width all of it lies at the mean."""
     if sigma == 0.0:
         return float(value > mean)
     return 0.5 * math.erfc((mean - value) / (sigma * math.sqrt(2.0)))
 
 
 def _deg_s(flight: Sticks) -> Array:
-    """Setpoints (N, 3) [deg/s], without the last bits that float32 radians cost."""
+    """Return setpoints (N, 3) [deg/s], rounded to remove float32's error."""
     return np.asarray(np.round(np.rad2deg(flight.setpoint.astype(np.float64)), DIGITS), np.float64)
 
 
 def _changes(flight: Sticks) -> Array:
-    """Change from row to row (N - 1, 3) [deg/s^2]."""
+    """Compute the change from row to row (N - 1, 3) [deg/s^2]."""
     return np.asarray(np.diff(_deg_s(flight), axis=0) / np.diff(flight.t)[:, None])

@@ -16,7 +16,7 @@ LEAST = 0.5  # samples, where the logarithmic axis begins: a bin of one sample s
 
 
 def draw_commands(told: Commands, title: str) -> Figure:
-    """A panel an axis; counts on a logarithmic axis, which shows the rare large commands beside the rest."""
+    """Draw a panel for each axis, counts logarithmic, so that the rare large commands are visible."""
     figure = titled_figure((12, 4.2), title, (0.08, 0.1))
     panels = figure.subplots(1, 3, sharey=True)
     signed = told.signed

@@ -54,12 +54,12 @@ HALF = 1 << 16  # numbers of 16 bits
 _KINDS = {1: _PREVIOUS, 2: _LINE, 3: _AVERAGE, 5: _MOTOR, 6: _STEPS, 7: _HOME_0, _MAIN_TIME: _TIME}
 
 Prediction = tuple[int, int, int, int]  # kind, constant, the least number of the field, and how many it has
-Plan = tuple[list[tuple[str, Reader, int]], list[Prediction]]  # groups of fields, and each field
+FramePlan = tuple[list[tuple[str, Reader, int]], list[Prediction]]  # groups of fields, and each field
 
 
 @dataclass(frozen=True)
 class Event:
-    """Something that happened, told between two rows."""
+    """An event of the log between two rows."""
 
     kind: int  # see LogEvent; others of other firmwares
     name: str
@@ -77,7 +77,7 @@ class Aside:
 
 @dataclass
 class Decoded:
-    """What the frames of a log hold; arrays have a row each frame."""
+    """The content of a log's frames; arrays have a row each frame."""
 
     main: Array  # (N, F)
     slow: Aside
@@ -110,7 +110,7 @@ def field_bytes(data: bytes, headers: Headers) -> dict[str, int]:
 
 
 class _Decoder:
-    """Reads one log from its first byte to its last."""
+    """A decoder of one log from its first byte to its last."""
 
     def __init__(self, data: bytes, headers: Headers) -> None:
         self.weights: dict[str, int] | None = None  # bytes that each field took; None: not counted
@@ -185,7 +185,7 @@ class _Decoder:
         return result
 
     def _full(self) -> str:
-        """Why no more is read; "" while there is room."""
+        """Return why decoding stops; "" while there is room."""
         if self._count * self._names >= VALUES_MAX:
             return f"{self._count} rows of {self._names} fields are the most that is kept"
         if self._result.frames >= FRAMES_MAX:
@@ -221,7 +221,7 @@ class _Decoder:
         return end
 
     def _chain(self, at: int) -> bool:
-        """Whether CHAIN frames stand one behind the other from `at` on."""
+        """Return True if CHAIN frames follow one another from `at` on."""
         for _ in range(CHAIN):
             try:
                 _, at = self._event(at) if self._data[at] == 0x45 else self._values(at)
@@ -232,7 +232,7 @@ class _Decoder:
         return True
 
     def _values(self, at: int) -> tuple[list[int], int]:
-        """Values of the frame at `at`, and where it ends: before a frame's letter or the end of the data."""
+        """Read the values of the frame at `at`, and its end: before a frame's letter or at the data's end."""
         plan = self._plans.get(self._data[at])
         if plan is None:
             raise _DamageError
@@ -293,14 +293,14 @@ class _Decoder:
         return self._skips[place]
 
     def _ends(self, end: int) -> bool:
-        """Whether a frame may end there: before another one, or where the log is cut off."""
+        """Return True if a frame may end there: before another one, or where the log is cut off."""
         if end < len(self._data) and self._data[end] in b"EGHIPS":
             return True
         # Zeros behind a frame that was cut off would complete it wrongly; a few may be its own.
         return end == self._blank or (end == len(self._data) and end - self._blank < _OWN_ZEROS)
 
     def _event(self, at: int) -> tuple[Event, int]:
-        """The event at `at`, and where it ends. Raises _DamageError."""
+        """Read the event at `at`; return it and its end. Raises _DamageError."""
         try:
             kind = self._data[at + 1]
             if kind == LogEvent.LOG_END:
@@ -341,7 +341,7 @@ class _Decoder:
             self._flush()
 
     def _follows(self, last: list[int] | None, values: list[int]) -> bool:
-        """Whether time and step of a main frame may come after those of another."""
+        """Return True if time and step of a main frame may come after those of another."""
         if last is None:
             return True
         if self._step is not None:
@@ -374,7 +374,7 @@ class _Decoder:
             self._continue_time(result.main[:, self._time])
 
     def _continue_time(self, time: Array) -> None:
-        """Undo the 32-bit clock's wraps, every 71.6 minutes, in `time` (N,), events and GPS frames."""
+        """Undo the wraps of the 32-bit clock, every 71.6 minutes, in `time` (N,), events and GPS frames."""
         time[1:] = time[0] + np.cumsum(np.diff(time) % WORD)
 
         def near(row: int, told: int) -> int:
@@ -410,7 +410,7 @@ def _array(rows: list[list[int]], width: int) -> Array:
     return np.array(rows, np.int64).reshape(len(rows), width)
 
 
-def _plan(fields: Sequence[FieldDefinition], headers: Headers) -> Plan:
+def _plan(fields: Sequence[FieldDefinition], headers: Headers) -> FramePlan:
     """Return how frames of these fields are read and predicted."""
     groups: list[tuple[str, Reader, int]] = []
     at = 0

@@ -17,7 +17,7 @@ ARM = 1
 
 
 def words(log: Log, event: Event) -> str:
-    """What happened."""
+    """Describe an event."""
     if event.kind == LogEvent.DISARM:
         reason = event.values.get("reason", 0)
         return f"disarming: {DISARMING[reason] if reason < len(DISARMING) else reason}"
@@ -30,7 +30,7 @@ def words(log: Log, event: Event) -> str:
 
 
 def _modes(new: int, old: int) -> str:
-    """Betaflight's: the arm switch, and other boxes by their number."""
+    """Describe a change of Betaflight's modes: the arm switch, and other boxes by their number."""
     changed = new ^ old
     if changed & ARM:
         return "armed" if new & ARM else "disarmed"
@@ -38,7 +38,7 @@ def _modes(new: int, old: int) -> str:
 
 
 def _ours(new: int, old: int) -> str:
-    """What changed of our own flags, else the modes."""
+    """Describe a change of our own flags, otherwise of the modes."""
     found = []
     if (new ^ old) & PID:
         found.append("the PID flies" if new & PID else "the policy flies")
@@ -57,5 +57,5 @@ def _bits(flags: int, place: tuple[int, int]) -> int:
 
 
 def _name(kind: type[FallbackCause] | type[FlightState] | type[StopCause], number: int) -> str:
-    """The name of a number; the number where a newer firmware has more of them."""
+    """Return the name of a number, or the number itself if this tool does not know it."""
     return next((one.name.lower().replace("_", " ") for one in kind if one == number), str(number))

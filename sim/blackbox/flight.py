@@ -36,7 +36,7 @@ WHOLE = Part()
 
 
 def armed_rows(log: Log, told: Channels, part: Part = WHOLE) -> slice:
-    """Rows of `part`. Raises TraceError where the motors were never armed, or the part holds no row."""
+    """Return the rows of `part`. Raises TraceError if the motors were never armed, or the part has no row."""
     rows = np.flatnonzero(told.armed)
     if not len(rows):
         raise TraceError(f"{log.path}: log {log.number} has no armed row")
@@ -46,7 +46,7 @@ def armed_rows(log: Log, told: Channels, part: Part = WHOLE) -> slice:
 
 
 def cut(trace: Trace, part: Part) -> Trace:
-    """The part of a trace, whose t begins with it. Raises TraceError where it holds no row."""
+    """Cut a part out of a trace; its t begins at 0. Raises TraceError if it has no row."""
     rows = part_rows("trace", trace.t, part)
     taken = {name: getattr(trace, name)[rows] for name in COLUMNS}
     # By the rate, as a log counts it: a difference of times would be another number by a bit.
@@ -56,7 +56,7 @@ def cut(trace: Trace, part: Part) -> Trace:
 
 
 def part_rows(what: str, t: NDArray[np.float64], part: Part) -> slice:
-    """Rows of `part` in times t (N,) [s] that begin with 0. Raises TraceError where there are none."""
+    """Return the rows of `part` in times t (N,) [s] that begin with 0. Raises TraceError without any."""
     # Half a row's tolerance: 0.3 s are 300 rows at 1 kHz, whatever 0.3 is in binary.
     half = 0.5 * float(np.median(np.diff(t))) if len(t) > 1 else 0.0
     start = int(np.searchsorted(t, part.start_s - half))
@@ -70,7 +70,7 @@ def part_rows(what: str, t: NDArray[np.float64], part: Part) -> slice:
 
 
 def log_trace(log: Log, part: Part = WHOLE, told: Channels | None = None) -> Trace:
-    """The armed rows of a log as a trace, the gyro in place of the true rate.
+    """Convert the armed rows of a log to a trace, the gyro in place of the true rate.
 
     told: `channels(log)`, if it is there already. Raises TraceError naming the fields that a trace needs and
     the log lacks.
@@ -154,7 +154,7 @@ def log_flight(
     idle: float | None = None,
     mix: Mix | None = None,
 ) -> Flight:
-    """The flight of a log with its figures, averaged over `episodes` equal parts.
+    """Compute the flight of a log with its figures, averaged over `episodes` equal parts.
 
     idle: motor fraction at zero thrust, mix: of the throttle; None: as the log's header says. Raises
     TraceError.
@@ -178,7 +178,8 @@ def trace_flight(
     idle: float | None = None,
     mix: Mix | None = Mix.ATTITUDE_FIRST,
 ) -> Flight:
-    """The figures that a log of this flight has: against the gyro. Raises TraceError if rows do not divide.
+    """Compute the figures that a log of this flight has: against the gyro. Raises TraceError if rows do not
+    divide.
 
     mix: of the throttle; None: another rule than ours. Of what cannot be undone, see `controller_output`, the
     motors' whole command is taken as the controller's output.

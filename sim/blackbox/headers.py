@@ -48,7 +48,7 @@ _BLANK = b"\0\xff"
 
 @dataclass(frozen=True)
 class Extent:
-    """Where a log stands in its file, in bytes: header lines, then frames."""
+    """The place of a log in its file, in bytes: header lines, then frames."""
 
     start: int
     body: int
@@ -75,7 +75,7 @@ class Headers:
     told: frozenset[str] = frozenset()  # names of values that come from the user, not from the file
 
     def integer(self, name: str, default: int) -> int:
-        """The number in header `name`, or `default` where there is none."""
+        """Return the number in header `name`, or `default` if there is none."""
         found = _integer(self.values.get(name, ""))
         return default if found is None else found
 
@@ -88,13 +88,13 @@ class Headers:
         return _lost(self)
 
     def integers(self, name: str) -> list[int]:
-        """The numbers in header `name`, separated by commas; none where one is no number."""
+        """Return the numbers in header `name`, separated by commas; none if one is no number."""
         found = [_integer(text) for text in self.values.get(name, "").split(",")]
         return [] if None in found else [value for value in found if value is not None]
 
 
 def read_bytes(path: Path) -> bytes:
-    """The whole file. Raises TraceError where it is too large, OSError where it cannot be read."""
+    """Read the whole file. Raises TraceError if it is too large, OSError if it cannot be read."""
     size = file_size(path)
     if size > FILE_BYTES_MAX:
         raise TraceError(
@@ -105,7 +105,7 @@ def read_bytes(path: Path) -> bytes:
 
 
 def find_logs(data: bytes) -> list[Extent]:
-    """Where the logs of a file stand, at most LOGS_MAX of them."""
+    """Find the logs of a file, at most LOGS_MAX of them."""
     starts: list[int] = []
     bodies: list[int] = []
     for match in _BEGIN.finditer(data):
@@ -125,7 +125,7 @@ def find_logs(data: bytes) -> list[Extent]:
 
 
 def read_headers(data: bytes, extent: Extent) -> Headers:
-    """The header lines of the log at `extent`; what is wrong with them is told in its notes."""
+    """Read the header lines of the log at `extent`; its notes tell what is wrong with them."""
     values: dict[str, str] = {}
     notes: list[str] = []
     lines, _, damaged = _header_lines(data, extent.start)
@@ -145,7 +145,7 @@ def read_headers(data: bytes, extent: Extent) -> Headers:
 
 
 def _header_lines(data: bytes, start: int) -> tuple[list[bytes], int, int]:
-    """Header lines from `start` on, where the frames begin, and how many lines were no header's."""
+    """Return header lines from `start` on, the start of the frames, and the number of damaged lines."""
     lines: list[bytes] = []
     damaged = 0
     at = start
@@ -167,7 +167,7 @@ def _header_lines(data: bytes, start: int) -> tuple[list[bytes], int, int]:
 
 
 def _fields(values: dict[str, str], notes: list[str]) -> dict[str, tuple[FieldDefinition, ...]]:
-    """Definitions of each kind of frame, those left out that do not fit together."""
+    """Return the definitions of each kind of frame, without those that contradict each other."""
     found: dict[str, tuple[FieldDefinition, ...]] = {}
     for kind in KINDS:
         if kind not in "IP" and not any(name.startswith(f"Field {kind} ") for name in values):
@@ -183,7 +183,7 @@ def _fields(values: dict[str, str], notes: list[str]) -> dict[str, tuple[FieldDe
 
 
 def _definitions(kind: str, named: Sequence[str], values: dict[str, str]) -> tuple[FieldDefinition, ...]:
-    """Definitions of one kind of frame. Raises ValueError where header lines lack or do not fit together."""
+    """Read the definitions of one kind of frame. Raises ValueError for missing or unequal header lines."""
     if named == [""]:
         raise ValueError(f"the header line Field {'I' if kind == 'P' else kind} name is lost")
     if not 1 <= len(named) <= FIELDS_MAX:
@@ -308,7 +308,7 @@ def _lost(headers: Headers) -> dict[str, str]:
 
 
 def _integer(text: str) -> int | None:
-    """The integer, decimal or with 0x, in `text`; None where there is none, or one beyond 64 bits."""
+    """Parse the integer, decimal or with 0x, in `text`; None if there is none, or one beyond 64 bits."""
     match = re.fullmatch(r"\s*(?:0x([0-9a-fA-F]{1,16})|(-?[0-9]{1,18}))\s*", text)
     if match is None:
         return None
@@ -316,5 +316,5 @@ def _integer(text: str) -> int | None:
 
 
 def _ascii(line: bytes) -> str:
-    """`line` with a question mark for what is not printable ASCII."""
+    """Replace what is not printable ASCII in `line` by question marks."""
     return "".join(chr(byte) if 32 <= byte < 127 else "?" for byte in line)

@@ -32,7 +32,7 @@ PIECE_BYTES = 1 << 20  # of a file, that are looked at together
 
 @dataclass(frozen=True)
 class Frames:
-    """What became of a log's frames."""
+    """The numbers of a log's frames that were read, damaged or missing."""
 
     read: int  # of every kind
     corrupt: int  # places at which a frame was expected and none could be read
@@ -58,7 +58,7 @@ class Log:
     notes: tuple[str, ...]  # what is wrong with the file, a line each
 
     def __len__(self) -> int:
-        """Rows."""
+        """Return the number of rows."""
         return len(next(iter(self.columns.values()), ()))
 
     @property
@@ -68,7 +68,7 @@ class Log:
 
     @property
     def maker(self) -> Maker:
-        """Whose firmware wrote it."""
+        """The firmware that wrote it."""
         return firmware(self.header).maker
 
     @cached_property
@@ -89,7 +89,7 @@ class Log:
 
     @property
     def seconds(self) -> float:
-        """From the first row to the last."""
+        """Time from the first row to the last [s]."""
         return float(self.t[-1]) if len(self) else 0.0
 
     @cached_property
@@ -131,7 +131,7 @@ class Log:
         return int(self.missing.sum())
 
     def matrix(self, name: str, count: int | None = None) -> Integers | None:
-        """Columns name[0], name[1] .. as (N, count); None where one is missing. count None: all there are."""
+        """Return columns name[0], name[1] .. as (N, count), None if one is missing. count None: all."""
         if count is None:
             count = 0
             while f"{name}[{count}]" in self.columns:
@@ -142,7 +142,7 @@ class Log:
         return np.stack([self.columns[one] for one in names], axis=1)
 
     def held(self, name: str) -> Integers | None:
-        """A slow field as (N,): what held in each row; the first value before it was told. None: no such."""
+        """Return a slow field's value in each row (N,), the first value before it was logged; or None."""
         values = self.slow.get(name)
         if values is None or not len(values):
             return None
@@ -162,12 +162,12 @@ def _spread(time: Integers) -> Integers:
 
 
 def words(column: Integers) -> NDArray[np.uint32]:
-    """The 32 bits of each number."""
+    """Return the 32 bits of each number."""
     return (column % WORD).astype(np.uint32)
 
 
 def floats(column: Integers) -> NDArray[np.float32]:
-    """Numbers that hold the bits of a float32, as such; any shape."""
+    """Return numbers that hold the bits of a float32 as such; any shape."""
     return words(column).view(np.float32)
 
 
@@ -186,7 +186,7 @@ class Listed:
 
 
 def list_logs(path: Path, data: bytes | None = None) -> list[Listed]:
-    """The logs of a file. Raises TraceError where there is none, or the file is too large."""
+    """List the logs of a file. Raises TraceError if there is none, or the file is too large."""
     data = read_bytes(path) if data is None else data
     extents = find_logs(data)
     if not extents:
@@ -196,7 +196,7 @@ def list_logs(path: Path, data: bytes | None = None) -> list[Listed]:
 
 
 def glance(data: bytes, one: Listed) -> float | None:
-    """Length of a log [s] by the first and the last frames that can be read; None where there are none."""
+    """Estimate the length of a log [s] by its first and last readable frames; None without any."""
     names = [field.name for field in one.headers.fields.get("I", ())]
     if "time" not in names:
         return None

@@ -38,7 +38,7 @@ EVENT_COLOUR, GAP_COLOUR = "#cc79a7", "#f0e442"
 
 @dataclass(frozen=True, eq=False)
 class _Picture:
-    """What of a log is drawn."""
+    """The part of a log that is drawn."""
 
     rows: NDArray[np.bool_]  # (N,) of the log
     t: Array  # (K,) [s] of these rows
@@ -96,7 +96,7 @@ def draw_log(log: Log, title: str, start_s: float = 0.0, stop_s: float | None = 
 
 
 def thinned(t: Array, values: Array, points: int = POINTS_MAX) -> tuple[Array, Array]:
-    """A line of at most `points` points that shows every peak of a longer one: (K,), (K,)."""
+    """Thin a line to `points` points that show every peak: (K,), (K,)."""
     if len(t) <= points:
         return t, values
     count = points // 2
@@ -115,7 +115,7 @@ def _panels(told: Channels) -> list[str]:
 
 
 def _line(panel: Axes, picture: _Picture, values: NDArray[np.floating], **style: object) -> None:
-    """A line that is broken where rows are missing."""
+    """Draw a line that is broken where rows are missing."""
     shown = np.asarray(values[picture.rows], np.float64)
     pieces = [
         thinned(t, part, max(4, POINTS_MAX * len(t) // len(shown)))
@@ -165,7 +165,7 @@ def _draw_battery(panel: Axes, picture: _Picture, told: Channels) -> None:
 
 
 def _mark(panel: Axes, log: Log, told: Channels, shown: NDArray[np.bool_]) -> None:
-    """Shade what is disarmed and what is missing; a line for each event."""
+    """Shade disarmed and missing rows; draw a line for each event."""
     for start, stop in _runs(~told.armed):
         panel.axvspan(log.t[start], log.t[min(stop, len(log) - 1)], color=SHADE, lw=0, zorder=0)
     for row in np.flatnonzero((log.missing > 0) & shown)[:1000]:
@@ -176,7 +176,7 @@ def _mark(panel: Axes, log: Log, told: Channels, shown: NDArray[np.bool_]) -> No
 
 
 def _events(log: Log, shown: NDArray[np.bool_]) -> list[tuple[float, str]]:
-    """Time and name of each event within what is shown; the log's end is none."""
+    """Return time and name of each event in the range shown, except the log's end."""
     rows = np.flatnonzero(shown)
     found = []
     for event in log.events:
@@ -187,7 +187,7 @@ def _events(log: Log, shown: NDArray[np.bool_]) -> list[tuple[float, str]]:
 
 
 def _name_events(panel: Axes, log: Log, shown: NDArray[np.bool_]) -> None:
-    """The names of events below the lowest panel's axis, close ones in lines of their own."""
+    """Write the names of events below the lowest panel's axis, close ones in lines of their own."""
     events = _events(log, shown)
     span = max(1e-9, float(np.ptp(log.t[shown])))
     line, last = 0, -np.inf
@@ -209,6 +209,6 @@ def _name_events(panel: Axes, log: Log, shown: NDArray[np.bool_]) -> None:
 
 
 def _runs(mask: NDArray[np.bool_]) -> Sequence[tuple[int, int]]:
-    """First and one past the last index of each run of True."""
+    """Return first and one past the last index of each run of True."""
     edges = np.flatnonzero(np.diff(np.concatenate(([False], mask, [False])).astype(np.int8)))
     return [(int(start), int(stop)) for start, stop in edges.reshape(-1, 2)]

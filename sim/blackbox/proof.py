@@ -30,7 +30,7 @@ SAME, SAME_DEG_S = 0.03, 2.0  # readings agree within this part of the commands,
 
 @dataclass(frozen=True)
 class Fit:
-    """How the gyro follows the commands of a reading, over the axes that are asked to turn."""
+    """The fit of the gyro to the commands of a reading, over the axes that are commanded to turn."""
 
     slope: tuple[
         float | None, float | None, float | None
@@ -39,12 +39,12 @@ class Fit:
 
     @property
     def told(self) -> bool:
-        """Whether any axis was asked to turn."""
+        """True if any axis was commanded to turn."""
         return any(one is not None for one in self.slope)
 
     @property
     def followed(self) -> bool:
-        """Whether the gyro does what the commands say."""
+        """True if the gyro follows the commands."""
         slopes = [one for one in self.slope if one is not None]
         return self.error <= ERROR_MOST and all(SLOPE[0] <= one <= SLOPE[1] for one in slopes)
 

@@ -1,4 +1,4 @@
-"""What a log can answer and what it cannot: fields that are not there, rows that are lost, limits reached."""
+"""The questions that a log can answer, by missing fields, lost rows and limits that were reached."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ JITTER = 0.02  # of the time between two rows, its standard deviation, above whi
 
 
 class Answer(Enum):
-    """Whether a log answers a question."""
+    """Answers to whether a log suffices for a question."""
 
     YES = "yes"
     PARTLY = "partly"
@@ -32,7 +32,7 @@ class Answer(Enum):
 
 @dataclass(frozen=True)
 class Question:
-    """Something one would ask of a log."""
+    """A question about a log."""
 
     name: str
     answer: Answer
@@ -41,7 +41,7 @@ class Question:
 
 @dataclass(frozen=True)
 class Quality:
-    """What a log can answer; a log without trouble has no warnings."""
+    """The questions that a log can answer; a log without trouble has no warnings."""
 
     questions: tuple[Question, ...]
     warnings: tuple[str, ...]
@@ -57,7 +57,7 @@ class Quality:
 
 
 def quality(log: Log) -> Quality:
-    """Look at everything that a log of N > 0 rows is used for."""
+    """Examine everything that a log of N > 0 rows is used for."""
     told = channels(log)
     rows = told.armed if told.armed.any() else np.ones(len(log), bool)
     saturated = _saturated(told, rows)
@@ -79,7 +79,7 @@ def quality(log: Log) -> Quality:
 
 
 def replay_obstacles(log: Log) -> list[str]:
-    """Why a log cannot be replayed, a reason each; none where it can."""
+    """List why a log cannot be replayed; empty if it can."""
     if log.maker is not Maker.NEUROFLIGHT:
         return [f"it is {log.maker.value}'s; only Neuroflight's logs hold what its control path was given"]
     found = []
@@ -229,7 +229,7 @@ def _replay(log: Log) -> Question:
 
 
 def _saturated(told: Channels, rows: np.ndarray) -> tuple[float, float, float]:
-    """Part of the rows with each axis at the end of the gyro's range; the unfiltered one tells best."""
+    """Return the share of rows with each axis at the end of the gyro's range, unfiltered if logged."""
     gyro = told.gyro if told.gyro_unfiltered is None else told.gyro_unfiltered
     if gyro is None:
         return 0.0, 0.0, 0.0
@@ -239,7 +239,7 @@ def _saturated(told: Channels, rows: np.ndarray) -> tuple[float, float, float]:
 
 
 def _motor_limits(told: Channels, rows: np.ndarray) -> tuple[float, float]:
-    """Part of the rows with a motor at full power, and with one at its idle or below."""
+    """Return the shares of rows with a motor at full power, and with one at its idle or below."""
     if told.motors is None or told.dshot is None:
         return 0.0, 0.0
     motors = np.nan_to_num(told.motors[rows], nan=1.0 - FULL)  # neither full nor idle

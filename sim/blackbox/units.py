@@ -1,5 +1,4 @@
-"""What a log says of a flight in the units of this house: seconds, rad/s in body axes (x forward, y left,
-z up), fractions, volts.
+"""The columns of a log in SI units: seconds, rad/s in body axes (x forward, y left, z up), fractions, volts.
 
 Betaflight's gyro and setpoint have these axes already (measured on its SITL, whose simulator link turns them
 on arrival), so nothing changes sign; only units do. Our own logs hold the float32 values themselves, where
@@ -56,7 +55,7 @@ class Channels:
 
 
 def channels(log: Log) -> Channels:
-    """Columns of `log` in units."""
+    """Convert the columns of `log` to these units."""
     told = firmware(log.header)
     count, parts = gyro_count(log.header, told), fine(log.header)
     turned = motors(log, told)
@@ -100,7 +99,7 @@ def channels(log: Log) -> Channels:
 
 
 def control_rate_hz(log: Log) -> float:
-    """Control steps a second: as the header says, else as rows come; 0 where nothing tells."""
+    """Return control steps a second: from the header, otherwise from the rows; 0 if unknown."""
     told = header_number(log.header, "nf_control_rate")
     if told and told > 0:
         return told
@@ -140,14 +139,14 @@ def _armed(log: Log, told: Firmware, dshot: NDArray[np.uint16] | None) -> NDArra
 
 
 def _idle(log: Log, armed: NDArray[np.bool_]) -> float | None:
-    """Ours tells the policy's and the PID's: that of the one that flew for longer."""
+    """Return the idle of the controller that flew for longer; our header gives the policy's and the PID's."""
     if log.maker is Maker.NEUROFLIGHT:
         return _part(_controllers(log, "nf_idle", armed))
     return motor_idle(log)
 
 
 def _mix(log: Log, armed: NDArray[np.bool_]) -> Mix | None:
-    """Ours tells that of both, too; logs from before there were two mixes do not."""
+    """Return the mix of the controller that flew for longer; old logs know only one mix."""
     if log.maker is not Maker.NEUROFLIGHT:
         return None
     told = _controllers(log, "nf_mix", armed)
@@ -155,7 +154,7 @@ def _mix(log: Log, armed: NDArray[np.bool_]) -> Mix | None:
 
 
 def _controllers(log: Log, name: str, armed: NDArray[np.bool_]) -> str:
-    """Of a header "policy's,PID's" the text of the one that flew for longer."""
+    """Return, of a header "policy's,PID's", the text of the controller that flew for longer."""
     told = log.header.get(name, "").split(",")
     flags = log.held("nfFlags")
     pid = flags is not None and bool(armed.any()) and float((flags[armed] & PID_BIT).mean()) > 0.5
@@ -163,7 +162,7 @@ def _controllers(log: Log, name: str, armed: NDArray[np.bool_]) -> str:
 
 
 def _part(text: str) -> float | None:
-    """A part of full power; None where the text is none."""
+    """Parse a fraction of full power; None if the text is none."""
     try:
         part = float(text)
     except ValueError:

@@ -43,7 +43,7 @@ UNFLOWN = TIME_HZ // 10  # a motor whose ESC hears nothing for so long is not fl
 
 
 class Hardware:
-    """All that lies around the core, wired as on the board."""
+    """Everything around the core, wired as on the board."""
 
     def __init__(
         self,
@@ -57,7 +57,7 @@ class Hardware:
     ) -> None:
         """card: in its slot.
 
-        watchdog_resets: a missed watchdog resets the chip, as it does; else it is an error.
+        watchdog_resets: a missed watchdog resets the chip, as on the board; otherwise it is an error.
         """
         self.context = context = engine
         self.native = native = Native(engine)
@@ -102,7 +102,7 @@ class Hardware:
             self.context.set_memory(address, data)
 
     def touched(self) -> tuple[Touch, ...]:
-        """Every register that the image touched, with counts."""
+        """Return every register that the image touched, with counts."""
         return self.registers.touched()
 
     def _devices(self) -> tuple[Device, ...]:
@@ -148,7 +148,7 @@ class Hardware:
 
     @property
     def on_frame(self) -> Callable[[Frame], None]:
-        """Hears of every frame that an ESC takes."""
+        """Callback for every frame that an ESC takes."""
         return self._hears_frame
 
     @on_frame.setter
@@ -158,9 +158,9 @@ class Hardware:
         self.native.hear_frames()
 
     def obeyed(self, count: int) -> NDArray[np.uint16]:
-        """The DShot values that the ESCs of the first `count` motors obey now; 0 after a silence.
+        """Return the DShot values that the ESCs of the first `count` motors obey now; 0 after a silence.
 
-        The array cannot be written to: it is the same one for as long as they obey the same values.
+        The array is read-only; the same one is returned as long as the values stay the same.
         """
         if len(self._obeyed) != count:
             self._heard = self.native.ffi.new("uint16_t[]", count)
@@ -197,7 +197,7 @@ class Hardware:
             esc.silence(cause == "power")
 
     def _reject_in_flight(self, what: str) -> None:
-        """Erasing and programming hold up code and samples, which nothing in flight can wait for."""
+        """Fail if erasing or programming starts in flight: it delays code and samples that cannot wait."""
         for esc in self.escs:
             last = esc.last
             if last is None or last.value < DSHOT_MIN or self.context.cycle - last.cycle > UNFLOWN:
@@ -212,7 +212,7 @@ class Hardware:
 
 @dataclass(frozen=True)
 class Report:
-    """What an image did to the board."""
+    """The effects of an image on the board."""
 
     cycles: int  # of 216 MHz, since power-up
     instructions: int
@@ -256,16 +256,15 @@ class Board:
         newly_installed: bool = False,
         boot_button: bool = False,
     ) -> None:
-        """image: what is flashed, from 0x08000000 on. elf: for names and lines only.
+        """image: content of flash, from 0x08000000 on. elf: for names and lines only.
 
         strict: a fault of the core is an error of the image instead of a case for its handler.
-        watchdog_resets: a missed watchdog resets the chip, as it does, instead of being an error.
+        watchdog_resets: a missed watchdog resets the chip, as on the board, instead of being an error.
         card: in its slot, which is empty by default; `close` closes it.
         boot_button: held at power-up, so that the boot loader in the ROM runs instead of the image.
-        dshot: the speed that the ESCs are set to, 300 or 600; None: they take what comes first.
-        newly_installed: the image has never run, so that the boot part and the image put it to the test;
-        else it has run well before.
-        Raises BuildError when the engine cannot be built or `elf` is none.
+        dshot: the speed that the ESCs are set to, 300 or 600; None: that of the first frame.
+        newly_installed: the image has never run, so that it is on trial; otherwise it has run well before.
+        Raises BuildError if the engine cannot be built or `elf` is no ELF of an image.
         """
         flash = image if newly_installed else proven(image)
         self.engine = Engine(
@@ -292,30 +291,30 @@ class Board:
         return self.engine.symbols
 
     def hold_boot_button(self, held: bool) -> None:
-        """Hold the BOOT button, or let it go: from the next reset on the ROM runs, or the image."""
+        """Hold or release the BOOT button: from the next reset on the ROM runs, or the image."""
         options = self.hardware.flash.options
         self.engine.vectors = options.button_address if held else options.boot_address
 
     def reset(self) -> None:
-        """The supply goes and comes back: all starts anew but flash, option bytes and the time."""
+        """Switch the supply off and on: everything restarts except flash, option bytes and the time."""
         self.engine.power_cycle()
 
     def brown_out(self) -> None:
-        """The supply dips: the processor resets with the next instruction, gyro chip and card at once."""
+        """Let the supply dip: the processor resets with the next instruction, gyro chip and card at once."""
         self.hardware.gyro.power_on()
         self.hardware.card_slot.power_on()
         self.engine.system_reset("brown-out")
 
     def run_to(self, cycle: int) -> None:
-        """Run until `cycle`. Raises BoardError for what a board does not forgive."""
+        """Run until `cycle`. Raises BoardError for what the board does not allow."""
         self.engine.run_to(cycle)
 
     def run(self, seconds: float) -> None:
-        """Run for so long."""
+        """Run for a while."""
         self.run_to(self.cycle + round(seconds * TIME_HZ))
 
     def report(self) -> Report:
-        """What the image did up to now."""
+        """Report what the image has done so far."""
         hardware = self.hardware
         closest = hardware.iwdg.closest
         return Report(
@@ -331,6 +330,6 @@ class Board:
         )
 
     def close(self) -> None:
-        """Give the memory back, and the card's file."""
+        """Free the memory and close the card's file."""
         self.hardware.card_slot.close()
         self.engine.close()

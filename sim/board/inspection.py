@@ -23,10 +23,10 @@ Stream = tuple[int, int, int]  # controller, stream, items left
 
 
 class Inspection:
-    """Streams that wait for a request which nobody makes, and the gyro's pulse taken by its wrong edge."""
+    """A check for streams that wait in vain, and for the gyro's pulse taken by its wrong edge."""
 
     def __init__(self, context: Context, dma: DmaSystem, exti: Exti, line: int) -> None:
-        """line: of EXTI, to which the data-ready line leads."""
+        """line: of EXTI, which the data-ready line is connected to."""
         self._context, self._dma, self._exti, self._line = context, dma, exti, line
         fields = load_table().blocks["DMA1"].registers["S0CR"].fields  # those of every stream are alike
         self._enabled, self._direction = fields["EN"].mask, fields["DIR"].mask
@@ -38,7 +38,7 @@ class Inspection:
         self._again = 0  # inspections that have followed the one after 10 ms
 
     def restart(self) -> None:
-        """The chip was reset and with it all alarms."""
+        """Restore the alarm after a reset of the chip."""
         self._rest()
         self._alarm.set(self._context.cycle + PERIOD)
 
@@ -57,7 +57,7 @@ class Inspection:
         self._alarm.set(self._context.cycle + PERIOD)
 
     def _to_peripherals(self) -> list[Stream]:
-        """What enabled streams to peripherals still have to move."""
+        """Return the enabled streams to peripherals with items left to move."""
         found = []
         for number, controller in self._dma.controllers.items():
             controller.sync()
@@ -77,7 +77,7 @@ class Inspection:
         )
 
     def _validate_edge(self) -> None:
-        """The pulse begins with the sample and is 50 us long."""
+        """Fail if only the end of the gyro's pulse is used: it begins with the sample and is 50 us long."""
         bit = 1 << self._line
         words = self._exti.words
         if words["IMR"] & words["FTSR"] & bit and not words["RTSR"] & bit:

@@ -27,11 +27,11 @@ class BatteryVoltage:
         self._filtered: Array32 | None = None
 
     def due(self, step: int) -> bool:
-        """Whether the packs are measured after control step number `step`, for the steps that follow."""
+        """Return True if the packs are measured after control step number `step`, for the next steps."""
         return (step + 1) % self._every == 0
 
     def measure(self, voltage: Array) -> Array32:
-        """The filtered voltages after one more measurement (N,) [V]; NaN stays where a pack is not known."""
+        """Return the filtered voltages after one more measurement (N,) [V]; NaN stays for an unknown pack."""
         at_pin = np.rint(voltage / _SCALE * 1000.0).astype(np.float32)  # [mV]
         measured = at_pin * _VOLTS_PER_MV * np.float32(_SCALE)
         if self._filtered is None:

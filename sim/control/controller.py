@@ -26,7 +26,7 @@ class Controller(Protocol):
     def step(
         self, setpoint: NDArray[np.float32], gyro: NDArray[np.float32], throttle: NDArray[np.float32]
     ) -> NDArray[np.float32]:
-        """Outputs y (N, M), fractions 0..1 before the throttle mix.
+        """Compute outputs y (N, M), fractions 0..1 before the throttle mix.
 
         setpoint, gyro: (N, 3) [rad/s], body axes; throttle: (N,), 0..1.
         """
@@ -45,10 +45,12 @@ class PolicyController:
         idle: float | None = None,
         standing: bool = False,
     ) -> None:
-        """The controller is to be stepped at `policy.control_rate_hz`, behind `policy.filters`.
+        """policy: stepped at its `control_rate_hz`, behind its `filters`.
 
-        exact: with the roundings of the compiled C; see `toolchain.ir.interpreter`. idle: that it flies with,
-        None: its own. standing: the aircraft stand on the ground all the time, which the firmware knows.
+        exact: with the roundings of the compiled C; see `toolchain.ir.interpreter`. idle: flown with this
+        one,
+        None: the policy's own. standing: the aircraft stand on the ground all the time, which the firmware
+        knows.
         """
         self._network, _ = optimize(policy.network)
         self._state = clear_state(self._network, count)

@@ -1,4 +1,4 @@
-"""What a policy may observe through a model of its aircraft: rotor speeds and rates that the model predicts.
+"""A policy's observation through a model of its aircraft: rotor speeds and rates that the model predicts.
 
 The rotors' equation is run on the motor fractions that were commanded; the rate is predicted from the rotors
 and corrected by the gyro. float32 and in the firmware's order of operations (control/estimator.c).
@@ -21,7 +21,7 @@ Which = NDArray[np.intp] | slice
 
 
 def model_constants(aircraft: Aircraft, control_rate_hz: int) -> ModelConstants:
-    """The model of `aircraft` for policies at that rate.
+    """Compute the model of `aircraft` for policies at that rate.
 
     Coefficients that depend on the rotor's speed are taken at hover. Raises AircraftError on an aircraft that
     a model cannot say: its commands act later, or a number is beyond its limits.
@@ -65,7 +65,7 @@ def model_constants(aircraft: Aircraft, control_rate_hz: int) -> ModelConstants:
 
 
 def _hover_speed(aircraft: Aircraft) -> float:
-    """Speed [rad/s] of each rotor when all together carry the aircraft; full speed if they cannot."""
+    """Compute the speed [rad/s] of each rotor in hover; full speed if the aircraft cannot hover."""
     propulsion = aircraft.propulsion
     speeds = np.asarray(target_speed(np.linspace(0.0, 1.0, 201), propulsion))
     thrust = aircraft.motor_count * coefficient(propulsion.thrust_coefficient, speeds) * speeds**2
@@ -85,7 +85,7 @@ class Estimator:
         self._rate = np.zeros((count, 3), np.float32)
 
     def reset(self, index: Which) -> None:
-        """Rotors of the aircraft of `index` at rest."""
+        """Set the rotors of the aircraft of `index` to rest."""
         self._commands[:, index] = 0.0
         self._speed[index] = 0.0
         self._rate[index] = 0.0
@@ -93,10 +93,11 @@ class Estimator:
     def observe(
         self, which: Which, first: NDArray[np.bool_] | None, gyro: Array, *, standing: bool = False
     ) -> None:
-        """A control step of the aircraft of `which` begins with the gyro's rate (K, 3) [rad/s].
+        """Begin a control step of the aircraft of `which` with the gyro's rate (K, 3) [rad/s].
 
-        first: (K, 1), whether it is the first step; None: of no aircraft. standing: the ground holds them,
-        rotors turn nothing.
+        first: (K, 1), True in the first step; None: of no aircraft. standing: the ground holds them, so that
+        rotors
+        turn nothing.
         """
         model = self._model
         before = self._speed[which]
@@ -113,20 +114,20 @@ class Estimator:
         self._speed[which] = after
 
     def command(self, which: Which, fractions: Array) -> None:
-        """The step ends with these motor fractions (K, M) before the idle."""
+        """End the step with these motor fractions (K, M) before the idle."""
         commands = self._commands[:, which]
         commands[:-1] = commands[1:]
         commands[-1] = raised(fractions, self._idle)
         self._commands[:, which] = commands
 
     def rotor_estimate(self, which: Which, throttle: Array) -> Array:
-        """Speeds (K, M) [rad/s] less those at which rotors rest under `throttle` (K,)."""
+        """Return speeds (K, M) [rad/s] less those at which rotors settle under `throttle` (K,)."""
         at_rest = self._target(raised(throttle, self._idle))
         estimate: Array = self._speed[which] - at_rest[:, None]
         return estimate
 
     def rate_estimate(self, which: Which) -> Array:
-        """Rates (K, 3) [rad/s]."""
+        """Return the predicted rates (K, 3) [rad/s]."""
         rate: Array = self._rate[which]
         return rate
 

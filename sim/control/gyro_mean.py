@@ -15,7 +15,7 @@ Array = NDArray[np.float32]
 
 
 def samples_per_step(gyro_mean: bool, control_rate_hz: int) -> int:
-    """Gyro samples in a control period of a batch: those that the mean is made of, else one."""
+    """Return the gyro samples in a control period of a batch: as many as the mean takes, otherwise one."""
     return max(1, GYRO_RATE_DEFAULT_HZ // control_rate_hz) if gyro_mean else 1
 
 
@@ -23,17 +23,17 @@ class GyroMean:
     """The last samples of N gyros."""
 
     def __init__(self, count: int, samples: int) -> None:
-        """samples: of the mean, 1 or more."""
+        """Keep `samples`, 1 or more, for a mean."""
         self._last = np.zeros((samples, count, 3), np.float32)  # the oldest first
         self._share = np.float32(1.0 / samples)
         self._fresh = np.ones(count, bool)
 
     def reset(self, index: NDArray[np.intp] | slice) -> None:
-        """The next sample of the aircraft of `index` is their first: it stands for those before it too."""
+        """Let the next sample of the aircraft of `index` be their first, as if it had been there before."""
         self._fresh[index] = True
 
     def add(self, rate: Array, which: NDArray[np.intp] | slice = slice(None)) -> None:
-        """A sample (K, 3) [rad/s] of the gyros of `which`."""
+        """Add a sample (K, 3) [rad/s] of the gyros of `which`."""
         last = self._last[:, which]
         last[:-1] = last[1:]
         last[-1] = rate
@@ -44,7 +44,7 @@ class GyroMean:
         self._last[:, which] = last
 
     def mean(self, which: NDArray[np.intp] | slice = slice(None)) -> Array:
-        """The mean (K, 3) [rad/s] of the gyros of `which`."""
+        """Compute the mean (K, 3) [rad/s] of the gyros of `which`."""
         total = self._last[0, which]
         for sample in self._last[1:]:
             total = total + sample[which]

@@ -15,7 +15,8 @@ Array = NDArray[np.float32]
 
 
 def throttle_mix(y: Array, throttle: Array, mix: Mix = Mix.ATTITUDE_FIRST) -> Array:
-    """Motor fractions u (N, M), 0..1, of outputs y (N, M) in 0..1 under the pilot's thrust T (N,), 0..1.
+    """Compute motor fractions u (N, M), 0..1, of outputs y (N, M) in 0..1 under the pilot's thrust T (N,),
+    0..1.
 
     See `toolchain.contract.Mix`.
     """
@@ -33,25 +34,25 @@ def throttle_mix(y: Array, throttle: Array, mix: Mix = Mix.ATTITUDE_FIRST) -> Ar
 
 
 def _within(u: Array) -> Array:
-    """Rounding may leave 0..1 by a little."""
+    """Limit to 0..1, which rounding may exceed a little."""
     return np.minimum(np.maximum(u, np.float32(0.0)), np.float32(1.0))
 
 
 def raised(u: Array, idle: float) -> Array:
-    """Fractions u in 0..1 above the idle floor (0..1), any shape."""
+    """Raise fractions u in 0..1 above the idle (0..1), any shape."""
     floor = np.float32(idle)
     above: Array = floor + (np.float32(1.0) - floor) * u
     return above
 
 
 def dshot_values(u: Array, idle: float) -> NDArray[np.uint16]:
-    """DShot throttle values (N, M), 48..2047, of fractions u in 0..1 above the idle floor (0..1)."""
+    """Compute DShot throttle values (N, M), 48..2047, of fractions u in 0..1 above the idle (0..1)."""
     scaled = np.float32(DSHOT_SPAN) * raised(u, idle) + np.float32(0.5)
     return np.uint16(DSHOT_MIN) + scaled.astype(np.uint16)
 
 
 def motor_fractions(dshot: NDArray[np.uint16]) -> NDArray[np.float64]:
-    """Motor fractions 0..1 that an ESC decodes: 0 for 0, else (v - 48) / 1999.
+    """Compute the motor fractions 0..1 that an ESC decodes: 0 for 0, otherwise (v - 48) / 1999.
 
     dshot: 11-bit values, any shape. Raises LinkError on a value that is no throttle.
     """
@@ -71,7 +72,7 @@ _FRACTIONS: dict[int, float] = dict(
 
 
 def each_fraction(dshot: NDArray[np.uint16]) -> list[float]:
-    """`motor_fractions` of the few values (M,) of one aircraft, faster. Raises LinkError as that does."""
+    """Compute `motor_fractions` of the few values (M,) of one aircraft, faster. Raises LinkError like it."""
     try:
         return [_FRACTIONS[value] for value in dshot.tolist()]
     except KeyError:
@@ -82,5 +83,5 @@ def each_fraction(dshot: NDArray[np.uint16]) -> list[float]:
 def motor_commands(
     y: Array, throttle: Array, idle: float, mix: Mix = Mix.ATTITUDE_FIRST
 ) -> NDArray[np.float64]:
-    """Motor fractions (N, M) that ESCs decode, of outputs y (N, M) under the pilot's thrust (N,)."""
+    """Compute motor fractions (N, M) that ESCs decode, of outputs y (N, M) under the pilot's thrust (N,)."""
     return motor_fractions(dshot_values(throttle_mix(y, throttle, mix), idle))

@@ -46,14 +46,14 @@ _LIMITS = {
 
 
 def limits(terms: tuple[ObservationTerm, ...], motors: int) -> tuple[Array, Array]:
-    """Least and greatest value of each observation, (n,) each, raw units: gyro and sticks at their ends."""
+    """Return the least and the greatest value of each observation, (n,) each, raw units."""
     pairs = [_LIMITS[term.name] for term in terms for _ in range(term.count(motors))]
     low, high = np.array(pairs, np.float32).T
     return low, high
 
 
 class Observer:
-    """Builds observations (N, n) step by step; keeps past values and filter states."""
+    """A builder of observations (N, n) step by step; keeps past values and filter states."""
 
     def __init__(
         self,
@@ -95,7 +95,7 @@ class Observer:
             term.reset(index)
 
     def commanded(self, which: Which, fractions: Array, throttle: Array) -> None:
-        """What the step came to: motor fractions (K, M) after the mix, before the idle; throttle (K,)."""
+        """Record the step's result: motor fractions (K, M) after the mix, before the idle; throttle (K,)."""
         self._motors[which] = fractions - throttle[:, None]
         if self._estimator is not None:
             self._estimator.command(which, fractions)
@@ -111,7 +111,7 @@ class Observer:
         rotor_speed: Array | None = None,
         gravity: Array | None = None,
     ) -> Array:
-        """Observation (K, n) of this control step for the K aircraft of `which`, raw units.
+        """Compute the observation (K, n) of this control step for the K aircraft of `which`, raw units.
 
         setpoint, rate: (K, 3) [rad/s]; previous_action: (K, M); throttle: (K,); rotor_speed: (K, M)
         [rad/s], gravity: (K, 3), unit vectors in body axes, for terms that are made of them. Call once a
@@ -171,9 +171,9 @@ class _Term:
         self._waiting[:, index] = 0.0
 
     def observe(self, which: Which, fresh: NDArray[np.bool_] | None, value: Array) -> Array:
-        """The term (K, width) of this step from its block's `value`.
+        """Compute the term (K, width) of this step from its block's `value`.
 
-        fresh: (K, 1), whether this step is the first; None: of no aircraft.
+        fresh: (K, 1), True in the first step; None: of no aircraft.
         """
         if self._passed is not None:
             passed = self._passed[which]

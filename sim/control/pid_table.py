@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Beside:
-    """What stands beside a policy in an image."""
+    """The controllers beside a policy in an image."""
 
     aircraft: Aircraft | None  # None: not known, and no PID is wanted
     name: str  # of it: a shipped one's, or a path

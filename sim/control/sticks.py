@@ -38,7 +38,7 @@ _US_PER_DEG_S = (CHANNEL_MAX_US - CHANNEL_MID_US) / RATE_FULL_STICK_DEG_S
 
 
 def setpoint(channels_us: ArrayLike) -> NDArray[np.float32]:
-    """Rates [rad/s] that the sticks ask for, body frame, shape (..., 3), as the firmware computes them.
+    """Compute the rates [rad/s] commanded by the sticks, body frame, shape (..., 3), as the firmware does.
 
     channels_us: whole pulse widths [us], shape (..., CHANNEL_COUNT).
     """
@@ -49,7 +49,7 @@ def setpoint(channels_us: ArrayLike) -> NDArray[np.float32]:
 
 
 def throttle(channels_us: ArrayLike) -> NDArray[np.float32]:
-    """Pilot's thrust 0..1, shape (...), from channels of shape (..., CHANNEL_COUNT)."""
+    """Compute the pilot's thrust 0..1, shape (...), from channels of shape (..., CHANNEL_COUNT)."""
     channel = np.asarray(channels_us, np.int32)[..., CHANNEL_THROTTLE]
     fraction = (channel - CHANNEL_MIN_US).astype(np.float32) * _THROTTLE_PER_US
     clipped: NDArray[np.float32] = np.clip(fraction, np.float32(0), np.float32(1))
@@ -59,11 +59,10 @@ def throttle(channels_us: ArrayLike) -> NDArray[np.float32]:
 def channels(
     setpoint_deg_s: ArrayLike, thrust: ArrayLike, armed: bool, pid: ArrayLike = False
 ) -> NDArray[np.uint16]:
-    """Nearest channels [us] to a command, shape (..., CHANNEL_COUNT).
+    """Compute the nearest channels [us] to a command, shape (..., CHANNEL_COUNT).
 
     setpoint_deg_s: roll, pitch, yaw [deg/s] in the body frame, shape (..., 3); thrust: 0..1, shape (...);
-    pid: whether the switch chooses the PID, shape (...).
-    Raises ScenarioError beyond full stick.
+    pid: True if the switch chooses the PID, shape (...). Raises ScenarioError beyond full stick.
     """
     rates, power = np.asarray(setpoint_deg_s, np.float64), np.asarray(thrust, np.float64)
     if not (np.abs(rates) <= RATE_FULL_STICK_DEG_S).all():

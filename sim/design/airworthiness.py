@@ -1,4 +1,4 @@
-"""Whether an aircraft can fly, and whether its numbers can be true: figures and verdicts from its file.
+"""The airworthiness of an aircraft and the plausibility of its numbers: figures and verdicts from its file.
 
 Values that cannot be right are errors where the file is read; here are checks of plausibility. Their limits
 are wide: they find a wrong unit or decimal place, not an unusual aircraft.
@@ -68,7 +68,7 @@ class Verdict:
 
 
 def examine(aircraft: Aircraft) -> tuple[Figures, list[Verdict]]:
-    """Figures of an aircraft and the verdicts of all checks."""
+    """Compute the figures of an aircraft and the verdicts of all checks."""
     figures = aircraft_figures(aircraft)
     checks = (
         *(_thrust, _hover, _control, _motors, _size, _inertia, _centre),
@@ -93,7 +93,7 @@ def _thrust(aircraft: Aircraft, figures: Figures) -> Iterator[Verdict]:
 
 
 def _grams(aircraft: Aircraft, figures: Figures) -> str:
-    """Where it would fly if its parts of more than a kilogram had been meant in grams: which they are."""
+    """Suggest, if the aircraft would fly then, that its parts of more than a kilogram were meant in grams."""
     heavy = [part for part in aircraft.parts if part.mass > HEAVY]
     meant = figures.mass - 0.999 * sum(part.mass for part in heavy)
     if not heavy or figures.thrust_max <= meant * GRAVITY:
@@ -106,7 +106,7 @@ def _grams(aircraft: Aircraft, figures: Figures) -> str:
 
 
 def _motors(aircraft: Aircraft, figures: Figures) -> Iterator[Verdict]:
-    """Places and turning directions of a quadcopter's motors, whose numbers everything else follows."""
+    """Check places and turning directions of a quadcopter's motors, on which everything else depends."""
     hubs = np.array([rotor.position[:2] for rotor in aircraft.rotors])
     offset = (hubs - hubs.mean(axis=0)) / max(figures.reach, 1e-9)
     if len(hubs) != len(PLACES) or np.abs(offset).min() < BESIDE:
@@ -337,7 +337,8 @@ def _turned(pose: MeshPose, axis: Array) -> str:
 
 
 def _merit(propulsion: Propulsion, diameter: float) -> Array:
-    """Figure of merit from a tenth of full speed up: ideal induced power over power, at rest in the air.
+    """Compute the figure of merit from a tenth of full speed up: ideal induced power over power, at rest in
+    the air.
 
     Source: momentum theory, P = T^1.5 / sqrt(2 rho A).
     """

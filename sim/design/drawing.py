@@ -38,7 +38,7 @@ FROM_ABOVE, FROM_BEHIND = (1, 0, 2), (1, 2, 0)  # axes across the page, up it, a
 
 
 def draw_aircraft(aircraft: Aircraft, figures: Figures) -> Figure:
-    """The aircraft from above (x up the page, y to the left) and from behind, with its figures."""
+    """Draw the aircraft from above (x up the page, y to the left) and from behind, with its figures."""
     radius = propeller_radius(aircraft)
     points = _outline_points(aircraft, radius)
     low, high = MM * points.min(axis=0), MM * points.max(axis=0)
@@ -107,7 +107,7 @@ def save_drawing(path: Path, aircraft: Aircraft, figures: Figures) -> None:
 
 
 def propeller_radius(aircraft: Aircraft) -> float:
-    """Of a propeller as it is drawn [m]."""
+    """Return the radius of a propeller as it is drawn [m]."""
     diameter = aircraft.propulsion.propeller_diameter
     if diameter is not None:
         return diameter / 2
@@ -117,7 +117,7 @@ def propeller_radius(aircraft: Aircraft) -> float:
 
 
 def _outline_points(aircraft: Aircraft, radius: float) -> Array:
-    """Points (K, 3) [m] that the views must hold."""
+    """Return points (K, 3) [m] that the views must contain."""
     hubs = np.array([rotor.position for rotor in aircraft.rotors])
     reach = np.array([[radius, radius, 0.0]])
     points = [hubs - reach, hubs + reach, aircraft.mass_properties.centre[None]]
@@ -129,12 +129,12 @@ def _outline_points(aircraft: Aircraft, radius: float) -> Array:
 
 
 def is_propeller(part: Part) -> bool:
-    """Whether a part sits on a rotor, where its disc is drawn instead."""
+    """Return True if a part sits on a rotor, where its disc is drawn instead."""
     return part.name.startswith("propeller ") and part.surface is None
 
 
 def part_surface(part: Part) -> tuple[Array, bool]:
-    """Triangles (K, 3, 3) [m] of a part in the body frame, and whether they are its true shape."""
+    """Return triangles (K, 3, 3) [m] of a part in the body frame, and True if they are its true shape."""
     if part.surface is not None:
         own, true = part.surface, True
     else:
@@ -169,7 +169,7 @@ def _draw_parts(view: Axes, parts: Sequence[Part], axes: tuple[int, int, int]) -
 
 
 def _draw_solid(view: Axes, triangles: Array, axes: tuple[int, int, int]) -> None:
-    """Triangles (K, 3, 3) [mm], corners on page axes: far ones first, near and lit ones lighter."""
+    """Draw triangles (K, 3, 3) [mm], corners on page axes: far ones first, near and lit ones lighter."""
     reader = 1.0 if axes == FROM_ABOVE else -1.0  # on the page's third axis: at high z, or behind at low x
     depth = reader * triangles[:, :, 2].mean(axis=1)
     normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
@@ -259,7 +259,7 @@ def _draw_rotors_behind(view: Axes, rotors: Sequence[Rotor], radius: float, acro
 
 
 def _draw_ground(view: Axes, aircraft: Aircraft, across: float) -> None:
-    """The box that touches the ground, and the ground."""
+    """Draw the box that touches the ground, and the ground."""
     assert aircraft.body is not None
     (_, width, height), (_, y, z) = aircraft.body.size, aircraft.body.centre
     low = MM * (z - height / 2)
@@ -298,7 +298,7 @@ def _draw_centre_of_thrust(view: Axes, across: float, up: float, radius: float) 
 
 
 def _draw_compass(view: Axes, across: float) -> None:
-    """Body axes in the lower left corner."""
+    """Draw the body axes in the lower left corner."""
     length = 0.07 * across
     y, x = view.get_xlim()[0] - 0.11 * across, view.get_ylim()[0] + 0.03 * across
     for dy, dx, name in ((0, 1, "x"), (1, 0, "y")):
@@ -321,7 +321,7 @@ def _draw_compass(view: Axes, across: float) -> None:
 
 
 def _draw_scale_bar(view: Axes, across: float) -> None:
-    """In the lower right corner, a round length of up to a fifth of the view."""
+    """Draw a scale bar in the lower right corner, a round length of up to a fifth of the view."""
     power = 10 ** np.floor(np.log10(across / 5))
     length = max(step * power for step in (1, 2, 5) if step * power <= across / 5)
     right, low = view.get_xlim()[1] + 0.035 * across, view.get_ylim()[0] + 0.035 * across
@@ -340,7 +340,7 @@ def _draw_scale_bar(view: Axes, across: float) -> None:
 def _write_figures(
     figure: Figure, left: float, top: float, step: float, aircraft: Aircraft, figures: Figures
 ) -> float:
-    """The column of figures; returns where it ends."""
+    """Write the column of figures; return its lower end."""
     centre = ", ".join(f"{value:.0f}" for value in np.rint(MM * figures.centre) + 0.0)
     moments = " / ".join(f"{1e3 * value:.3g}" for value in figures.principal_moments)
     rows = [
@@ -409,7 +409,7 @@ def _dress(view: Axes) -> None:
 
 
 def _hull(points: Array) -> Array:
-    """Convex hull (H, 2) of points (K, 2), counter-clockwise (Andrew's monotone chain)."""
+    """Compute the convex hull (H, 2) of points (K, 2), counter-clockwise (Andrew's monotone chain)."""
 
     def half(ordered: Sequence[list[float]]) -> list[list[float]]:
         chain: list[list[float]] = []

@@ -62,7 +62,7 @@ class Figures:
 
 
 def aircraft_figures(aircraft: Aircraft) -> Figures:
-    """All figures of an aircraft."""
+    """Compute all figures of an aircraft."""
     properties, propulsion = aircraft.mass_properties, aircraft.propulsion
     weight = GRAVITY * properties.mass
     moments, axes = principal(properties.inertia)
@@ -89,7 +89,8 @@ def aircraft_figures(aircraft: Aircraft) -> Figures:
 
 
 def hover_throttle(aircraft: Aircraft, idle: float) -> float | None:
-    """The pilot's throttle that holds the weight, on the bench supply, behind motors that idle at `idle`.
+    """Compute the pilot's throttle that holds the weight, on the bench supply, with motors that idle at
+    `idle`.
 
     None: the aircraft cannot hover. The mixer adds throttle above the idle, to all motors alike.
     """
@@ -98,7 +99,7 @@ def hover_throttle(aircraft: Aircraft, idle: float) -> float | None:
 
 
 def thrust_map(aircraft: Aircraft, ratio: Array) -> Array:
-    """Thrust and moments of a newton of each rotor: thrust, roll, pitch, yaw, (4, M).
+    """Return thrust, roll, pitch and yaw moment for a newton of each rotor, (4, M).
 
     ratio: K_Q [m] of each rotor, (M,).
     """
@@ -107,9 +108,9 @@ def thrust_map(aircraft: Aircraft, ratio: Array) -> Array:
 
 
 def balanced_thrust(rows: Array, wanted: Array, high: float) -> Array | None:
-    """Thrusts t (M,), 0 <= t <= high, with rows @ t = wanted, on as many rotors as can share it.
+    """Compute thrusts t (M,), 0 <= t <= high, with rows @ t = wanted, on as many rotors as can share it.
 
-    rows: (K, M). None if there are none. Of several, the one with the least sum of squares.
+    rows: (K, M). None if there is no solution. Of several, the one with the least sum of squares.
     """
     count = rows.shape[1]
     scale = np.abs(rows).max(axis=1)
@@ -126,7 +127,7 @@ def balanced_thrust(rows: Array, wanted: Array, high: float) -> Array | None:
 
 
 def greatest_moment(moment: Array, rows: Array, wanted: Array, high: float) -> float:
-    """Most that moment @ t can be with 0 <= t <= high and rows @ t = wanted; 0 if nothing fits.
+    """Compute the largest moment @ t with 0 <= t <= high and rows @ t = wanted; 0 without a solution.
 
     moment: (M,), rows: (K, M) with K < M. A linear programme: the best is a corner, where all but K rotors
     stand at a limit; M is small enough to visit every corner.
@@ -164,14 +165,14 @@ def _hovering(aircraft: Aircraft, weight: float, thrust_max: float) -> Hover | N
 
 
 def _power(aircraft: Aircraft, speed: Array) -> float:
-    """Electrical power [W] at steady rotor speeds (M,), electronics included."""
+    """Compute the electrical power [W] at steady rotor speeds (M,), electronics included."""
     torque = thrust_and_torque(speed, aircraft.propulsion)[1]
     electronics = 0.0 if aircraft.battery is None else aircraft.battery.electronics_power
     return float(speed @ torque) / aircraft.propulsion.efficiency + electronics
 
 
 def _accelerations(rows: Array, inertia: Array, high: float, weight: float | None) -> Array:
-    """Most angular acceleration about each axis with no moment about the others; weaker direction, (3,)."""
+    """Compute the largest acceleration about each axis, without moment about the others, (3,)."""
     inverse = np.linalg.inv(inertia)
     found = np.zeros(3)
     for axis in range(3):
@@ -204,7 +205,7 @@ def _endurance(aircraft: Aircraft, hover: Hover) -> Endurance | None:
 
 
 def _loaded(battery: Battery, charge: float, power: float) -> float:
-    """Voltage [V] of a pack at `charge` that gives `power` [W]; 0 if it cannot."""
+    """Compute the voltage [V] of a pack at `charge` that gives `power` [W]; 0 if it cannot."""
     open_circuit = open_circuit_voltage(battery, np.array(charge))
     if 4 * battery.resistance * power > open_circuit**2:
         return 0.0

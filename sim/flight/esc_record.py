@@ -1,4 +1,4 @@
-"""What each ESC of a flight tells: the topics /aircraft/sensor/esc of Koch 2019, table 5.1, as a table."""
+"""The ESCs' reports in a flight: the topics /aircraft/sensor/esc of Koch 2019, table 5.1, as a table."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ class EscRecord:
 
 
 def topic_ranges(topics: Mapping[str, Array]) -> dict[str, Range | None]:
-    """Each topic's range; None of one that is not known."""
+    """Return each topic's range; None for an unknown one."""
     return {
         name: Range(float(values.min()), float(values.mean()), float(values.max()))
         if values.size and np.isfinite(values).all()

@@ -72,7 +72,7 @@ class EyePilot:
         self._steps += 1
 
     def channels(self, step: int) -> NDArray[np.uint16] | None:
-        """Channels [us] (CHANNEL_COUNT,) at control step `step`; None where nothing is flown by eye."""
+        """Return channels [us] (CHANNEL_COUNT,) at control step `step`; None: nothing is flown by eye."""
         index = self._of_step[step]
         if self._segments[index].height_m is None:
             return None
@@ -89,7 +89,7 @@ class EyePilot:
         )
 
     def _throttle(self, wanted_height: float) -> float:
-        """The throttle 0..1 towards a height above the start [m]."""
+        """Return the throttle 0..1 towards a height above the start [m]."""
         position, velocity, _ = self._seen[0]
         height = float(position[2])
         landing = wanted_height == 0.0
@@ -109,7 +109,7 @@ class EyePilot:
         return min(max(self._trim + THROTTLE_PER_M_S * lacks, 0.0), 1.0)
 
     def _level(self, velocity: Array, rotation: Array) -> tuple[float, float]:
-        """Roll and pitch rate [deg/s] towards level, leaning against the drift."""
+        """Return roll and pitch rate [deg/s] towards level, leaning against the drift."""
         if not self._lifted or self._landed:
             return 0.0, 0.0
         lean = np.clip(-LEAN_PER_M_S * velocity[:2], -LEAN_MAX, LEAN_MAX)

@@ -28,7 +28,7 @@ FIGURES: tuple[tuple[str, tuple[tuple[int, float, float], ...]], ...] = (
 
 
 def stick_strokes(seed: int) -> tuple[Array, Array]:
-    """Commanded rates [deg/s] in the body frame (N, 3) and throttle 0..1 (N,), a row each FRAME_S."""
+    """Draw commanded rates [deg/s] in the body frame (N, 3) and throttle 0..1 (N,), a row each FRAME_S."""
     rng = np.random.default_rng(seed)
     frames = round(FLIGHT_S / FRAME_S)
     rates = _corrections(rng, frames)
@@ -48,7 +48,8 @@ def stick_strokes(seed: int) -> tuple[Array, Array]:
 
 
 def calm_strokes(seed: int, flight_s: float, sigma_deg_s: float) -> Array:
-    """Commanded rates [deg/s] of a flight without aerobatics, normal, each axis of that standard deviation.
+    """Draw commanded rates [deg/s] of a flight without aerobatics, normal, each axis of that standard
+    deviation.
 
     Body frame (N, 3), a row each FRAME_S. Source: Koch 2019, chapter 5, figure 5.15: the commands of its
     pilots over all flights are about normal with 12.4 deg/s.
@@ -59,12 +60,12 @@ def calm_strokes(seed: int, flight_s: float, sigma_deg_s: float) -> Array:
 def _corrections(
     rng: np.random.Generator, frames: int, sigmas: tuple[float, float, float] = CRUISE_DEG_S
 ) -> Array:
-    """Small stick movements of a cruise [deg/s], (frames, 3)."""
+    """Draw small stick movements of a cruise [deg/s], (frames, 3)."""
     return np.column_stack([sigma * _correlated(rng, frames, CRUISE_S) for sigma in sigmas])
 
 
 def _correlated(rng: np.random.Generator, frames: int, seconds: float) -> Array:
-    """Normal noise with that correlation time, smooth from frame to frame, (frames,)."""
+    """Draw normal noise with that correlation time, smooth from frame to frame, (frames,)."""
     width = round(4 * seconds / FRAME_S)
     window = np.hanning(width + 2)[1:-1]
     drawn = np.convolve(rng.standard_normal(frames + width - 1), window, mode="valid")

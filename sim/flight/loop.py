@@ -111,7 +111,7 @@ def stand(twin: Twin, port: FirmwarePort, steps: int) -> None:
 
 
 class _Rows:
-    """What is kept of up to N control steps."""
+    """The recorded values of up to N control steps."""
 
     def __init__(self, steps: int, motors: int) -> None:
         self.count = 0  # so far
@@ -132,7 +132,7 @@ class _Rows:
         self.count = step + 1
 
     def trace(self, control_rate_hz: int) -> Trace:
-        """All steps up to now."""
+        """Return the trace of all steps so far."""
         count = self.count
         dshot = self._dshot[:count]
         return Trace(
@@ -150,14 +150,14 @@ Frame = tuple[int, ...]  # channels [us]; equal ones of a pilot are one object
 
 
 class _Pilot:
-    """Sticks low and the switch off and on until the firmware is armed; the scenario; the switch off."""
+    """The pilot: sticks low, the switch until the firmware is armed; the scenario; the switch off."""
 
     def __init__(self, scenario: Scenario, control_rate_hz: int, on: bool = True) -> None:
-        """on: False leaves the switch off for good."""
+        """Lay out the sticks; on: False leaves the switch off."""
         known: dict[Frame, Frame] = {}
 
         def frame(channels: NDArray[np.uint16]) -> Frame:
-            """`channels` as the one object for all that equal them."""
+            """Return one shared object for all equal `channels`."""
             new = tuple(channels.tolist())
             return known.setdefault(new, new)
 
@@ -179,14 +179,14 @@ class _Pilot:
         self._period = round(SWITCH_PERIOD_S * control_rate_hz)
 
     def switched(self, step: int) -> bool:
-        """Whether the switch is on at control step `step`, while it has not armed yet."""
+        """Return True if the switch is on at control step `step` before arming."""
         if self._first is None:
             return False
         phase = step - self._first
         return phase >= 0 and phase % self._period < self._period // 2
 
     def sticks(self, step: int, armed_at: int | None) -> Frame | None:
-        """Channels at control step `step`; None: nothing is sent. armed_at: the first armed step."""
+        """Return channels at control step `step`, None for no frame. armed_at: the first armed step."""
         if armed_at is None:
             return self._on if self.switched(step) else self._off
         k = step - armed_at
@@ -199,7 +199,7 @@ class _Pilot:
 def _frames(
     channels: NDArray[np.uint16], heard: NDArray[np.bool_], frame: Callable[[NDArray[np.uint16]], Frame]
 ) -> list[Frame | None]:
-    """The frame of each step of a timeline, None where nothing is heard."""
+    """Return the frame of each step of a timeline, None where the receiver is silent."""
     changes = (channels[1:] != channels[:-1]).any(axis=1) | (heard[1:] != heard[:-1])
     bounds = [0, *(np.flatnonzero(changes) + 1).tolist(), len(channels)]
     frames: list[Frame | None] = []
@@ -288,11 +288,11 @@ class _Lockstep:
         return reply
 
     def arming_reasons(self) -> str:
-        """What the firmware says keeps it disarmed."""
+        """Return the firmware's reasons against arming, as text."""
         return ", ".join(self._port.arming_reasons()) or _NO_REASON
 
     def _plan(self, step: int) -> None:
-        """Decide whether a frame belongs to control step `step`."""
+        """Decide whether a frame is sent at control step `step`."""
         frame = self.pilot.sticks(step, self._armed_at)
         if frame is None:
             return
@@ -325,7 +325,7 @@ class _Lockstep:
         return reply
 
     def _command(self, reply: Reply) -> None:
-        """Motors and whether the aircraft is held, of a new reply."""
+        """Take the motors from a new reply, and whether the aircraft is held."""
         if self._reply is None or reply.dshot.tobytes() != self._reply.dshot.tobytes():
             fractions = each_fraction(reply.dshot)
             self._motors[0] = [fractions[output] for output in self._outputs]
@@ -352,7 +352,7 @@ def _arm(link: _Lockstep, scenario: Scenario) -> Reply:
 
 
 def _disarm(link: _Lockstep) -> None:
-    """Go on with the switch off until all motors are commanded to stop."""
+    """Continue with the switch off until all motors are commanded to stop."""
     values = None
     for _ in range(math.ceil(DISARM_LIMIT_S * link.control_rate_hz)):
         values = link.control_step().dshot
@@ -366,7 +366,7 @@ def _disarm(link: _Lockstep) -> None:
 
 
 def _see_log_out(link: _Lockstep, logged: Callable[[], bool]) -> None:
-    """Go on until the log has ended, or for LOG_END_LIMIT_S where it does not."""
+    """Continue until the log has ended, for LOG_END_LIMIT_S at most."""
     end = link.step + math.ceil(LOG_END_LIMIT_S * link.control_rate_hz)
     every = max(1, round(LOG_S * link.control_rate_hz))
     while not logged() and link.step < end:

@@ -44,30 +44,30 @@ class Manoeuvre:
 
     @property
     def commanded(self) -> tuple[bool, bool, bool]:
-        """Which axes are commanded at some time."""
+        """Axes that are commanded at some time."""
         roll, pitch, yaw = (any(leg.rates[axis] for leg in self.legs) for axis in range(3))
         return roll, pitch, yaw
 
     def then_hover(self) -> Manoeuvre:
-        """The same, and HOVER_S of centred sticks."""
+        """Return the manoeuvre followed by HOVER_S of centred sticks."""
         return replace(self, legs=(*self.legs, Leg(HOVER_S, 1.0)))
 
     def scenario(self, throttle: Callable[[float], float]) -> Scenario:
-        """The sticks. throttle: that gives a thrust over weight at rest, 0..1."""
+        """Return the sticks. throttle: a function from thrust over weight at rest to throttle, 0..1."""
         legs = (Leg(SETTLE_S, 1.0), *self.legs)
         segments = (Segment(leg.duration_s, leg.rates, throttle(leg.thrust)) for leg in legs)
         return Scenario(self.name, tuple(segments), Mount.FREE)
 
 
 def _turned(angle: float, rate: float, axis: int, thrust: float) -> Leg:
-    """A leg that turns by `angle` [deg] about `axis` at `rate` [deg/s]."""
+    """Return a segment that turns by `angle` [deg] about `axis` at `rate` [deg/s]."""
     rates = [0.0, 0.0, 0.0]
     rates[axis] = rate
     return Leg(angle / abs(rate), thrust, (rates[0], rates[1], rates[2]))
 
 
 def _whole_turn(axis: int) -> tuple[Leg, ...]:
-    """A jump, a turn with little thrust, the fall caught, a hover."""
+    """Return a jump, a turn with little thrust, the fall caught, a hover."""
     turn = _turned(WHOLE, TURN_DEG_S, axis, 0.35)
     return Leg(0.3, 2.0), turn, Leg(0.4, 2.0), Leg(0.4, 1.0)
 
@@ -122,9 +122,10 @@ class ThrustCurve:
     thrust: tuple[float, ...]  # over weight
 
     def throttle_of(self, thrust: float) -> float:
-        """The throttle of a thrust over weight, or of the nearest that there is.
+        """Return the throttle of a thrust over weight, or of the nearest possible one.
 
-        Between the measured ones the root of the thrust is taken as linear: rotors turn by the throttle.
+        Between the measured points the root of the thrust is taken as linear, because throttle sets the
+        rotors' speed.
         """
         rising = np.sqrt(np.maximum.accumulate(np.array(self.thrust)))
         if thrust <= self.thrust[0]:
@@ -133,12 +134,12 @@ class ThrustCurve:
 
     @classmethod
     def of_steps(cls, thrust: Sequence[float], control_rate_hz: int) -> ThrustCurve:
-        """From the thrust at each control step of a flight of `stairs`."""
+        """Build the curve from the thrust at each control step of a flight of `stairs`."""
         steps = np.array(thrust).reshape(len(STAIR), -1)
         last = round(STAIR_MEAN_S * control_rate_hz)
         return cls(STAIR, tuple(steps[:, -last:].mean(axis=1).tolist()))
 
 
 def stairs() -> Scenario:
-    """Each throttle of STAIR for STAIR_S, at rest, the centre of mass held."""
+    """Return each throttle of STAIR for STAIR_S, at rest, the centre of mass held."""
     return Scenario("stairs", tuple(Segment(STAIR_S, throttle=throttle) for throttle in STAIR))

@@ -1,4 +1,4 @@
-"""What the twin does in a flight beyond its trace: place, speed, attitude and the rotors' thrust."""
+"""The twin's motion in a flight beyond its trace: place, speed, attitude and the rotors' thrust."""
 
 from __future__ import annotations
 
@@ -37,12 +37,12 @@ class Motion:
 
     @property
     def position(self) -> Array:
-        """Of the centre of mass from the origin [m], world axes, (N, 3)."""
+        """Position of the centre of mass from the origin [m], world axes, (N, 3)."""
         return self._columns(0, 3)
 
     @property
     def velocity(self) -> Array:
-        """Of the centre of mass [m/s], world axes, (N, 3)."""
+        """Velocity of the centre of mass [m/s], world axes, (N, 3)."""
         return self._columns(3, 6)
 
     @property

@@ -69,12 +69,12 @@ class Scenario:
     hover_s: float = 0.0  # of centred sticks at its end, behind the episodes; 0: none
 
     def under_pid(self) -> Scenario:
-        """The same flight with the pilot's switch at the PID."""
+        """Return the same flight with the pilot's switch at the PID."""
         return replace(self, segments=tuple(replace(segment, pid=True) for segment in self.segments))
 
     @property
     def by_eye(self) -> bool:
-        """Whether sticks depend on what the pilot sees: `timeline` then has only their beginnings."""
+        """True if sticks depend on what the pilot sees: `timeline` then has only their beginnings."""
         return any(segment.height_m is not None for segment in self.segments)
 
     @property
@@ -83,7 +83,7 @@ class Scenario:
         return sum(segment.duration_s for segment in self.segments)
 
     def timeline(self, control_rate_hz: int) -> tuple[NDArray[np.uint16], NDArray[np.bool_]]:
-        """Channels [us] (N, CHANNEL_COUNT), armed, and whether the receiver is heard (N,), a row a step.
+        """Return channels [us] (N, CHANNEL_COUNT), and True where the receiver is heard (N,), a row a step.
 
         Raises ScenarioError on sticks beyond their ends or a flight shorter than one control step.
         """
@@ -102,18 +102,18 @@ class Scenario:
         return np.repeat(us, counts, axis=0), np.repeat(heard, counts)
 
     def steps(self, control_rate_hz: int) -> NDArray[np.int64]:
-        """Control steps of each segment."""
+        """Return the control steps of each segment."""
         ends = np.cumsum([segment.duration_s for segment in self.segments])
         steps: NDArray[np.int64] = np.diff(np.rint(ends * control_rate_hz).astype(np.int64), prepend=0)
         return steps
 
     def episodes(self) -> int:
-        """Number of equal episodes that the figures are averaged over."""
+        """Return the number of equal episodes that the figures are averaged over."""
         return 1 if self.episode_s is None else round((self.duration_s - self.hover_s) / self.episode_s)
 
 
 def pulses(seed: int, count: int, name: str = "pulses", throttle: float = 0.0) -> Scenario:
-    """`count` commands one after another: still, then a command drawn for each axis, then still again."""
+    """Draw `count` commands one after another: still, a command drawn for each axis, still again."""
     rng = np.random.default_rng(seed)
     drawn = rng.normal(0.0, COMMAND_SIGMA_DEG_S, (count, 3))
     segments: list[Segment] = []
@@ -127,14 +127,14 @@ def pulses(seed: int, count: int, name: str = "pulses", throttle: float = 0.0) -
 
 
 def flight(seed: int, count: int, throttle: float = 0.0) -> Scenario:
-    """The same commands, and then a hover, which shows whether the aircraft holds with centred sticks."""
+    """Return the same commands and a hover, which shows whether the aircraft holds."""
     commands = pulses(seed, count, "flight", throttle)
     hover = Segment(HOVER_S, throttle=throttle)
     return replace(commands, segments=(*commands.segments, hover), hover_s=HOVER_S)
 
 
 def turn(name: str, axis: int, throttle: float = 0.0) -> Scenario:
-    """One full turn about `axis` and back to still."""
+    """Return one full turn about `axis` and back to still."""
     rates = [0.0, 0.0, 0.0]
     rates[axis] = TURN_DEG_S
     still = Segment(PULSE_IDLE_S, throttle=throttle)
@@ -143,7 +143,7 @@ def turn(name: str, axis: int, throttle: float = 0.0) -> Scenario:
 
 
 def turns(throttle: float = 0.0) -> Scenario:
-    """Full turns about each axis, both ways, at TURN_DEG_S and at full stick, with a rest behind each."""
+    """Return full turns about each axis, both ways, at TURN_DEG_S and at full stick, with rests."""
     segments = [Segment(PULSE_IDLE_S, throttle=throttle)]
     for rate, axis, sign in product((TURN_DEG_S, float(RATE_FULL_STICK_DEG_S)), range(3), (1.0, -1.0)):
         rates = [0.0, 0.0, 0.0]
@@ -168,7 +168,7 @@ def sticks_flight() -> Scenario:
 
 
 def freestyle(seed: int) -> Scenario:
-    """A minute of a pilot's cruising and aerobatics, drawn from `seed`; see `sim.flight.freestyle`."""
+    """Draw a minute of a pilot's cruising and aerobatics from `seed`; see `sim.flight.freestyle`."""
     rates, throttle = stick_strokes(seed)
     flown = zip(rates.tolist(), throttle.tolist(), strict=True)
     segments = (Segment(FRAME_S, (roll, pitch, yaw), thrust) for (roll, pitch, yaw), thrust in flown)
@@ -208,7 +208,7 @@ BUILDERS: dict[str, tuple[str, Callable[[int, int, float], Scenario]]] = {
 def load_scenario(
     name: str, seed: int, count: int = COMMANDS, mount: Mount | None = None, throttle: float = 0.0
 ) -> Scenario:
-    """A scenario by name, drawn from `seed`, or from the file at that path; `mount` overrides its own.
+    """Load a scenario by name, drawn from `seed`, or from the file at that path; `mount` overrides its own.
 
     throttle: of those of AT_THROTTLE. Raises ScenarioError naming what is unknown or malformed.
     """
@@ -233,7 +233,7 @@ def _read(path: Path) -> Scenario:
 
 
 def parse_scenario(data: bytes, where: str, name: str) -> Scenario:
-    """Scenario from the bytes of a file; `where` names it in messages, `name` it unless it says so itself."""
+    """Parse the bytes of a scenario file; `where` names it in messages, `name` is its default name."""
     try:
         root = StrictTable(tomllib.loads(data.decode()), where, ScenarioError)
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:

@@ -31,7 +31,7 @@ class Trace:
     throttle: NDArray[np.float32]  # (N,) pilot's thrust, 0..1
 
     def __post_init__(self) -> None:
-        """Raises TraceError naming the array whose type, shape or content does not fit."""
+        """Raise TraceError naming the array whose type, shape or content does not fit."""
         steps, motors = len(self.t) if self.t.ndim else 0, self.dshot.shape[-1] if self.dshot.ndim else 0
         if steps < 1:
             raise TraceError("trace: t is empty, expected at least one control step")
@@ -66,15 +66,15 @@ class Trace:
         return first if abs(first - usual) < EVEN * usual else usual
 
     def first(self, rows: int) -> Trace:
-        """The beginning of the flight."""
+        """Return the first `rows` of the flight."""
         return Trace(**{name: getattr(self, name)[:rows] for name in COLUMNS})
 
     def by_gyro(self) -> Trace:
-        """The flight as a log tells it: no true rate, the gyro stands in its place."""
+        """Return the flight as a log has it: the gyro in place of the true rate."""
         return replace(self, rate=self.gyro.astype(np.float64))
 
     def same(self, other: Trace) -> bool:
-        """Whether every array holds the same bits."""
+        """Return True if every array holds the same bits."""
         return all(
             getattr(self, name).shape == getattr(other, name).shape
             and getattr(self, name).tobytes() == getattr(other, name).tobytes()

@@ -72,7 +72,7 @@ class Noise:
 
 
 def allan_deviation(values: Array, rate_hz: float) -> tuple[Array, Array]:
-    """Overlapping Allan deviation of evenly spaced samples (N, 3): times [s] (K,), deviations (K, 3).
+    """Compute the overlapping Allan deviation of even samples (N, 3): times [s] (K,), deviations (K, 3).
 
     Source: IEEE Std 952, annex C. White noise of density D gives D / sqrt(tau), a constant rate ramp and
     a random walk rise.
@@ -93,7 +93,7 @@ def allan_deviation(values: Array, rate_hz: float) -> tuple[Array, Array]:
 
 
 def measure_noise(recording: Recording) -> Noise:
-    """Figures of a record taken at rest. Raises TraceError if an axis of the gyro never changes."""
+    """Compute the figures of a record at rest. Raises TraceError if a gyro axis never changes."""
     for axis, values in zip(AXES, recording.gyro.T, strict=True):
         if (values == values[0]).all():
             raise TraceError(
@@ -133,7 +133,7 @@ def resting_part(recording: Recording) -> tuple[float, float] | None:
 
 
 def doubts(noise: Noise) -> list[str]:
-    """Reasons to distrust the figures, one sentence each."""
+    """List reasons to distrust the figures, one sentence each."""
     found = []
     if noise.moved:
         found.append("the aircraft moved: these figures are not noise alone; record it at rest on the ground")
@@ -163,7 +163,7 @@ def doubts(noise: Noise) -> list[str]:
 
 
 def aircraft_keys(noise: Noise) -> Changes:
-    """The figures as keys of an aircraft file, to four digits."""
+    """Return the figures as keys of an aircraft file, to four digits."""
     keys: dict[str, dict[str, Value]] = {
         "gyro": {
             "noise_deg_s": tuple(_digits(value) for value in np.rad2deg(noise.gyro.sigma)),
@@ -213,7 +213,7 @@ def _sensor(values: Array, rate_hz: float) -> SensorNoise:
 
 
 def _moved(rate: Array, rate_hz: float, gyro: SensorNoise) -> bool:
-    """Whether the aircraft turned while it was recorded."""
+    """Return True if the aircraft turned while it was recorded."""
     length = max(1, round(MOTION_S[0] * rate_hz))
     blocks = rate[: len(rate) // length * length].reshape(-1, length, 3).mean(axis=1)
     usual = np.maximum(MOTION_RATE, MOTION_NOISE * gyro.sigma / math.sqrt(length))

@@ -18,8 +18,8 @@ Array = NDArray[np.float64]
 DASHES = (0, (4, 3))  # of the models
 
 
-def draw(noise: Noise, recording: Recording, title: str) -> Figure:
-    """Allan deviation and histogram of each sensor, three axes in each."""
+def draw_noise(noise: Noise, recording: Recording, title: str) -> Figure:
+    """Draw Allan deviation and histogram of each sensor, three axes in each."""
     sensors = [("gyro", "deg/s", AXES, noise.gyro, recording.gyro, math.degrees(1.0))]
     if noise.accelerometer is not None and recording.acceleration is not None:
         axes = ("x forward", "y left", "z up")

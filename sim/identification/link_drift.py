@@ -110,7 +110,7 @@ def drift(
 
 
 def onset(measured: Drift, threshold: float) -> Onset | None:
-    """The lowest rate at which the links are apart by more than `threshold` [m] in sum; None: at none."""
+    """Find the lowest rate at which the links are apart by more than `threshold` [m] in sum, or None."""
     apart = np.flatnonzero(measured.separation > threshold)
     if not len(apart):
         return None
@@ -119,7 +119,7 @@ def onset(measured: Drift, threshold: float) -> Onset | None:
 
 
 def worst_by_rate(measured: Drift, width: float) -> tuple[Array, Array]:
-    """Largest drift [m] in each interval of `width` [rad/s], and the middles of those flown through."""
+    """Return the largest drift [m] in each interval of `width` [rad/s], and these intervals' middles."""
     interval = np.floor(measured.rate / width).astype(int)
     worst = np.full(interval.max() + 1, -1.0)
     np.maximum.at(worst, interval, measured.drift)
@@ -128,12 +128,12 @@ def worst_by_rate(measured: Drift, width: float) -> tuple[Array, Array]:
 
 
 def _distances(places: Array) -> Array:
-    """Distance of every link from every other (K, N, N) [m] from their places (K, N, 3) [m]."""
+    """Compute the distance of every link from every other (K, N, N) [m] from their places (K, N, 3) [m]."""
     return np.asarray(np.linalg.norm(places[:, :, None] - places[:, None], axis=3))
 
 
 def _links(aircraft: Aircraft) -> tuple[MassProperties, list[MassProperties]]:
-    """The airframe and each propeller, in motor order."""
+    """Return the airframe and each propeller, in motor order."""
     parts = {part.name: part for part in aircraft.parts}
     propellers = []
     for number in range(1, aircraft.motor_count + 1):
@@ -153,7 +153,8 @@ def _fly(
     step_s: float,
     client: int,
 ) -> tuple[Array, Array]:
-    """Rates (K, 3) [rad/s] of the airframe about its own axes and places (K, N, 3) [m] of the links.
+    """Fly; return rates (K, 3) [rad/s] of the airframe about its own axes and places (K, N, 3) [m] of the
+    links.
 
     The airframe is the first link. One sample at rest, where the links belong, then one after each step,
     until DURATION_S or RATE_MAX.
@@ -190,7 +191,7 @@ def _fly(
 
 
 def _pose(part: Link, client: int) -> tuple[Array, Array]:
-    """Centre of mass [m] and attitude (3, 3) of a link."""
+    """Return centre of mass [m] and attitude (3, 3) of a link."""
     body, link = part
     if link < 0:
         at, turned = pybullet.getBasePositionAndOrientation(body, client)
@@ -202,7 +203,7 @@ def _pose(part: Link, client: int) -> tuple[Array, Array]:
 def _reduced(
     airframe: MassProperties, propellers: Sequence[MassProperties], client: int
 ) -> tuple[Link, list[Link]]:
-    """One multibody whose links hang on its base by hinges."""
+    """Create one multibody whose links hang on its base by hinges."""
     with TemporaryDirectory() as folder:
         path = Path(folder) / "aircraft.urdf"
         path.write_text(_urdf(airframe, propellers))
@@ -220,7 +221,7 @@ def _reduced(
 def _maximal(
     airframe: MassProperties, propellers: Sequence[MassProperties], client: int
 ) -> tuple[Link, list[Link]]:
-    """Bodies of their own, held together by ball joints."""
+    """Create separate bodies, held together by ball joints."""
     moments, axes = principal(airframe.inertia)
     base = _body(airframe.mass, np.zeros(3), moments, axes, client)
     rotors = []
@@ -261,7 +262,7 @@ def _body(mass: float, at: Array, moments: Array, axes: Array, client: int) -> i
 
 
 def _free(body: int, link: int, client: int) -> None:
-    """No damping, no sleep, no limit of speed, no contacts."""
+    """Switch off damping, sleep, the speed limit and contacts."""
     pybullet.changeDynamics(
         body,
         link,

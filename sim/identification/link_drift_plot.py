@@ -19,8 +19,8 @@ MAP_MIN_MM = 1e-3  # the darkest colour of the map: nothing less is told apart
 MARKERS = {"reduced": "s", "maximal": "o"}
 
 
-def draw(runs: Sequence[Drift], title: str) -> Figure:
-    """Each sample as a dot, the largest drift at each rate as a line; one colour a step."""
+def draw_drift(runs: Sequence[Drift], title: str) -> Figure:
+    """Draw each sample as a dot, the largest drift at each rate as a line; one colour a step."""
     figure = titled_figure((11, 6.2), title)
     panel = figure.subplots()
     steps = sorted({run.step_s for run in runs}, reverse=True)
@@ -53,7 +53,7 @@ def draw(runs: Sequence[Drift], title: str) -> Figure:
 
 
 def draw_map(runs: Sequence[Drift], threshold: float, title: str) -> Figure:
-    """Rates about the three axes, coloured by separation: a panel a run, one scale of colours for all.
+    """Draw rates about the three axes, coloured by separation: a panel a run, one scale of colours for all.
 
     threshold [m]: where the onset is marked.
     """

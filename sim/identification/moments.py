@@ -1,4 +1,4 @@
-"""How much more or less than its file says an aircraft turns, from a log of a flight: motors and gyro.
+"""Identification of moment over inertia, relative to the aircraft file, from a log of motors and gyro.
 
 The logged motor values turn the rotors of the aircraft file, whose moments make angular accelerations: by
 thrust, drag and reaction, and by the rotors' own angular momentum, which couples roll and pitch while yaw is
@@ -7,8 +7,8 @@ that it found. Over short windows the accelerations add up to changes of the rat
 The ratio, by least squares an axis, is the factor of moment over inertia. Rates alone cannot tell a weaker
 rotor from a larger inertia.
 
-The margin is the fit's own: of the gyro's noise, not of what the file says wrongly of the rotors' response
-(docs/future/adaptation.md).
+The margin is the fit's own: of the gyro's noise, not of errors of the file in the rotors' response
+(docs/guides/adaptation.md).
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ class Turning:
 
 @dataclass(frozen=True, eq=False)
 class Factors:
-    """Moment over inertia, of the file's; (3,) each, roll, pitch, yaw."""
+    """Moment over inertia, relative to the file's; (3,) each, roll, pitch, yaw."""
 
     value: Array
     margin: Array  # half of the 95 % interval
@@ -66,7 +66,7 @@ class Factors:
 
 
 def read_turning(path: Path, motors: int) -> Turning:
-    """Motors and gyro of a trace (.npz) or a blackbox log (FILE:N). Raises TraceError."""
+    """Read motors and gyro of a trace (.npz) or a blackbox log (FILE:N). Raises TraceError."""
     file, number = split_number(path)
     if file.suffix == ".npz":
         trace = load_trace(file)
@@ -101,7 +101,7 @@ def read_turning(path: Path, motors: int) -> Turning:
 
 
 def turning_factors(flown: Turning, aircraft: Aircraft, name: str) -> Factors:
-    """The factors of a flight. Raises TraceError where it does not tell them."""
+    """Compute the factors of a flight. Raises TraceError if it does not determine them."""
     inertia = aircraft.mass_properties.inertia
     body, value = inertia.copy(), np.ones(3)
     for _ in range(ROUNDS_MAX):
@@ -115,7 +115,7 @@ def turning_factors(flown: Turning, aircraft: Aircraft, name: str) -> Factors:
 
 
 def _fit(flown: Turning, expected: Array, name: str) -> Factors:
-    """The factors of the accelerations `expected` (N, 3) [rad/s^2]."""
+    """Fit the factors of the accelerations `expected` (N, 3) [rad/s^2]."""
     length = max(1, round(WINDOW_S * flown.rate_hz))
     first = round(SETTLE_S * flown.rate_hz)
     count = (len(flown.gyro) - 1 - first) // length
@@ -160,7 +160,7 @@ def _check(factors: Factors, name: str) -> None:
 
 
 def _accelerations(flown: Turning, aircraft: Aircraft, body: Array) -> Array:
-    """Angular acceleration [rad/s^2] (N, 3) that the file's aircraft would have in each row.
+    """Compute the angular acceleration [rad/s^2] (N, 3) of the file's aircraft in each row.
 
     body: moments (3, 3) [kg m^2] of what was flown, whose own turning couples the axes.
     """
@@ -179,9 +179,9 @@ def _accelerations(flown: Turning, aircraft: Aircraft, body: Array) -> Array:
 
 
 def adapted_text(source: str, aircraft: Aircraft, factors: Factors) -> bytes:
-    """The aircraft file `source` (name or path) with the factors, as bytes that have been read back.
+    """Return the aircraft file `source` (name or path) with the factors, as bytes that have been read back.
 
-    Inertia is added as a part of 1 mg at the centre of mass. Where an axis turns more than the file says, K_T
+    Inertia is added as a part of 1 mg at the centre of mass. If an axis turns more than the file says, K_T
     is raised so far that no inertia has to be taken away. Raises AircraftError.
     """
     path = aircraft_file(source)
@@ -221,7 +221,7 @@ def adapted_text(source: str, aircraft: Aircraft, factors: Factors) -> bytes:
 
 
 def _stronger(text: str, aircraft: Aircraft, factor: float) -> str:
-    """`text` with its K_T times `factor`. Raises TraceError where it is not given as thrust_coefficient."""
+    """Return `text` with its K_T times `factor`. Raises TraceError unless it gives K_T."""
     terms = [factor * term for term in aircraft.propulsion.thrust_coefficient]
     value = f"{terms[0]:.6g}" if len(terms) == 1 else f"[{', '.join(f'{term:.6g}' for term in terms)}]"
     lines = text.splitlines(keepends=True)

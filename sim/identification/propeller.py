@@ -66,10 +66,10 @@ def rotor_coefficients(thrust: float, torque: float, diameter: float, density: f
 
 
 def fit_propeller(measured: Measurements, degree: int = 2) -> PropellerFit:
-    """Least squares of both coefficients where the propeller pulls, J >= 0 and C_T > 0.
+    """Fit both coefficients by least squares where the propeller pulls, J >= 0 and C_T > 0.
 
-    degree: 1 leaves a2 at 0, for measurements that end long before the thrust does. Raises DynoError on
-    measurements that do not show a curve, or one that no propeller has.
+    degree: 1 leaves a2 at 0, for measurements that end long before the thrust does. Raises DynoError for
+    measurements that show no curve, or an impossible one.
     """
     pulls = (measured.ratio >= 0.0) & (measured.thrust > 0.0)
     used = Measurements(measured.ratio[pulls], measured.thrust[pulls], measured.torque[pulls])
@@ -88,7 +88,7 @@ def fit_propeller(measured: Measurements, degree: int = 2) -> PropellerFit:
 
 
 def doubts(fit: PropellerFit) -> list[str]:
-    """What the measurements do not show, a line each."""
+    """List what the measurements do not show, a line each."""
     found = []
     last, end = float(fit.used.ratio.max()), fit.advance.ratio_max
     if fit.left > LEFT_MAX:

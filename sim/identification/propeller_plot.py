@@ -9,8 +9,8 @@ from neuroflight.sim.identification.propeller import Curve, PropellerFit
 from neuroflight.sim.plotting import AXIS_COLOURS, INK, dress, titled_figure
 
 
-def draw(fit: PropellerFit, title: str) -> Figure:
-    """C_T and C_Q; beyond the largest J measured the curves are dashed."""
+def draw_coefficients(fit: PropellerFit, title: str) -> Figure:
+    """Draw C_T and C_Q; beyond the largest J measured the curves are dashed."""
     figure = titled_figure((11, 4.2), title)
     last = float(fit.used.ratio.max())
     ratios = np.linspace(0.0, max(1.05 * fit.advance.ratio_max, last), 400)

@@ -128,7 +128,7 @@ def _recording(samples: Samples, path: Path, part: Part) -> Recording:
 
 
 def _spacing(time: Array, path: Path) -> tuple[float, int]:
-    """Samples a second and number of gaps, of rising times [s]."""
+    """Return samples a second and number of gaps of rising times [s]."""
     intervals = np.diff(time)
     if not (intervals > 0).all():
         row = int(np.argmin(intervals > 0)) + 2

@@ -61,7 +61,7 @@ class Moment:
 
 
 def find_swing(recording: Recording, name: str, axis: int | None = None) -> Swing:
-    """The swing of a log; axis: the swinging one, found if None. Raises TraceError where there is none."""
+    """Find the swing of a log; axis: the swinging one, found if None. Raises TraceError without a swing."""
     gyro = recording.gyro - recording.gyro.mean(axis=0)
     spread = gyro.std(axis=0)
     axis = int(np.argmax(spread)) if axis is None else axis
@@ -89,12 +89,12 @@ def find_swing(recording: Recording, name: str, axis: int | None = None) -> Swin
 
 
 def bifilar_stiffness(mass: float, distance: float, length: float) -> float:
-    """[N m/rad] of two parallel wires of `length` [m], `distance` [m] apart, that carry `mass` [kg]."""
+    """Compute the stiffness [N m/rad] of a bifilar pendulum: `mass` [kg], `length`, `distance` [m]."""
     return mass * GRAVITY * distance**2 / (4.0 * length)
 
 
 def moment(swing: Swing, stiffness: float, *, bifilar: bool = False) -> Moment:
-    """J of a swing on wires of `stiffness` [N m/rad]; bifilar: finite angles add to the margin."""
+    """Compute J of a swing on wires of `stiffness` [N m/rad]; bifilar: finite angles add to the margin."""
     value = stiffness * (swing.period_s / (2.0 * math.pi)) ** 2
     relative = 2.0 * swing.period_margin_s / swing.period_s
     if bifilar:  # T grows by the factor 1 + angle^2 / 16, at the start of the log the most
@@ -103,20 +103,20 @@ def moment(swing: Swing, stiffness: float, *, bifilar: bool = False) -> Moment:
 
 
 def reference_stiffness(swing: Swing, inertia: float) -> tuple[float, float]:
-    """Stiffness [N m/rad] of wires on which a body of known `inertia` [kg m^2] swung; its relative margin."""
+    """Compute the stiffness [N m/rad] of wires from a swing of known `inertia`; its relative margin."""
     stiffness = inertia * (2.0 * math.pi / swing.period_s) ** 2
     return stiffness, 2.0 * swing.period_margin_s / swing.period_s
 
 
 def _strongest(values: Array, rate_hz: float) -> float:
-    """The frequency [Hz] of the strongest line of the spectrum, of a quarter of a line's width."""
+    """Find the frequency [Hz] of the strongest line of the spectrum, to a quarter of a line's width."""
     padded = 4 * len(values)
     power = np.abs(np.fft.rfft(values * np.hanning(len(values)), padded))
     return float(1 + np.argmax(power[1:])) * rate_hz / padded
 
 
 def _fit(time: Array, rate: Array, guess_hz: float, axis: int) -> Swing:
-    """Least squares of frequency, damping, both phases and an offset, outliers held down."""
+    """Fit frequency, damping, both phases and an offset by least squares, outliers held down."""
     turn = 2.0 * math.pi * guess_hz
 
     def model(p: Array) -> Array:

@@ -12,8 +12,8 @@ from neuroflight.sim.plotting import AXIS_COLOURS, INK, dress, titled_figure
 from neuroflight.toolchain.contract import AXES
 
 
-def draw(swings: Sequence[Swing], title: str) -> Figure:
-    """A row a log: its swing, and the residuals of the fit."""
+def draw_swings(swings: Sequence[Swing], title: str) -> Figure:
+    """Draw a row a log: its swing, and the residuals of the fit."""
     figure = titled_figure((11, 0.7 + 2.3 * len(swings)), title)
     for row, swing in zip(figure.subplots(len(swings), 2, squeeze=False), swings, strict=True):
         colour = AXIS_COLOURS[swing.axis]

@@ -39,7 +39,7 @@ ALTITUDE_MIN, ALTITUDE_MAX = 10 * FOOT, 1000 * FOOT  # [m], where MIL-F-8785C's 
 
 
 def body_drag(air_velocity: Array, drag_area: Array) -> Array:
-    """Drag force on the body [N], (N, 3): -1/2 rho |v| (C_D A) v, each axis with its own C_D A.
+    """Compute the drag force on the body [N], (N, 3): -1/2 rho |v| (C_D A) v, each axis with its own C_D A.
 
     air_velocity: of the body through the air [m/s], (N, 3), body axes. drag_area: C_D A [m^2], (3,).
     """
@@ -50,7 +50,7 @@ def body_drag(air_velocity: Array, drag_area: Array) -> Array:
 
 
 def turbulence_scale(altitude: float) -> Array:
-    """Scale lengths L_u, L_v, L_w of the gusts [m], (3,), at `altitude` [m] above the ground.
+    """Compute the scale lengths L_u, L_v, L_w of the gusts [m], (3,), at `altitude` [m] above the ground.
 
     Source: MIL-F-8785C (1980), 3.7.3.4: L_w = h, L_u = L_v = h / (0.177 + 0.000823 h)^1.2, h in feet from
     10 to 1000; an altitude outside is taken as the nearer end.
@@ -61,7 +61,7 @@ def turbulence_scale(altitude: float) -> Array:
 
 
 def turbulence_intensity(altitude: float, wind_speed: float) -> Array:
-    """Standard deviations s_u, s_v, s_w of the gusts [m/s], (3,), at `altitude` [m].
+    """Compute the standard deviations s_u, s_v, s_w of the gusts [m/s], (3,), at `altitude` [m].
 
     wind_speed: mean wind 20 feet above the ground [m/s]; 7.7 is light turbulence, 15.4 moderate, 23.1
     severe. Source: MIL-F-8785C, 3.7.3.4: s_w = W_20 / 10, s_u = s_v = s_w / (0.177 + 0.000823 h)^0.4.
@@ -115,7 +115,7 @@ class Wind:
         self.reset(np.arange(count))
 
     def reset(self, index: NDArray[np.intp]) -> None:
-        """New gusts around the aircraft of `index`, drawn from the turbulence's own distribution."""
+        """Draw new gusts around the aircraft of `index` from the turbulence's own distribution."""
         if self._steady:
             return
         draws = self._rng.standard_normal((len(index), 2, 3))
@@ -139,7 +139,7 @@ class Wash:
     """
 
     def __init__(self, aircraft: Aircraft, count: int, dt: float, rng: np.random.Generator) -> None:
-        """Noise of each rotor as after `reset`; the aircraft's propellers have a diameter."""
+        """Draw the noise of each rotor as `reset` does; the aircraft's propellers have a diameter."""
         diameter = aircraft.propulsion.propeller_diameter
         assert diameter is not None
         shape = (count, aircraft.motor_count)
@@ -164,12 +164,12 @@ class Wash:
         self.reset(np.arange(count))
 
     def reset(self, index: NDArray[np.intp]) -> None:
-        """New noise for the rotors of the aircraft of `index`, drawn from its own distribution."""
+        """Draw new noise for the rotors of the aircraft of `index` from its own distribution."""
         self._lag[index], self.noise[index] = self._rng.standard_normal((2, len(index), self._lag.shape[1]))
 
 
 def wash_band(aircraft: Aircraft) -> tuple[float, float]:
-    """Half-power frequencies of an aircraft's prop wash [Hz]; its propellers have a diameter."""
+    """Compute the half-power frequencies of an aircraft's prop wash [Hz]; its propellers have a diameter."""
     diameter = aircraft.propulsion.propeller_diameter
     assert diameter is not None
     thrust = aircraft.mass_properties.mass * GRAVITY / aircraft.motor_count
@@ -178,12 +178,13 @@ def wash_band(aircraft: Aircraft) -> tuple[float, float]:
 
 
 def _induced_velocity(thrust: float, diameter: float) -> float:
-    """Velocity [m/s] that a hovering rotor of `diameter` [m] induces with `thrust` [N]: momentum theory."""
+    """Compute the velocity [m/s] that a hovering rotor induces with `thrust` [N]: momentum theory."""
     return math.sqrt(thrust / (2.0 * AIR_DENSITY * math.pi * (diameter / 2.0) ** 2))
 
 
 def _band_pass(band: tuple[float, float], dt: float) -> tuple[Array, Array]:
-    """Matrices (2, 2) of s' = turn s + gain n for white noise n: s[1] is the band-pass's output, variance 1.
+    """Compute matrices (2, 2) of s' = turn s + gain n for white noise n: s[1] is the band-pass's output,
+    variance 1.
 
     dp/dt = w v, dv/dt = -w p - 2 z w v + noise, over `dt` [s]: `turn` is the exponential without the noise,
     which adds what `turn` takes from the stationary covariance, the unit matrix.

@@ -21,7 +21,7 @@ CELL_VOLTAGE = np.array([0.00, 3.27, 3.61, 3.69, 3.73, 3.77, 3.80, 3.84, 3.87, 3
 
 @lru_cache(maxsize=16)
 def pack_struct(battery: Battery) -> Any:  # noqa: ANN401 - a struct of cffi
-    """The pack as C has it."""
+    """Return the pack as C has it."""
     empty = -STATE_OF_CHARGE[0]  # how far below zero state of charge the voltage is 0
     return struct(
         "pack",
@@ -36,7 +36,7 @@ def pack_struct(battery: Battery) -> Any:  # noqa: ANN401 - a struct of cffi
 
 
 def open_circuit_voltage(battery: Battery, state_of_charge: Array) -> Array:
-    """Voltage of the pack without load [V], same shape as `state_of_charge` (0..1, 1 is full).
+    """Compute the voltage of the pack without load [V], same shape as `state_of_charge` (0..1, 1 is full).
 
     Linear between the points of `CELL_VOLTAGE`, scaled so that a full pack gives its `rest_voltage`.
     """
@@ -47,10 +47,11 @@ def open_circuit_voltage(battery: Battery, state_of_charge: Array) -> Array:
 
 
 def loaded_voltage(open_circuit: Array, power: Array, resistance: float) -> Array:
-    """Voltage V [V] at which a pack gives `power` [W]: P = V I with V = OCV - I R, same shape.
+    """Compute the voltage V [V] at which a pack gives `power` [W]: P = V I with V = OCV - I R, same shape.
 
-    Of the two solutions the one that small powers reach, V >= OCV / 2. More than OCV^2 / 4R a pack cannot
-    give: there V is OCV / 2.
+    Of the two solutions the one that small powers reach, V >= OCV / 2. A pack cannot give more than OCV^2 /
+    4R:
+    there V is OCV / 2.
     """
     rest, drawn = elements(open_circuit, power)
     voltage = np.empty_like(rest)
@@ -73,10 +74,9 @@ class BatteryState:
         return np.asarray(1.0 - self.charge / self.battery.capacity)
 
     def reset(self, index: NDArray[np.intp], charge: float | Array) -> None:
-        """Packs of the aircraft of `index` at state of charge `charge`, 0..1, without load.
+        """Set the packs of the aircraft of `index` to state of charge `charge`, 0..1, without load.
 
-        charge: one for all, or one each, (len(index),). Raises ValueError where it is not in 0..1 (NaN
-        included).
+        charge: one for all, or one each, (len(index),). Raises ValueError outside 0..1 (NaN included).
         """
         left = np.full(len(index), charge)
         if not ((left >= 0.0) & (left <= 1.0)).all():

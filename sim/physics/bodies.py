@@ -17,7 +17,7 @@ GROUND, AIRCRAFT = 1, 2  # collision groups
 
 
 def create_ground(client: int) -> None:
-    """The plane z = 0."""
+    """Create the plane z = 0."""
     plane = pybullet.createCollisionShape(pybullet.GEOM_PLANE, physicsClientId=client)
     ground = pybullet.createMultiBody(0, plane, physicsClientId=client)
     pybullet.changeDynamics(ground, -1, lateralFriction=1.0, restitution=1.0, physicsClientId=client)
@@ -25,13 +25,13 @@ def create_ground(client: int) -> None:
 
 
 def resting_height(aircraft: Aircraft) -> float:
-    """Height [m] of the centre of mass when the aircraft stands on the ground."""
+    """Return the height [m] of the centre of mass when the aircraft stands on the ground."""
     assert aircraft.body is not None
     return float(aircraft.body.size[2] / 2 - _box_offset(aircraft)[2])
 
 
 def create_box(aircraft: Aircraft, axes: Array, client: int) -> int:
-    """Collision box of the aircraft about its centre of mass, in its principal axes (columns of `axes`)."""
+    """Create the aircraft's collision box about its centre of mass, in its principal axes."""
     assert aircraft.body is not None
     w, x, y, z = quaternion(axes.T)
     return int(
@@ -46,13 +46,13 @@ def create_box(aircraft: Aircraft, axes: Array, client: int) -> int:
 
 
 def _box_offset(aircraft: Aircraft) -> Array:
-    """Centre of the box from the centre of mass [m], body axes, (3,)."""
+    """Return the centre of the box from the centre of mass [m], body axes, (3,)."""
     assert aircraft.body is not None
     return np.array(aircraft.body.centre) - aircraft.mass_properties.centre
 
 
 def load_rig(mass: float, arm: Array, moments: Array, axes: Array, client: int) -> int:
-    """A fixed base with the aircraft on a ball joint at its centre of thrust.
+    """Load a fixed base with the aircraft on a ball joint at its centre of thrust.
 
     Goes through a URDF because pybullet ignores the inertia of a link that has no collision shape.
     """

@@ -10,7 +10,7 @@ from contextlib import contextmanager
 
 @contextmanager
 def _nothing_on_stderr() -> Iterator[None]:
-    """Lead the process's stderr nowhere: the line is printed by C."""
+    """Discard the process's stderr: the line is printed by C."""
     if sys.stderr is not None:
         sys.stderr.flush()
     kept, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)

@@ -14,7 +14,7 @@ class CommandDelay:
     """The last commands of N aircraft with M motors; one call of `step` is one sample."""
 
     def __init__(self, count: int, motors: int, delay: int) -> None:
-        """delay: of all aircraft [samples], at least 1; `vary` gives each its own."""
+        """delay: of all aircraft [samples], at least 1; `vary` sets each its own."""
         self._commands = np.zeros((delay + 1, count, motors))  # by sample modulo length
         self._delays = np.full(count, delay, np.int64)
         self._acting = np.zeros((count, motors))
@@ -23,7 +23,7 @@ class CommandDelay:
         )
 
     def vary(self, delays: NDArray[np.intp]) -> None:
-        """Delay of each aircraft from now on, (N,) [samples], at least 1; commands under way still arrive."""
+        """Set each aircraft's delay from now on, (N,) [samples] >= 1; commands under way still arrive."""
         self._delays[:] = delays
         old, last = self._commands, int(self.state.sample) - 1
         if (longest := int(delays.max())) < len(old):
@@ -34,7 +34,7 @@ class CommandDelay:
         assign(self.state, commands=self._commands, slots=longest + 1)
 
     def reset(self, index: NDArray[np.intp]) -> None:
-        """Commands of the aircraft of `index` to zero."""
+        """Set the commands of the aircraft of `index` to zero."""
         self._commands[:, index] = 0.0
 
     def step(self, motors: NDArray[np.floating]) -> Array:
@@ -56,5 +56,5 @@ class CommandDelay:
 
 
 def bad_command(motors: NDArray[np.floating]) -> ValueError:
-    """The error of commands that are not all in 0..1, NaN included."""
+    """Return the error of commands that are not all in 0..1, NaN included."""
     return ValueError(f"motor commands are {motors.min()}..{motors.max()}, expected 0..1")

@@ -37,7 +37,7 @@ def telemetry(
     temperature: Array,
     esc: EscTelemetry,
 ) -> Telemetry:
-    """Rotor speed [rad/s], supply voltage [V] and current [A] as `esc` reports them: half to even.
+    """Round rotor speed [rad/s], supply voltage [V] and current [A] as `esc` reports them: half to even.
 
     Arrays of any shape; a step of 0 leaves the number as it is. force [N], torque [N m] and
     temperature [degC] pass as they are.

@@ -22,13 +22,13 @@ class Heat:
     """Windings of N aircraft with M motors."""
 
     def __init__(self, thermal: Thermal, shape: tuple[int, int], dt: float) -> None:
-        """All at ambient; shape: N, M; dt: of a step [s]."""
+        """Start at ambient; shape: N, M; dt: of a step [s]."""
         self._thermal = thermal
         self._share = -math.expm1(-dt / thermal.time_constant)  # of the way that a step goes
         self.temperature = np.full(shape, thermal.ambient)  # [degC], (N, M)
 
     def reset(self, index: NDArray[np.intp]) -> None:
-        """Motors of the aircraft of `index` as cold as the air."""
+        """Cool the motors of the aircraft of `index` to ambient."""
         self.temperature[index] = self._thermal.ambient
 
     def step(self, current: Array) -> None:

@@ -21,23 +21,23 @@ RATE_PER_COUNT = np.float32(np.deg2rad(GYRO_FULL_SCALE_DEG_S / GYRO_COUNTS))  # 
 
 
 def draw_bias(noise: Gyro | Accelerometer, count: int, rng: np.random.Generator) -> Array:
-    """Constant offset of each aircraft's sensor for one episode, in the sensor's unit, (count, 3)."""
+    """Draw the offset of each aircraft's sensor for one episode, in its unit, (count, 3)."""
     return rng.normal(0.0, noise.bias, (count, 3))
 
 
 def counts(rate: Array) -> NDArray[np.int16]:
-    """Rate [rad/s] as the chip's 16-bit counts at +-2000 deg/s: round half to even, then saturate."""
+    """Convert a rate [rad/s] to 16-bit counts at +-2000 deg/s: half to even, saturated."""
     scaled = np.rint(np.rad2deg(rate) * (GYRO_COUNTS / GYRO_FULL_SCALE_DEG_S))
     return np.clip(scaled, -GYRO_COUNTS, GYRO_COUNTS - 1).astype(np.int16)
 
 
 def quantised_rate(rate: Array) -> NDArray[np.float32]:
-    """Rate [rad/s] after the chip and the firmware's conversion back, float32."""
+    """Compute a rate [rad/s] after the chip and the firmware's conversion back, float32."""
     return counts(rate).astype(np.float32) * RATE_PER_COUNT
 
 
 def rotation_by(turn: Array) -> Array:
-    """Rotation matrix (3, 3) of a turn about the axis and by the length of `turn` [rad] (Rodrigues)."""
+    """Compute the rotation (3, 3) about the axis and by the length of `turn` [rad] (Rodrigues)."""
     angle = float(np.linalg.norm(turn))
     x, y, z = turn / angle if angle > 0.0 else turn
     k = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
@@ -56,7 +56,7 @@ class _Sensor:
         speed_max: float,
         **more: object,
     ) -> None:
-        """speed_max: of a rotor [rad/s], where it vibrates as the settings say; more: of C's struct."""
+        """speed_max: of a rotor [rad/s], where it vibrates as set; more: members of C's struct."""
         self._settings = settings
         self._rng = rng
         self._factor = np.ones(count)  # of noise and bias
@@ -85,17 +85,17 @@ class _Sensor:
         assign(self.state, **more)
 
     def reset(self, index: NDArray[np.intp]) -> None:
-        """A new episode for the aircraft of `index`: their bias is drawn anew."""
+        """Start a new episode for the aircraft of `index`: draw a new bias."""
         bias = draw_bias(self._settings, len(index), self._rng)
         self._bias[index] = bias * self._factor[index, None]
         self._fresh[index] = True
 
     def vary(self, factor: Array) -> None:
-        """White noise from now on, and bias from the next reset on, `factor` times the settings', (N,)."""
+        """Scale white noise from now on, and bias from the next reset on, by `factor` (N,)."""
         self._factor[:] = factor
 
     def measure(self, value: Array, rotor_phase: Array | None, rotor_speed: Array) -> Array:
-        """Reading of this sample, (N, 3), of the true value (N, 3) in body axes.
+        """Return the reading of this sample, (N, 3), of the true value (N, 3) in body axes.
 
         rotor_phase [rad] and rotor_speed [rad/s], (N, M), only matter to a sensor that vibrates; the phase
         may be None otherwise. Raises ValueError if it is None and needed.

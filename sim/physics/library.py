@@ -25,7 +25,7 @@ _KINDS = {"float64": "double[]", "int64": "int64_t[]", "int32": "int32_t[]", "bo
 
 @cache
 def library() -> compiled.Library:
-    """The physics. Raises BuildError, one line."""
+    """Load the physics. Raises BuildError, one line."""
     numpy = Path(np.__file__).parent
     source = compiled.Source(
         name="physics",
@@ -43,18 +43,18 @@ def library() -> compiled.Library:
 
 
 def fused() -> tuple[str, ...]:
-    """Flags for a processor that has fused multiply-adds; on others a function gives the same bits."""
+    """Return flags for a processor that has fused multiply-adds; on others a function gives the same bits."""
     words = set(CPU_INFO.read_text().split()) if CPU_INFO.is_file() else set()
     return ("-march=x86-64-v3",) if {"fma", "avx2", "bmi2"} <= words else ()
 
 
 def pointer(array: NDArray[Any]) -> Any:  # noqa: ANN401 - a pointer of cffi
-    """Pointer to the first element of an array in C order, which the caller keeps alive."""
+    """Return a pointer to the first element of an array in C order, which the caller keeps alive."""
     return library().ffi.from_buffer(_KINDS[array.dtype.name], array)
 
 
 def struct(name: str, **values: Any) -> Any:  # noqa: ANN401 - a struct of cffi
-    """A new struct of C, zero but for `values`; it points to arrays, which the caller keeps alive."""
+    """Create a struct of C, zero but for `values`; it points to arrays, which the caller keeps alive."""
     made = library().ffi.new(f"struct {name} *")
     assign(made, **values)
     return made
@@ -67,10 +67,10 @@ def assign(made: Any, **values: Any) -> None:  # noqa: ANN401 - a struct of cffi
 
 
 def elements(*values: ArrayLike) -> list[Array]:
-    """Arrays of one shape, in C order, that the values are broadcast to."""
+    """Broadcast the values to arrays of one shape, in C order."""
     return [np.asarray(value, np.float64, order="C") for value in np.broadcast_arrays(*values)]
 
 
 def random_source(rng: np.random.Generator) -> Any:  # noqa: ANN401 - a pointer of cffi
-    """What C draws the generator's numbers from; the caller keeps `rng` alive."""
+    """Return the pointer by which C draws the generator's numbers; the caller keeps `rng` alive."""
     return library().ffi.cast("void *", rng.bit_generator.ctypes.bit_generator.value)

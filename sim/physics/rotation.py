@@ -12,7 +12,7 @@ Quaternion = tuple[float, float, float, float]  # w, x, y, z
 
 
 def quaternion(rotation: NDArray[np.float64]) -> Quaternion:
-    """Unit quaternion of a rotation matrix (3, 3), by its largest component (Shepperd 1978)."""
+    """Compute the unit quaternion of a rotation matrix (3, 3), by its largest component (Shepperd 1978)."""
     (a, b, c), (d, e, f), (g, h, i) = rotation.tolist()
     w2, x2, y2, z2 = 1 + a + e + i, 1 + a - e - i, 1 - a + e - i, 1 - a - e + i
     largest = max(w2, x2, y2, z2)
@@ -29,24 +29,24 @@ def quaternion(rotation: NDArray[np.float64]) -> Quaternion:
 
 
 def roll_pitch_yaw(rotation: Array) -> tuple[float, float, float]:
-    """Angles [rad] about the fixed x, then y, then z axis that make a rotation matrix (3, 3)."""
+    """Compute angles [rad] about the fixed x, then y, then z axis that make a rotation matrix (3, 3)."""
     r = rotation
     return math.atan2(r[2, 1], r[2, 2]), math.asin(-r[2, 0]), math.atan2(r[1, 0], r[0, 0])
 
 
 def turned(rotation: Array, vectors: Array) -> Array:
-    """Rows of `vectors` (N, 3), each turned by its own matrix of `rotation` (N, 3, 3)."""
+    """Turn rows of `vectors` (N, 3), each by its own matrix of `rotation` (N, 3, 3)."""
     rows: Array = np.einsum("nij,nj->ni", rotation, vectors)
     return rows
 
 
 def turned_back(rotation: Array, vectors: Array) -> Array:
-    """Rows of `vectors` (N, 3), each turned by the inverse of its own matrix of `rotation` (N, 3, 3)."""
+    """Turn rows of `vectors` (N, 3), each by the inverse of its own matrix of `rotation` (N, 3, 3)."""
     rows: Array = np.einsum("nji,nj->ni", rotation, vectors)
     return rows
 
 
 def cross_matrix(r: Array) -> Array:
-    """Matrix (3, 3) of r x, for r of shape (3,)."""
+    """Return the matrix (3, 3) of r x, for r of shape (3,)."""
     x, y, z = r
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])

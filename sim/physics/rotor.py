@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 
 @lru_cache(maxsize=64)
 def propulsion_struct(propulsion: Propulsion) -> Any:  # noqa: ANN401 - a struct of cffi
-    """The propulsion as C has it."""
+    """Return the propulsion as C has it."""
     made = struct(
         "propulsion",
         speed_curve=propulsion.speed_curve,
@@ -52,10 +52,10 @@ def _polynomial(terms: tuple[float, ...]) -> dict[str, object]:
 
 
 def target_speed(command: ArrayLike, propulsion: Propulsion, voltage: ArrayLike | None = None) -> Array:
-    """Speed that a motor command settles at [rad/s]; command is a fraction 0..1.
+    """Compute the speed that a motor command settles at [rad/s]; command is a fraction 0..1.
 
-    voltage: of the battery under load [V], of a shape that goes with `command`'s; None: the supply the curve
-    was measured with.
+    voltage: of the battery under load [V], of a shape that broadcasts with `command`'s; None: the supply the
+    curve was measured with.
     """
     known = propulsion.supply_voltage
     ratio = 1.0 if voltage is None or known is None else np.asarray(voltage) / known
@@ -68,7 +68,7 @@ def target_speed(command: ArrayLike, propulsion: Propulsion, voltage: ArrayLike 
 
 
 def response_rows(propulsion: Propulsion, dt: float, lag: Array) -> Array:
-    """What rotors do in a step of `dt` [s], (..., 3), as rotor_next_speed takes it.
+    """Return the coefficients of a rotor's step of `dt` [s], (..., 3), as rotor_next_speed takes them.
 
     lag: factor of the rotors' time constants, (...).
     """
@@ -89,9 +89,9 @@ def response_rows(propulsion: Propulsion, dt: float, lag: Array) -> Array:
 def next_speed(
     speed: ArrayLike, target: ArrayLike, dt: float, propulsion: Propulsion, lag: ArrayLike = 1.0
 ) -> Array:
-    """Rotor speed [rad/s] after `dt` [s] towards a constant target; never below zero.
+    """Compute the rotor speed [rad/s] after `dt` [s] towards a constant target; never below zero.
 
-    lag: factor of the rotors' time constants, of a shape that goes with the speed's.
+    lag: factor of the rotors' time constants, of a shape that broadcasts with the speed's.
     """
     before, settles, lags = elements(speed, target, lag)
     response = np.ascontiguousarray(response_rows(propulsion, dt, lags))
@@ -108,7 +108,7 @@ def next_speed(
 
 
 def speeds_along(start: Array, targets: Array, dt: float, propulsion: Propulsion) -> Array:
-    """Speeds [rad/s] of M rotors that follow K targets (K, M), `dt` [s] each: (K + 1, M), `start` first."""
+    """Compute speeds (K + 1, M) [rad/s] of rotors from `start` on, for targets (K, M), `dt` [s] each."""
     steps, count = targets.shape
     given = np.ascontiguousarray(targets, np.float64)
     response = np.ascontiguousarray(response_rows(propulsion, dt, np.ones(1)))
@@ -121,7 +121,7 @@ def speeds_along(start: Array, targets: Array, dt: float, propulsion: Propulsion
 
 
 def coefficient(polynomial: tuple[float, ...], speed: ArrayLike) -> Array:
-    """A propulsion coefficient at rotor speeds [rad/s], any shape."""
+    """Evaluate a propulsion coefficient at rotor speeds [rad/s], any shape."""
     (at,) = elements(speed)
     value = np.empty_like(at)
     made = struct("polynomial", **_polynomial(polynomial))
@@ -130,9 +130,10 @@ def coefficient(polynomial: tuple[float, ...], speed: ArrayLike) -> Array:
 
 
 def thrust_and_torque(speed: ArrayLike, propulsion: Propulsion) -> tuple[Array, Array]:
-    """Thrust [N] and drag torque [N m] of rotors at `speed` [rad/s], any shape: K_T w^2 and K_Q thrust.
+    """Compute thrust [N] and drag torque [N m] of rotors at `speed` [rad/s], any shape: K_T w^2 and K_Q
+    thrust.
 
-    Of rotors at rest in the air, advance ratio 0.
+    The rotors are at rest in the air, advance ratio 0.
     """
     (at,) = elements(speed)
     thrust, torque = np.empty_like(at), np.empty_like(at)
@@ -156,7 +157,7 @@ class RotorGeometry:
 
 
 def rotor_geometry(aircraft: Aircraft) -> RotorGeometry:
-    """Maps of `aircraft`, about its centre of mass."""
+    """Compute the maps of `aircraft`, about its centre of mass."""
     propulsion = aircraft.propulsion
     thrust, torque, reaction, motion, inflow = [], [], [], [], []
     up, nothing = np.array([0.0, 0.0, 1.0]), np.zeros(3)
@@ -192,7 +193,7 @@ def rotor_geometry(aircraft: Aircraft) -> RotorGeometry:
 
 
 def rotors_struct(geometry: RotorGeometry) -> Any:  # noqa: ANN401 - a struct of cffi
-    """The maps as C has them; keep `geometry` as long."""
+    """Return the maps as C has them; keep `geometry` as long."""
     maps = {
         "thrust_wrench": geometry.thrust_wrench,
         "torque_wrench": geometry.torque_wrench,
@@ -208,7 +209,7 @@ def rotors_struct(geometry: RotorGeometry) -> Any:  # noqa: ANN401 - a struct of
 def rotor_wrench(
     before: Array, after: Array, dt: float, velocity: Array, rate: Array, geometry: RotorGeometry
 ) -> Array:
-    """Wrench of all rotors on the aircraft over one step, (N, 6).
+    """Compute the wrench of all rotors on the aircraft over one step, (N, 6).
 
     before, after: rotor speeds (N, M) [rad/s] at the step's ends; velocity (N, 3) [m/s] of the centre of
     mass through the air and rate (N, 3) [rad/s], both in body axes. Thrust and drag torque at the rotors'
@@ -238,7 +239,7 @@ def rotor_wrench(
 def advance_factors(
     speed: Array, velocity: Array, rate: Array, geometry: RotorGeometry
 ) -> tuple[Array, Array]:
-    """Factors (N, M) of thrust and drag torque at the advance ratio J of each rotor.
+    """Compute factors (N, M) of thrust and drag torque at the advance ratio J of each rotor.
 
     speed: (N, M) [rad/s]; velocity (N, 3) [m/s] of the centre of mass through the air and rate (N, 3)
     [rad/s], body axes. J = V / (n D) = 2 pi V / (w D), V the speed of the hub along its axis,
@@ -259,10 +260,9 @@ def advance_factors(
 
 
 def load_factors(thrust: Array, torque: Array) -> Array:
-    """Factors (N, 6) of the wrench of thrust and drag torque.
+    """Combine factors (N,) of thrust and of the torque ratio into factors (N, 6) of the wrench.
 
-    thrust, torque: factors of thrust and of the torque ratio, (N,). Rotors are upright: thrust has no yaw
-    moment, and drag torque has no other.
+    Rotors are upright: thrust has no yaw moment, and drag torque has no other.
     """
     factors = np.repeat(thrust[:, None], 6, axis=1)
     factors[:, 5] *= torque

@@ -1,4 +1,4 @@
-"""What N aircraft draw their power from: the bench supply, a battery each, or some of both; see supply.c."""
+"""The power supply of N aircraft: the bench supply, a battery each, or some of both; see supply.c."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Draw:
-    """What each of N aircraft draws from its supply, motors and electronics together; (N,) each."""
+    """The power drawn by each of N aircraft from its supply, motors and electronics together; (N,) each."""
 
     power: Array  # [W]
     voltage: Array  # [V], under load; NaN on a bench supply of unknown voltage
@@ -33,7 +33,7 @@ class Supply:
     def __init__(self, aircraft: Aircraft, count: int, rate_hz: int, charge: float | None) -> None:
         """charge: of every battery at reset, 0..1; None: the bench supply.
 
-        Raises AircraftError on a charge if the aircraft lacks a battery.
+        Raises AircraftError for a charge if the aircraft lacks a battery.
         """
         self._aircraft = aircraft
         self._count = count
@@ -62,9 +62,10 @@ class Supply:
             self._connect()
 
     def vary(self, charge: Array, torque: Array) -> None:
-        """State of charge at reset of each aircraft, NaN for the bench supply; torque factors; both (N,).
+        """Set each aircraft's state of charge at reset, NaN for the bench supply, and torque factors; both
+        (N,).
 
-        Raises AircraftError on a charge if the aircraft lacks a battery.
+        Raises AircraftError for a charge if the aircraft lacks a battery.
         """
         bench = np.isnan(charge)
         if self._battery is None and not bench.all():
@@ -75,7 +76,7 @@ class Supply:
         library().lib.supply_update(self.state, self._count)
 
     def reset(self, index: NDArray[np.intp]) -> None:
-        """Batteries of the aircraft of `index` as at the start, without load."""
+        """Reset the batteries of the aircraft of `index` to the start, without load."""
         if self._battery is not None:
             charge = self._charge
             self._battery.reset(index, charge[index] if isinstance(charge, np.ndarray) else charge)
@@ -90,11 +91,11 @@ class Supply:
 
     @property
     def battery(self) -> BatteryState | None:
-        """The packs themselves, those of aircraft on the bench supply included; None: nobody has one."""
+        """Packs themselves, also those of aircraft on the bench supply; None: no aircraft has one."""
         return None if self._bench.all() else self._battery
 
     def telemetry(self, speed: Array, thrust_factor: Array, temperature: Array) -> Telemetry:
-        """What the ESCs report at rotor speeds (N, M); voltage and current are NaN where unknown.
+        """Return the ESCs' reports at rotor speeds (N, M); voltage and current are NaN if unknown.
 
         thrust_factor: of each rotor's thrust, (N, M); those of the drag torque are the supply's own.
         temperature: of the windings [degC], (N, M).
@@ -112,7 +113,7 @@ class Supply:
         )
 
     def motor_current(self, before: Array, after: Array) -> Array:
-        """Current of each motor [A], (N, M), over a sample of these rotor speeds (N, M) [rad/s].
+        """Compute the current of each motor [A], (N, M), over a sample of these rotor speeds (N, M) [rad/s].
 
         By the power of supply.c's formula: drag torque and gained speed; braking gives nothing back. On a
         battery at its voltage under load. NaN on a bench supply of unknown voltage.
@@ -127,9 +128,10 @@ class Supply:
         return np.asarray(shaft / propulsion.efficiency / voltage[:, None])
 
     def draw(self, before: Array, after: Array) -> Draw:
-        """What is drawn over a sample that rotors begin and end with these speeds (N, M) [rad/s].
+        """Compute the power drawn over a sample that rotors begin and end with these speeds (N, M) [rad/s].
 
-        Turning a rotor faster costs, and braking gives nothing back. Of a battery: what its last sample gave.
+        Accelerating a rotor costs power, and braking gives nothing back. A battery: its value of the last
+        sample.
         """
         power, propulsion = np.empty(self._count), propulsion_struct(self._aircraft.propulsion)
         library().lib.supply_power(

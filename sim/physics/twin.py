@@ -158,7 +158,7 @@ class Twin:
         self.reset()
 
     def _make_state(self) -> Any:  # noqa: ANN401 - a struct of cffi
-        """The twin as C has it."""
+        """Return the twin as C has it."""
         count, shape = self.count, self._command.shape
         propulsion, body = self.aircraft.propulsion, self.aircraft.body
         self._rotors = rotors_struct(self._geometry)
@@ -269,7 +269,7 @@ class Twin:
 
     @property
     def draw(self) -> Draw:
-        """What each aircraft drew from its supply over the last sample, unrounded; see Supply.draw."""
+        """Power drawn by each aircraft over the last sample, unrounded; see Supply.draw."""
         return self._supply.draw(self._scratch["before"], self.live.rotor_speed)
 
     @property
@@ -279,12 +279,12 @@ class Twin:
 
     @property
     def battery(self) -> BatteryState | None:
-        """The packs that the aircraft fly on, as they are: they change with each step; None: bench supply."""
+        """Packs of the aircraft, which change with each step; None: bench supply."""
         return self._supply.battery
 
     @property
     def variation(self) -> Variation | None:
-        """How each aircraft differs from its file; None: not at all."""
+        """Differences of each aircraft from its file; None: there are none."""
         return self._variation
 
     def vary(self, index: NDArray[np.intp], variation: Variation) -> None:
@@ -307,10 +307,11 @@ class Twin:
         self._supply.vary(everyone.charge, self._load_factor[:, 5])
 
     def weaken(self, shares: Array) -> None:
-        """From now on motors give these shares (M,) of their thrust at a command: 1 all, 0 none.
+        """Reduce each motor's thrust at a command to these shares (M,) from now on: 1 all, 0 none.
 
-        A motor that gives a share turns as much slower as that takes; a dead one runs down. `reset` mends
-        nothing. Raises ValueError on a wrong shape or a share that is not in 0..1.
+        A motor turns as much slower as its share takes; a dead one runs down. `reset` does not restore it.
+        Raises
+        ValueError for a wrong shape or a share outside 0..1.
         """
         if shares.shape != (self.aircraft.motor_count,) or not ((shares >= 0.0) & (shares <= 1.0)).all():
             raise ValueError(f"got thrust shares {shares}, expected {self.aircraft.motor_count} of 0 to 1")
@@ -319,11 +320,13 @@ class Twin:
         self._speed_factor[:] = speed[:, None] * np.sqrt(self._strength)
 
     def load(self, aircraft: Aircraft) -> None:
-        """From now on all aircraft have the mass, its centre and the inertia of `aircraft`, in flight.
+        """Give all aircraft the mass, its centre and the inertia of `aircraft` from now on, in flight.
 
-        Rates go on without a jump, as with a payload that is fixed to the aircraft, let go or moved without
-        a push. For twins held at the centre of mass, without a variation. Raises ValueError on others, and
-        on an aircraft with other rotors.
+        Rates continue without a jump, as with a payload that is fixed to the aircraft, released or moved
+        without
+        a push. For twins held at the centre of mass, without a variation. Raises ValueError for others, and
+        for an
+        aircraft with other rotors.
         """
         if self.mount is not Mount.CENTRE or self._variation is not None:
             raise ValueError("only a twin held at its centre, without a variation, can be loaded in flight")
@@ -336,7 +339,8 @@ class Twin:
         self._world.load(aircraft.mass_properties.inertia)
 
     def reset(self, index: NDArray[np.intp] | None = None) -> None:
-        """At rest, level, rotors and commands zero, new biases and gusts, the battery as at the start.
+        """Reset to rest, level, rotors and commands zero, with new biases and gusts, the battery as at the
+        start.
 
         All aircraft, or those of `index`.
         """

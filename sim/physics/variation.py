@@ -1,4 +1,4 @@
-"""How each of N aircraft differs from its file: what domain randomization draws and robustness tables set."""
+"""Differences of N aircraft from their file: drawn by domain randomization, set by robustness tables."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ Which = NDArray[np.intp] | slice
 
 @dataclass(frozen=True, eq=False)
 class Variation:
-    """One value an aircraft, (N,) each; factors of what the file says unless a unit stands there.
+    """One value an aircraft, (N,) each; factors of the file's value unless a unit is given.
 
     Raises ValueError on values that no aircraft can have.
     """
@@ -46,20 +46,20 @@ class Variation:
 
     @staticmethod
     def nominal(count: int, delay_s: float) -> Variation:
-        """`count` aircraft as the file says, on the bench supply."""
+        """Return `count` aircraft as the file says, on the bench supply."""
         one = np.ones(count)
         return Variation(one, one, one, one, one, one, one, np.full(count, delay_s), np.full(count, np.nan))
 
     def __len__(self) -> int:
-        """N, the number of aircraft."""
+        """Return N, the number of aircraft."""
         return len(self.mass)
 
     def at(self, which: Which) -> Variation:
-        """The rows of the aircraft of `which`."""
+        """Return the rows of the aircraft of `which`."""
         return Variation(*(getattr(self, field.name)[which] for field in fields(self)))
 
     def changed(self, which: Which, other: Variation) -> Variation:
-        """A copy with the rows of `which` replaced by those of `other`."""
+        """Return a copy with the rows of `which` replaced by those of `other`."""
         columns = []
         for field in fields(self):
             column: Array = getattr(self, field.name).copy()

@@ -46,7 +46,7 @@ RESTITUTION = 0.1
 
 
 class Mount(Enum):
-    """What holds the aircraft."""
+    """Mounts of the aircraft."""
 
     CENTRE = "centre"  # turns about its centre of mass; forces have no effect
     RIG = "rig"  # ball joint at the centre of thrust
@@ -235,7 +235,7 @@ class World:
             raise _failed()
 
     def _handle(self) -> object:
-        """The client as C has it. Raises BuildError if pybullet does not let C in."""
+        """Return the client as C has it. Raises BuildError if pybullet does not export what C needs."""
         lacking = library().lib.bullet_open(os.fsencode(pybullet.__file__))
         if lacking:
             name = library().ffi.string(lacking).decode()
@@ -248,7 +248,7 @@ class World:
         return handle
 
     def _maps(self, inertia: Array) -> None:
-        """Constant matrices of a step; `inertia` is about the pivot, pybullet's own."""
+        """Compute the constant matrices of a step; `inertia` is about the pivot, pybullet's own."""
         # pybullet takes a loose body's torque along its principal axes. A link it would turn by the attitude
         # of the step before, so the rig's torque is turned here.
         rig = self.mount is Mount.RIG
@@ -267,7 +267,7 @@ class World:
         self._turn_by(inertia)
 
     def _turn_by(self, inertia: Array) -> None:
-        """Maps of a step of `inertia` (3, 3), or of each aircraft's, (N, 3, 3), about the pivot."""
+        """Compute the maps of a step of `inertia` (3, 3), or (N, 3, 3), about the pivot."""
         inverse = np.linalg.inv(inertia).astype(np.float64)
         half_push = np.asarray(0.5 * self._dt * inverse)
         maps = inertia, inverse, half_push, _gyroscopic(inertia) @ half_push
@@ -312,14 +312,14 @@ def _failed() -> RuntimeError:
 
 
 def _gyroscopic(inertia: Array) -> Array:
-    """Map (..., 9, 3) with w x I w = squares(w) @ map, of an inertia (..., 3, 3)."""
+    """Compute the map (..., 9, 3) with w x I w = squares(w) @ map, of an inertia (..., 3, 3)."""
     units = np.eye(3)
     pairs: Array = np.einsum("ikc,...kj->...ijc", np.cross(units[:, None], units), inertia)
     return pairs.reshape(*inertia.shape[:-2], 9, 3)
 
 
 def _matrix_of_squares() -> Array:
-    """(16, 3, 3): the rotation matrix of a unit quaternion, linear in all products of two of x, y, z, w."""
+    """Return (16, 3, 3): the rotation matrix, linear in the products of two of x, y, z, w."""
     x, y, z, w = np.eye(4)
 
     def product(a: Array, b: Array) -> Array:

@@ -67,7 +67,7 @@ RECEIVER_SETTING, MOTOR_SETTING = (
 
 @dataclass(frozen=True)
 class Event:
-    """Something that happened to the firmware."""
+    """An event of the firmware."""
 
     at_s: float  # after the first armed control step; before it negative
     what: str
@@ -84,7 +84,7 @@ class PortSnapshot:
 
 @dataclass(frozen=True)
 class _Status:
-    """What the port reads of the firmware's status at each control step: views of it, of one row each."""
+    """The part of the firmware's status read at each control step: views of one row each."""
 
     state: NDArray[Any]
     armed: NDArray[Any]
@@ -95,14 +95,14 @@ class _Status:
 
     @classmethod
     def of(cls, status: NDArray[Any]) -> _Status:
-        """status: shape (1,), as it lies in the board's memory."""
+        """Make the views of `status`, shape (1,), as it lies in the board's memory."""
         trace = status["trace"]
         last = {name: trace[name] for name in ("armed", "step", "setpoint", "gyro", "throttle")}
         return cls(state=status["state"], **last)
 
 
 class EmulatedPort:
-    """FirmwarePort around a board of its own. What the board does not forgive is the LinkError BoardError."""
+    """A FirmwarePort around a board of its own. A fault of the board is raised as BoardError, a LinkError."""
 
     def __init__(
         self,
@@ -187,7 +187,7 @@ class EmulatedPort:
         self._period = TIME_HZ // self.gyro_rate_hz
 
     def _begin(self) -> None:
-        """What changes in a flight."""
+        """Reset what changes in a flight."""
         self._edge = 0
         self._samples = 0
         self._announced: list[tuple[int, list[int]]] = []  # number of the sample, channels
@@ -271,7 +271,7 @@ class EmulatedPort:
 
     @property
     def events(self) -> tuple[Event, ...]:
-        """What happened since the firmware armed, and faults before: states, resets, faults."""
+        """Events since the firmware armed, and faults before: states, resets, faults."""
         zero = 0 if self._armed_at is None else self._armed_at
         return tuple(
             Event((number - zero) / self.gyro_rate_hz, what, stops) for number, what, stops in self._events
@@ -284,11 +284,11 @@ class EmulatedPort:
 
     @property
     def running(self) -> bool:
-        """Whether the firmware has booted: it reads the gyro's samples."""
+        """True if the firmware has booted and reads the gyro's samples."""
         return self._up
 
     def save(self) -> PortSnapshot:
-        """The whole state, between two exchanges."""
+        """Save the whole state, between two exchanges."""
         kept = {name: getattr(self, name) for name in self._KEPT}
         return PortSnapshot(take_snapshot(self.board.engine), copy.deepcopy(kept))
 
@@ -305,7 +305,7 @@ class EmulatedPort:
     # ---- the board ----
 
     def _boot(self) -> int:
-        """Run until the cycle before the first edge that the firmware listens to; that edge's cycle."""
+        """Run until the cycle before the first edge that the firmware listens to; return the edge's."""
         board, gyro = self.board, self.board.hardware.gyro
         limit = round(BOOT_S * TIME_HZ)
         while board.cycle < limit:
@@ -323,7 +323,7 @@ class EmulatedPort:
         raise LinkError(f"the firmware reads no gyro sample within {BOOT_S:g} s of its boot: {told}")
 
     def _listens(self) -> bool:
-        """Whether the firmware has opened the gyro's line, as the last thing of its boot."""
+        """Return True if the firmware has opened the gyro's line, the last step of its boot."""
         return bool(self.board.hardware.exti.words["IMR"] >> _READY_LINE & 1)
 
     def _validate_announced(self, channels_us: Sequence[int] | None) -> None:
@@ -334,7 +334,7 @@ class EmulatedPort:
             raise LinkError("a receiver frame for the board must be announced before its time on the line")
 
     def _told(self, values: NDArray[np.uint16]) -> Reply:
-        """What the firmware says of its last control step."""
+        """Read the firmware's last control step."""
         told = self._status
         armed = bool(told.armed[0])
         if armed and self._armed_at is None:
@@ -351,7 +351,7 @@ class EmulatedPort:
         )
 
     def _reply_in_trouble(self, values: NDArray[np.uint16]) -> Reply:
-        """Likewise, of a firmware that may be in the middle of a boot, or stand for good."""
+        """Read the last control step of a firmware that may be booting or stopped by a fault."""
         self._note_resets()
         if not self._up and self._listens():
             self._up = True
@@ -365,14 +365,14 @@ class EmulatedPort:
         return self._seen(name)[0]
 
     def _seen(self, name: str) -> NDArray[Any]:
-        """A variable as it lies in the board's memory, shape (1,)."""
+        """Return a variable as it lies in the board's memory, shape (1,)."""
         variable = self._variables[name]
         return np.frombuffer(self.board.engine.view(variable.address, variable.size), variable.dtype)
 
     # ---- what happens ----
 
     def _note_state(self, number: int, armed: bool) -> None:
-        """number: of a FlightState."""
+        """Record a change of state; number: of a FlightState."""
         if number == self._state and armed == self._armed:
             return
         state, before = FlightState(number), self._state
@@ -389,7 +389,7 @@ class EmulatedPort:
             self._state = FlightState.BOOT
 
     def _inject(self) -> None:
-        """Let the faults come whose time it is."""
+        """Inject the faults that are due."""
         for what in self._plan.inject(self.board, self._samples):
             self._events.append((self._samples, what, False))
 
@@ -398,12 +398,12 @@ class EmulatedPort:
 
 
 def _same(values: NDArray[np.uint16], before: NDArray[np.uint16]) -> bool:
-    """Whether the motors obey what they obeyed before; most often both are one array."""
+    """Return True if the motors obey what they obeyed before; most often both are one array."""
     return values is before or values.tobytes() == before.tobytes()
 
 
 def _stored(settings: Mapping[str, float] | None, gyro_rate_hz: int) -> dict[str, float]:
-    """Settings that the image must have stored to fly so."""
+    """Return settings that the image must have stored for this flight."""
     wanted = flight_settings(settings)
     if gyro_rate_hz != GYRO_RATE_DEFAULT_HZ:
         wanted["gyro_rate_hz"] = gyro_rate_hz
@@ -426,5 +426,5 @@ def _receiver(settings: Mapping[str, float]) -> Receiver:
 
 
 def _dshot(settings: Mapping[str, float]) -> int:
-    """The speed that these settings ask for: "dshot600" is 600."""
+    """Return the DShot speed in these settings: "dshot600" is 600."""
     return int(_choice(MOTOR_SETTING, settings).removeprefix("dshot"))

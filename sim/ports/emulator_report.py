@@ -39,7 +39,7 @@ class EmulatedReport:
 
     @property
     def outcome(self) -> str:
-        """In words."""
+        """Outcome in words."""
         if self.stopped_s is None:
             return "flown, disarmed"
         what = next(event.what for event in self.events if event.stops)
@@ -47,9 +47,9 @@ class EmulatedReport:
 
 
 def emulated_report(port: EmulatedPort, image: Path, flight_s: float, took_s: float) -> EmulatedReport:
-    """Of a flight that is over, on a port that is still open.
+    """Report a flight that is over, on a port that is still open.
 
-    flight_s: length of its scenario; took_s: by the clock on the wall, with the boot, the twin and all else.
+    flight_s: length of its scenario; took_s: elapsed real time, with the boot, the twin and all else.
     """
     report = port.board.report()
     edge, card = _task(port), port.board.hardware.card_slot.card
@@ -75,5 +75,5 @@ def emulated_report(port: EmulatedPort, image: Path, flight_s: float, took_s: fl
 
 
 def _task(port: EmulatedPort) -> TaskCount | None:
-    """What the data-ready edge's handler took."""
+    """Return the count of the data-ready edge's handler."""
     return next((task for task in task_counts(port.board.engine) if task.exception == GYRO_EDGE), None)

@@ -179,7 +179,7 @@ class HostPort:
         return Client(TcpTransport(TcpPort(LOOPBACK, self.msp_port)))
 
     def _joined(self) -> Any:  # noqa: ANN401 - a struct of api.h
-        """The sockets as C has them."""
+        """Join the sockets for the C code."""
         quad = self.motor_count == _MOTOR.size // 4
         motors = self._motor if quad else self._servo
         sockets = (self._state, self._receiver, motors, self._trace)
@@ -193,7 +193,7 @@ class HostPort:
         return self._ffi.new("struct link *", numbers)
 
     def _read(self, found: int, step: int | None) -> None:
-        """Read what an exchange found. step: number of the control step, None: it is none."""
+        """Process the result of an exchange. step: number of the control step; None: the sample was none."""
         lib = self._lib
         while found == lib.LINK_AGAIN:
             found = lib.link_await(self._wire)
@@ -217,13 +217,13 @@ class HostPort:
             )
 
     def _packet(self, number: int, packet: Any, size: int) -> bytes:  # noqa: ANN401 - a struct of api.h
-        """The bytes of a packet. Raises LinkError unless they are `size`."""
+        """Return the bytes of a packet. Raises LinkError unless they are `size`."""
         if packet.size != size:
             raise self._child.lost(f"a {_PACKETS[number]} of {packet.size} bytes, expected {size}")
         return bytes(self._ffi.buffer(packet.bytes, size))
 
     def _motors(self) -> list[float]:
-        """Motor fractions of the one packet that answers a state packet."""
+        """Return the motor fractions of the one packet that answers a state packet."""
         quad = self.motor_count == _MOTOR.size // 4
         layout = _MOTOR if quad else SERVO
         packet = self._packet(self._lib.LINK_MOTORS, self._wire.motor_packet, layout.size)
@@ -235,7 +235,7 @@ class HostPort:
         return [(width - 1000.0) / 1000.0 for width in widths[:count]]
 
     def _traced(self, step: int) -> Reply:
-        """The trace packet of control step number `step`."""
+        """Decode the trace packet of control step number `step`."""
         packet = self._packet(self._lib.LINK_TRACE, self._wire.trace_packet, _TRACE.size)
         magic, number, rates, throttle, motors, flags = _TRACE_HEAD.unpack_from(packet)
         if (magic, number, motors) != (SIM_TRACE_MAGIC, step, self.motor_count):
@@ -255,7 +255,7 @@ class HostPort:
 
 
 def _motors_of_outputs(settings: Mapping[str, float], motors: int) -> NDArray[np.intp]:
-    """The motor that is wired to each output."""
+    """Return the motor that is wired to each output."""
     outputs = [settings.get(f"motor{motor}_output", motor) for motor in range(1, motors + 1)]
     return np.argsort(outputs)
 
@@ -298,7 +298,7 @@ class _Child:
         self._errors.close()
 
     def lost(self, what: str) -> LinkError:
-        """Error of a failed link: what happened, the exit status if it ended, its error output."""
+        """Return the error of a failed link: what happened, the exit status if it ended, its error output."""
         ended = ""
         if self._process is not None:
             with contextlib.suppress(subprocess.TimeoutExpired):
@@ -331,7 +331,7 @@ class _Child:
         self.ports = said
 
     def _first_line(self) -> str:
-        """What it says first. Raises LinkError where that does not end in time, or not within a line."""
+        """Read its first line. Raises LinkError if that does not end in time, or is too long."""
         assert self._process is not None and self._process.stdout is not None
         stdout, said, end = self._process.stdout.fileno(), b"", time.monotonic() + START_S
         while b"\n" not in said and len(said) < READY_BYTES_MAX:

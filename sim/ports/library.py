@@ -109,7 +109,8 @@ class Reference:
         return bytes(self._dshot)
 
     def sampler(self, measured: NDArray[np.float64]) -> Callable[[], bool]:
-        """What takes a sample of what `measured` has at each call, and tells whether DShot values changed.
+        """Return a function that takes a sample from `measured` at each call and returns whether DShot values
+        changed.
 
         measured: body rates [rad/s] and specific force [m/s^2], (6,) or longer, contiguous; it must live as
         long as what is returned.
@@ -120,11 +121,11 @@ class Reference:
         return partial(self._library.reference_sample, *map(ctypes.c_void_p, places))
 
     def dshot(self) -> bytes:
-        """The DShot values as uint16 bytes."""
+        """Return the DShot values as uint16 bytes."""
         return bytes(self._dshot)
 
     def blackbox(self) -> bytes:
-        """What the firmware has logged since the last call, which may be in the middle of a log.
+        """Return the bytes logged since the last call, which may end in the middle of a log.
 
         From the first call on logs are kept for the next one: up to 64 KiB, what is more is dropped.
         """
@@ -137,31 +138,31 @@ class Reference:
         return bytes(self._dshot)
 
     def trace(self) -> _Trace:
-        """The last control step; overwritten by the next call."""
+        """Read the last control step; overwritten by the next call."""
         self._library.reference_trace(self._memory, ctypes.byref(self._trace))
         return self._trace
 
     def link(self, port: int, data: bytes = b"", capacity: int = _REPLY_BYTES) -> bytes:
-        """MSP bytes in by that port, 0 or 1; what goes to its peer. Without any: what is said unasked."""
+        """Pass MSP bytes to port 0 or 1 and return the answer; without any, return unsolicited bytes."""
         reply = ctypes.create_string_buffer(capacity)
         count = self._library.reference_link(self._memory, port, data, len(data), reply, capacity)
         return reply.raw[:count]
 
     def link_reset(self, port: int) -> None:
-        """Another peer is on that port."""
+        """Tell that another peer is on that port."""
         self._library.reference_link_reset(self._memory, port)
 
     def write(self, data: bytes) -> None:
-        """MSP request bytes in by port 0 (flash.transport.Transport)."""
+        """Pass MSP request bytes to port 0 (flash.transport.Transport)."""
         self._answer += self.link(0, data)
 
     def read(self, timeout: float) -> bytes:
-        """MSP reply bytes out; they are there at once or never."""
+        """Return MSP reply bytes; they are there at once or never."""
         answer, self._answer = self._answer + self.link(0), b""
         return answer
 
     def close(self) -> None:
-        """Nothing to release: the memory is Python's."""
+        """Do nothing: the memory is Python's."""
 
 
 class ReferencePort:

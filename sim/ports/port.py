@@ -44,7 +44,7 @@ class Sample:
         self.velocity[:], self.position[:] = velocity, position
 
     def copy(self) -> Sample:
-        """The sample as it is now."""
+        """Copy the sample."""
         return Sample(
             self.time_s, self.gyro, self.rotation, self.velocity, self.position, self.specific_force
         )
@@ -83,7 +83,7 @@ class FirmwarePort(Protocol):
         ...
 
     def arming_reasons(self) -> tuple[str, ...]:
-        """Names of what keeps the motors stopped; empty if nothing does or the port cannot tell."""
+        """Return the names of the reasons against arming; empty if there are none or the port cannot tell."""
         ...
 
     def close(self) -> None:
@@ -108,7 +108,7 @@ class BatteryPort(FirmwarePort, Protocol):
     """A port whose firmware measures a battery: a full one at rest, until the port is told of another."""
 
     def set_battery(self, volts: float, amps: float) -> None:
-        """What the pack gives from now on: the voltage at its terminals [V] and the current out of it [A]."""
+        """Set the battery's voltage at its terminals [V] and the current out of it [A] from now on."""
         ...
 
 
@@ -122,7 +122,7 @@ class PolicyPort(FirmwarePort, Protocol):
 
 @dataclass(frozen=True)
 class Logged:
-    """What a firmware tells of its blackbox."""
+    """The state of a firmware's blackbox."""
 
     busy: bool  # a log is being written
     frames: int  # this and what follows: of the present or last log
@@ -135,12 +135,12 @@ class BlackboxPort(FirmwarePort, Protocol):
     """A port whose firmware logs its flight."""
 
     def logged(self) -> Logged:
-        """How its log is doing, between two exchanges."""
+        """Return the state of its log, between two exchanges."""
         ...
 
 
 def twin_settings(aircraft: Aircraft) -> dict[str, float]:
-    """Firmware settings for the twin of `aircraft`: without gyro noise the check for a stuck gyro is off."""
+    """Return settings for the twin of `aircraft`: without gyro noise the check for a stuck gyro is off."""
     return {} if any(aircraft.gyro.noise) else {"gyro_stuck_ms": 0}
 
 
@@ -155,8 +155,8 @@ FLIGHT_RATES = {
 
 
 def flight_settings(settings: Mapping[str, float] | None) -> dict[str, float]:
-    """Settings of a simulated flight: as given, else with the rates of scenarios' sticks, and no longer wait
-    for arming than the firmware itself needs.
+    """Return settings of a simulated flight: the given ones, with defaults for rates, arming delay and
+    ground.
 
     Simulated ESCs play no start-up tune, which is what a board waits for. In another style than scenarios'
     rates are those that are given, or the style's defaults. And unless it is given, nothing is below: the
@@ -168,12 +168,12 @@ def flight_settings(settings: Mapping[str, float] | None) -> dict[str, float]:
 
 
 def setting_changes(settings: Mapping[str, float]) -> tuple[str, ...]:
-    """Settings of a firmware as its programs take them: NAME=VALUE."""
+    """Format settings as the firmware's programs take them: NAME=VALUE."""
     return tuple(f"{name}={value!r}" for name, value in settings.items())
 
 
 def control_divider(gyro_rate_hz: int, control_rate_hz: int) -> int:
-    """Gyro samples in a control step. Raises LinkError unless it is a whole number."""
+    """Return the gyro samples in a control step. Raises LinkError unless it is a whole number."""
     if control_rate_hz <= 0 or gyro_rate_hz % control_rate_hz:
         raise LinkError(
             f"control rate {control_rate_hz} Hz does not divide the gyro rate {gyro_rate_hz} Hz: "

@@ -107,7 +107,7 @@ class ControllerPort:
         """See FirmwarePort."""
 
     def _hear(self, channels: NDArray[np.uint16]) -> None:
-        """Take in a receiver frame."""
+        """Process a receiver frame."""
         self._channels = channels
         self._setpoint = sticks.setpoint(channels)
         self._throttle = sticks.throttle(channels[None])

@@ -21,7 +21,7 @@ _VALUE_MAX = (1 << _BITS) - 1
 
 
 def sbus_frame(channels_us: Sequence[int]) -> bytes:
-    """The SBUS frame for CHANNEL_COUNT pulse widths [us].
+    """Encode the SBUS frame for CHANNEL_COUNT pulse widths [us].
 
     Those outside 880..2159 are sent as the nearer end; whole microseconds between come out as they went in.
     """
@@ -31,13 +31,13 @@ def sbus_frame(channels_us: Sequence[int]) -> bytes:
 
 
 def crsf_frame(channels_us: Sequence[int]) -> bytes:
-    """The CRSF frame of channels for CHANNEL_COUNT pulse widths [us], which it carries as SBUS does."""
+    """Encode the CRSF frame for CHANNEL_COUNT pulse widths [us], which it carries as SBUS does."""
     body = bytes([CRSF_TYPE_CHANNELS]) + _packed(channels_us)
     return bytes([CRSF_SYNC, len(body) + 1]) + body + bytes([_crc8(body)])
 
 
 def _packed(channels_us: Sequence[int]) -> bytes:
-    """22 bytes, the first channel's lowest bit first."""
+    """Pack channels in 22 bytes, the first channel's lowest bit first."""
     if len(channels_us) != CHANNEL_COUNT:
         raise ValueError(f"{len(channels_us)} channels, expected {CHANNEL_COUNT}")
     bits = 0
@@ -47,7 +47,7 @@ def _packed(channels_us: Sequence[int]) -> bytes:
 
 
 def _crc8(data: bytes) -> int:
-    """CRC-8/DVB-S2: no reflection, begins with 0."""
+    """Compute CRC-8/DVB-S2: no reflection, begins with 0."""
     crc = 0
     for byte in data:
         crc ^= byte

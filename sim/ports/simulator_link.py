@@ -28,14 +28,14 @@ STATE = struct.Struct(SIM_STATE_FORMAT)
 
 @cache
 def load_link() -> Library:
-    """The C of this folder. Raises BuildError when it is not built yet and cannot be."""
+    """Load the C of this folder. Raises BuildError if it is not built and cannot be."""
     library = load(Source("link", "the simulator link", (Path(__file__).parent / "c",)))
     assert STATE.size == 8 * library.lib.LINK_STATE_VALUES
     return library
 
 
 def state_packet(time_s: float, rates: Triple, force: Triple, sample: Sample, pressure: float) -> bytes:
-    """The state packet of `sample`. rates [rad/s], force [m/s^2]: wire axes; pressure: of the air [Pa]."""
+    """Encode the state packet of `sample`. rates [rad/s], force [m/s^2]: wire axes; pressure [Pa]."""
     link = load_link()
     packet = link.ffi.new("double[]", link.lib.LINK_STATE_VALUES)
     values = link.ffi.from_buffer("double[]", sample.values)
@@ -44,7 +44,7 @@ def state_packet(time_s: float, rates: Triple, force: Triple, sample: Sample, pr
 
 
 def udp_socket(*, waits: bool = True) -> socket.socket:
-    """A UDP socket on a free loopback port; waits: whether its calls do."""
+    """Open a UDP socket on a free loopback port; waits: True for blocking calls."""
     sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     sock.bind((LOOPBACK, 0))
     sock.setblocking(waits)

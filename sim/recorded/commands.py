@@ -41,7 +41,7 @@ class Commands:
     cut: bool = False  # rates beyond full stick become full stick
 
     def __post_init__(self) -> None:
-        """Raises ScenarioError, beginning with the name, on commands that cannot be flown."""
+        """Raise ScenarioError, beginning with the name, for commands that cannot be flown."""
         rows = len(self.time)
         if not 2 <= rows <= ROWS_MAX:
             raise ScenarioError(f"{self.name}: {rows} rows of commands, expected 2 to {ROWS_MAX}")
@@ -85,7 +85,7 @@ class Commands:
 
     @property
     def length_s(self) -> float:
-        """From the first command to the end of the last [s]."""
+        """Time from the first command to the end of the last [s]."""
         return float(self.time[-1] - self.time[0] + np.median(np.diff(self.time)))
 
     def warnings(self) -> tuple[str, ...]:

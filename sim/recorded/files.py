@@ -31,7 +31,7 @@ _DAMAGED = (OSError, ValueError, EOFError, MemoryError, NotImplementedError, zip
 
 
 def is_recording(name: str) -> bool:
-    """Whether `name` is a file of recorded commands rather than a scenario, by its suffix."""
+    """Return True if `name` is a file of recorded commands rather than a scenario, by its suffix."""
     return split_number(Path(name))[0].suffix.lower() in SUFFIXES
 
 
@@ -94,7 +94,7 @@ def load_flight(
 
 
 def _from_arrays(path: Path, where: str, part: Part, *, cut: bool) -> Commands:
-    """A trace, or an archive with t [s], setpoint [rad/s] or setpoint_deg_s, and throttle if it has it."""
+    """Read a trace, or an archive with t [s], setpoint [rad/s] or setpoint_deg_s, and perhaps throttle."""
     try:
         with zipfile.ZipFile(path):
             pass  # raises for what numpy would take as something else than an archive
@@ -116,7 +116,7 @@ def _from_arrays(path: Path, where: str, part: Part, *, cut: bool) -> Commands:
 
 
 def _array(archive: np.lib.npyio.NpzFile, name: str, where: str) -> NDArray[np.float64]:
-    """An array of numbers as float64, refused before it is unpacked if it is too large."""
+    """Read an array as float64, refused before it is unpacked if it is too large."""
     assert archive.zip is not None  # it is open
     size = archive.zip.getinfo(f"{name}.npy").file_size
     if size > (ROWS_MAX + 1) * 3 * _NUMBER_BYTES_MAX:

@@ -19,7 +19,7 @@ _NUMBERED = re.compile(r"(.+):(\d{1,6})")
 
 
 def split_number(path: Path) -> tuple[Path, int | None]:
-    """FILE:N as the file and the number of its log, from 1; None: the path names none."""
+    """Split FILE:N into the file and the number of its log, from 1; None: the path names none."""
     found = _NUMBERED.fullmatch(str(path))
     if found is None or Path(found[1]).suffix.lower() not in SUFFIXES:
         return path, None

@@ -71,7 +71,7 @@ EXPECTED = f"t_s, {', '.join(PLAIN)}, or time (us), setpoint[0], setpoint[1], se
 
 @dataclass(frozen=True)
 class _Columns:
-    """Which columns of the table are read, and the settings before them."""
+    """The columns of the table that are read, and the settings before them."""
 
     time: str
     unit_s: float  # of the time
@@ -171,7 +171,7 @@ def _by_rates(
 
 
 def _heading(rows: Reader, where: str, told: Mapping[str, str]) -> tuple[list[str], _Columns]:
-    """The heading line and the columns to read: the first line that has all of a kind."""
+    """Find the heading line, the first with all columns of a kind; return it and the columns to read."""
     first: list[str] | None = None
     settings: dict[str, str] = {}
     for row in rows:
@@ -194,7 +194,7 @@ def _heading(rows: Reader, where: str, told: Mapping[str, str]) -> tuple[list[st
 
 
 def _columns(heading: Sequence[str], settings: Mapping[str, str]) -> _Columns | None:
-    """The columns of a heading line; None: it is no heading, or lacks some."""
+    """Return the columns of a heading line; None: it is no heading, or lacks some."""
     throttle = next((name for name in THROTTLES if name in heading), None)
     if "gyroScale" in settings:  # as the Explorer calls it
         settings = {"gyro_scale": settings["gyroScale"], **settings}

@@ -1,4 +1,4 @@
-"""What a replay answered beside what the flight did: to the bit, no tolerance."""
+"""Comparison of a replay's answers with the flight's: to the bit, no tolerance."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Difference:
 
 @dataclass(frozen=True)
 class Comparison:
-    """Of all control steps that were replayed."""
+    """The comparison of all control steps that were replayed."""
 
     steps: int
     values: int  # of motors
@@ -36,11 +36,11 @@ class Comparison:
 
     @property
     def equal(self) -> bool:
-        """Whether nothing differs."""
+        """True if nothing differs."""
         return self.first is None
 
     def __str__(self) -> str:
-        """What the command prints, a line or two."""
+        """Format the result, a line or two."""
         if self.first is None:
             beside = f"; so are {', '.join(self.exact)} to the bit" if self.exact else ""
             return f"{self.steps:,} control steps, {self.values:,} values, equal{beside}"
@@ -79,7 +79,7 @@ def compare(flight: Flight, replayed: Answers) -> Comparison:
 
 
 def _differs(logged: NDArray[Any], replayed: NDArray[Any]) -> NDArray[np.bool_]:
-    """Rows (N,) whose bits differ."""
+    """Return True for rows (N,) whose bits differ."""
     bits = logged.view(np.uint32) != replayed.view(np.uint32)
     rows: NDArray[np.bool_] = bits.reshape(len(logged), -1).any(axis=1)
     return rows

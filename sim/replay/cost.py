@@ -1,4 +1,4 @@
-"""What a log takes, by the groups of its fields."""
+"""The size of a log, by the groups of its fields."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class Cost:
 
 
 def log_cost(log: Log) -> Cost:
-    """What the groups of `log` take. Its file is read again."""
+    """Measure the groups of `log`. Its file is read again."""
     one = list_logs(log.path)[log.number - 1].extent
     data = read_bytes(log.path)[one.body : one.end]
     parts = field_bytes(data, log.headers)

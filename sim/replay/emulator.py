@@ -61,7 +61,7 @@ class BoardReplay(EmulatedPort):
 
     @property
     def state_bytes(self) -> int:
-        """Of `struct firmware`."""
+        """Size of `struct firmware`."""
         return self._firmware.size
 
     def restore_firmware(self, state: bytes) -> None:
@@ -72,7 +72,7 @@ class BoardReplay(EmulatedPort):
         self.board.engine.poke(self._firmware.address, bytes(wanted))
 
     def run(self, flight: Flight, progress: Progress = lambda _: None) -> Answers:
-        """What comes of each control step of `flight`."""
+        """Replay each control step of `flight` and return the answers."""
         inputs = flight.inputs
         words = words_of_samples(inputs, self._last_words())
         told = self._values["status"]["trace"]
@@ -105,7 +105,7 @@ class BoardReplay(EmulatedPort):
         return self.board.engine.view(self._firmware.address, self._firmware.size)
 
     def _last_words(self) -> tuple[int, ...]:
-        """The chip's words of the last good sample, as the firmware remembers it."""
+        """Return the chip's words of the last good sample, as the firmware remembers it."""
         last = self._values["gyro"]["last"]
         return (*last["accel"].tolist(), int(last["temperature"]), *last["gyro"].tolist())
 
@@ -140,7 +140,7 @@ class BoardReplay(EmulatedPort):
         engine.poke(sample + layout["lost"][1], lost.to_bytes(2, "little"))
 
     def _go_on(self, step: int, is_step: bool) -> None:
-        """Run to the cycle before the next edge; on the way the deadline is missed as the log says."""
+        """Run to the cycle before the next edge; miss the deadline on the way if the log says so."""
         stop = self._run_on()
         if is_step:
             if stop != "firmware_deadline":
@@ -153,7 +153,7 @@ class BoardReplay(EmulatedPort):
             )
 
     def _edges(self, flight: Flight, k: int) -> None:
-        """What the background and the receiver hand over to control step `k`, which is about to begin."""
+        """Hand over the background's and the receiver's values to control step `k`, the next one."""
         inputs = flight.inputs
         flags = int(inputs.flags[k])
         self._put("forbidden", inputs.forbidden[k].tobytes())
@@ -174,7 +174,7 @@ class BoardReplay(EmulatedPort):
         self.board.engine.poke(self._firmware.address + fields[name][1], data)
 
     def _silence(self, times: int, forbidden: int) -> None:
-        """The gyro is silent until the image has told of it so often."""
+        """Keep the gyro silent until the image has reported it `times` times."""
         if not times:
             return
         self._gyro.silent = True
@@ -192,7 +192,7 @@ class BoardReplay(EmulatedPort):
 
 
 def replay_on_board(image: Path, flight: Flight, progress: Progress = lambda _: None) -> Answers:
-    """What comes of each control step of `flight`.
+    """Replay each control step of `flight` on the board and return the answers.
 
     Raises LinkError where the image is missing or does not take a sample, TraceError for a log that does not
     fit it, BoardError for what the image does wrong.

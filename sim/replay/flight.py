@@ -1,4 +1,4 @@
-"""From a decoded log to what can be replayed, or to the reason why it cannot: one line each."""
+"""From a decoded log to a flight that can be replayed, or to the reason why it cannot: one line each."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ Integers = NDArray[np.int64]
 
 
 def replayable(log: Log) -> Flight:
-    """What the control path was given in the flight of `log`, up to the first step that it lacks.
+    """Return the inputs of the control path in the flight of `log`, up to the first step without them.
 
     Raises TraceError where nothing of it can be replayed.
     """
@@ -71,7 +71,7 @@ def _refuse(log: Log, what: str, mend: str) -> NoReturn:
 
 
 def _mask(log: Log, group: LogGroup) -> str:
-    """What the user sets so that the next log has `group`."""
+    """Return what the user sets so that the next log has `group`."""
     now = log.headers.integer(f"{SETTING}blackbox_disabled_mask", 0)
     return (
         f"fly again with blackbox_disabled_mask = {now & ~(1 << group)} (now {now}: bit {int(group)} is off)"
@@ -100,7 +100,7 @@ def _check_kind(log: Log) -> None:
 
 
 def _state(log: Log) -> bytes:
-    """The state of struct firmware in the header. Raises TraceError where it is not whole."""
+    """Read the state of struct firmware from the header. Raises TraceError if it is incomplete."""
     lines = sorted(name for name in log.header if name.startswith("nf_state_") and name[9:].isdigit())
     if not lines:
         _refuse(
@@ -124,7 +124,7 @@ def _state(log: Log) -> bytes:
 
 
 def _rate(log: Log, name: str) -> int:
-    """A rate [Hz] of the header."""
+    """Read a rate [Hz] from the header."""
     value = log.headers.integer(name, 0)
     if not 0 < value <= 32_000:
         _refuse(
@@ -134,7 +134,7 @@ def _rate(log: Log, name: str) -> int:
 
 
 def _settings(log: Log) -> dict[str, float]:
-    """The settings that were not default, texts left out: they change no flight."""
+    """Return the settings that were not default, without texts, which change no flight."""
     found = {}
     for name, text in log.header.items():
         if not name.startswith(SETTING):
@@ -149,7 +149,7 @@ def _settings(log: Log) -> dict[str, float]:
 
 
 def _inputs(log: Log, divider: int) -> Inputs:
-    """All rows of the log; whether they follow from one another is `_usable`'s question."""
+    """Return all rows of the log; `_usable` decides whether they follow from one another."""
     slow = _slow(log)
     flags = words(slow["edgeFlags"])
     raw, accel = log.matrix("gyroRaw"), log.matrix("accRaw", 3)
@@ -177,7 +177,7 @@ def _inputs(log: Log, divider: int) -> Inputs:
 
 
 def _slow(log: Log) -> dict[str, Integers]:
-    """The fields of slow frames as (N,): what was handed over stays, what came belongs to its step alone."""
+    """Return the fields of slow frames as (N,): states are held, events belong to their step alone."""
     rows = len(log)
     told = log.slow_row < rows
     at = log.slow_row[told]
@@ -194,7 +194,7 @@ def _slow(log: Log) -> dict[str, Integers]:
 
 
 def _follows(log: Log, inputs: Inputs, gyro_hz: int) -> NDArray[np.bool_]:
-    """Rows (N,) whose samples, lost ones and silences fill the time since the row before; the first does."""
+    """Return True for rows (N,) whose samples, lost ones and silences fill the time since the row before."""
     sample = (log.time_us * gyro_hz + 500_000) // 1_000_000  # of each row, since the boot
     passed = inputs.samples + inputs.lost + inputs.silences * (gyro_hz * GYRO_BAD_MS // 1000)
     follows: NDArray[np.bool_] = np.diff(sample, prepend=sample[:1] - passed[:1]) == passed
@@ -204,7 +204,7 @@ def _follows(log: Log, inputs: Inputs, gyro_hz: int) -> NDArray[np.bool_]:
 def _usable(
     log: Log, inputs: Inputs, gyro_hz: int, divider: int, wrong: NDArray[np.bool_]
 ) -> tuple[int, str]:
-    """Rows up to the first that cannot be replayed, and what it is about that one; "": all of them."""
+    """Return the number of usable rows, and what is wrong with the next; "": all are usable."""
     flags = inputs.flags
     resumed = np.zeros(len(log), bool)
     for event in log.events:
@@ -230,7 +230,7 @@ def _usable(
 
 
 def _sound(log: Log, inputs: Inputs, motors: Integers) -> NDArray[np.bool_]:
-    """Rows (N,) whose check is that of their inputs and motors; all of them where the log has no check."""
+    """Return True for rows (N,) whose check matches inputs and motors; for all if the log has no check."""
     told = log.columns.get(_CHECK)
     if told is None:
         return np.ones(len(log), bool)
@@ -253,7 +253,7 @@ def _sound(log: Log, inputs: Inputs, motors: Integers) -> NDArray[np.bool_]:
 
 
 def _exact(log: Log, name: str, first: int, last: int, count: int) -> NDArray[np.float32] | None:
-    """Columns of the group EXACT, (count, last - first) or (count,) of one; None where the log has none."""
+    """Return columns of the group EXACT, (count, last - first) or (count,); None without them."""
     found = log.matrix(name)
     if found is None or found.shape[1] < last:
         return None

@@ -20,7 +20,7 @@ STEPS_AT_ONCE = 4096
 
 
 def replay_on_host(program: Path, flight: Flight, progress: Progress = lambda _: None) -> Answers:
-    """What comes of each control step of `flight`.
+    """Replay each control step of `flight` on the host program and return the answers.
 
     Raises LinkError where the program is missing or refuses the flight, TraceError for a damaged one.
     """

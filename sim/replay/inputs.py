@@ -1,4 +1,4 @@
-"""What the control path of a flight was given, step by step, and what it answered."""
+"""The inputs of a flight's control path, step by step, and its answers."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Edge(IntFlag):
 
 @dataclass(frozen=True, eq=False)
 class Inputs:
-    """What each of N control steps was given. Between two steps lie up to D gyro samples."""
+    """The inputs of each of N control steps. Between two steps lie up to D gyro samples."""
 
     step: NDArray[np.int64]  # (N,) number of the control step since the log's first
     samples: NDArray[
@@ -45,13 +45,13 @@ class Inputs:
     receiver: NDArray[np.uint8]  # (N, LOG_RECEIVER_BYTES) they
 
     def __len__(self) -> int:
-        """Control steps."""
+        """Return the number of control steps."""
         return len(self.step)
 
 
 @dataclass(frozen=True, eq=False)
 class Answers:
-    """What came of each of N control steps."""
+    """The results of each of N control steps."""
 
     dshot: NDArray[np.uint16]  # (N, M) of each motor
     gyro: NDArray[np.float32] | None = None  # (N, 3) [rad/s] as the controller had it; None: not known
@@ -59,7 +59,7 @@ class Answers:
     throttle: NDArray[np.float32] | None = None  # (N,) 0..1
 
     def __len__(self) -> int:
-        """Control steps."""
+        """Return the number of control steps."""
         return len(self.dshot)
 
 
@@ -86,11 +86,11 @@ class Flight:
         return int(self.answers.dshot.shape[1])
 
     def __len__(self) -> int:
-        """Control steps."""
+        """Return the number of control steps."""
         return len(self.inputs)
 
     def boot_settings(self) -> dict[str, float]:
-        """The settings to boot with; the gyro's rate is an option of its own."""
+        """Return the settings to boot with; the gyro's rate is an option of its own."""
         numbers = {
             name: int(value) if value == int(value) else value for name, value in self.settings.items()
         }
@@ -99,7 +99,7 @@ class Flight:
 
 
 def words_of_samples(inputs: Inputs, last: tuple[int, ...]) -> NDArray[np.int16]:
-    """Every word (N, D, 7) that the chip gave: accelerometer, temperature, gyro.
+    """Return every word (N, D, 7) that the chip gave: accelerometer, temperature, gyro.
 
     The log has the accelerometer of each step's last good sample and no temperature. Nothing of the control
     path looks at the others, except whether a sample repeats the one before it: a repetition is one here too,

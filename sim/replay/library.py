@@ -26,7 +26,7 @@ CHUNK = 2048  # control steps between two words of progress
 
 
 def replay_on_library(library: Path, flight: Flight, progress: Progress = lambda _: None) -> Answers:
-    """What comes of each control step of `flight`.
+    """Replay each control step of `flight` in the library and return the answers.
 
     Raises LinkError where the library is missing or none, TraceError for a log that does not fit it.
     """
@@ -36,9 +36,9 @@ def replay_on_library(library: Path, flight: Flight, progress: Progress = lambda
 def in_process(
     boot: Callable[[], ReplayLibrary], flight: Flight, progress: Progress = lambda _: None
 ) -> Answers:
-    """What comes of each control step in the library that `boot` makes ready, in a process of its own.
+    """Replay each control step in the library that `boot` prepares, in a process of its own.
 
-    Raises TraceError where that crashes, and what `boot` and the replay raise.
+    Raises TraceError if that crashes, and the errors of `boot` and the replay.
     """
     ours, theirs = multiprocessing.Pipe(duplex=False)
     process = multiprocessing.get_context("fork").Process(
@@ -69,7 +69,7 @@ def in_process(
 
 
 def _run(pipe: Connection, boot: Callable[[], ReplayLibrary], flight: Flight) -> None:
-    """Replay, in the process of its own: answers by and by, None at the end, or an error."""
+    """Replay, in the process of its own: send answers piecewise, then None, or an error."""
     try:
         firmware = boot()
         for first in range(0, len(flight), CHUNK):
@@ -101,16 +101,16 @@ class ReplayLibrary(Reference):
 
     @property
     def layout(self) -> int:
-        """What the bytes of a state mean."""
+        """Version of a state's layout."""
         return int(self._library.reference_layout())
 
     @property
     def state_bytes(self) -> int:
-        """Of a state."""
+        """Size of a state."""
         return int(self._library.reference_state_size())
 
     def memory(self, count: int) -> bytes:
-        """The state as it is now, the first `count` bytes of the instance."""
+        """Return the present state, the first `count` bytes of the instance."""
         return bytes(memoryview(self._memory).cast("B")[:count])
 
     def restore(self, state: bytes) -> bool:
@@ -118,7 +118,7 @@ class ReplayLibrary(Reference):
         return bool(self._library.reference_restore(self._memory, state, len(state), self.layout))
 
     def replay(self, steps: NDArray[np.void], flight: Flight, first: int) -> NDArray[np.void]:
-        """What comes of STEP (N,), control steps of `flight` from `first` on: ANSWER (N,)."""
+        """Replay STEP (N,), control steps of `flight` from `first` on, to ANSWER (N,)."""
         steps = np.ascontiguousarray(steps, STEP)
         answers = np.zeros(len(steps), ANSWER)
         run, outputs = self._library.reference_replay, (ctypes.c_uint16 * MOTOR_COUNT_MAX)()
@@ -138,7 +138,7 @@ class ReplayLibrary(Reference):
 
 
 def _boot(library: Path, flight: Flight) -> ReplayLibrary:
-    """The library in the state of the log. Raises TraceError where that is of another firmware."""
+    """Prepare the library in the state of the log. Raises TraceError if that is of another firmware."""
     firmware = ReplayLibrary(library, flight)
     check_layout(flight, library, firmware.layout, firmware.state_bytes)
     firmware.restore(flight.state)

@@ -33,7 +33,8 @@ Leaf = tuple[str, int, Any]  # name, place, kind of a number, or of an array of 
 
 
 def answers_of(folder: Path, other: Path, flight: Flight, progress: Progress = lambda _: None) -> Answers:
-    """What the firmware in `other` answers on the inputs of `flight`, which the one in `folder` can replay.
+    """Return the answers of the firmware in `other` on the inputs of `flight`, which the one in `folder` can
+    replay.
 
     folder, other: of builds for HOST. Raises LinkError where one of them cannot replay, TraceError where the
     log or the other policy does not fit, BuildError where a program is none of ours.
@@ -66,7 +67,7 @@ def _check_motors(flight: Flight, motors: int) -> None:
 
 
 def _places(program: Path) -> dict[str, tuple[int, int]]:
-    """Place and size [bytes] in struct firmware of each number and array of numbers, no pointers."""
+    """Return place and size [bytes] in struct firmware of each number and array of numbers, no pointers."""
     (variable,) = read_variables(program, FIRMWARE)
     pointers = pointers_in(program, FIRMWARE)
     return {

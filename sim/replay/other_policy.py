@@ -1,4 +1,4 @@
-"""What another policy would have answered on a flight's inputs: asked at every step, never flown."""
+"""The answers of another policy to a flight's inputs: asked at every step, never flown."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Large:
 
 @dataclass(frozen=True)
 class Opinion:
-    """How its answers differ from the flight's, over the control steps at which both let motors turn."""
+    """The differences of its answers from the flight's, over the control steps at which both turn motors."""
 
     steps: int  # that were compared
     only_logged: int  # control steps at which the flight's motors turned and these would not have
@@ -70,7 +70,7 @@ def opinion(flight: Flight, answers: Answers) -> Opinion:
 
 
 def _largest(t: NDArray[np.float64], u: NDArray[np.float64], v: NDArray[np.float64]) -> tuple[Large, ...]:
-    """The largest differences of fractions u and v (N, M), at least APART_S from each other."""
+    """Return the largest differences of fractions u and v (N, M), at least APART_S from each other."""
     worst = np.abs(u - v).max(axis=1)
     found: list[Large] = []
     for row in np.argsort(-worst, kind="stable").tolist():

@@ -14,8 +14,8 @@ POINTS_MAX = 4000  # of a line: more than the figure has pixels
 COLUMNS = 2
 
 
-def draw(flight: Flight, answers: Answers, opinion: Opinion, title: str) -> Figure:
-    """A panel for each motor with both answers; below, the largest difference of the motors over time."""
+def draw_opinion(flight: Flight, answers: Answers, opinion: Opinion, title: str) -> Figure:
+    """Draw a panel for each motor with both answers; below, the motors' largest difference."""
     motors = flight.motor_count
     rows = -(-motors // COLUMNS)
     figure = titled_figure((12, 2.2 * rows + 2.6), title)

@@ -1,4 +1,4 @@
-"""Whether a program is the one that flew a log."""
+"""A check that a program is the one that flew a log."""
 
 from __future__ import annotations
 
@@ -34,5 +34,5 @@ def check_policy(flight: Flight, elf: Path) -> None:
 
 
 def image_note(flight: Flight) -> str:
-    """Which image flew, for whoever looks for the reason of a difference."""
+    """Name the image that flew, as a hint at the reason of a difference."""
     return f"the image that flew: {flight.header.get('nf_image', 'not told')}"

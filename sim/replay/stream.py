@@ -44,7 +44,7 @@ _INVALID, _REPEATED = 1, 2  # bits of a sample's flags
 
 
 def packed(flight: Flight, first: int, last: int) -> NDArray[np.void]:
-    """The inputs of control steps first to last - 1, as STEP. Raises TraceError for what no step is given."""
+    """Encode the inputs of control steps first to last - 1 as STEP. Raises TraceError."""
     inputs, rows = flight.inputs, slice(first, last)
     depth = inputs.counts.shape[1]
     steps = np.zeros(len(inputs.step[rows]), STEP)
@@ -69,7 +69,7 @@ def packed(flight: Flight, first: int, last: int) -> NDArray[np.void]:
 
 
 def unpacked(rows: NDArray[np.void], motors: int) -> Answers:
-    """What ANSWER (N,) tells of so many motors."""
+    """Decode ANSWER (N,) of `motors` motors."""
     return Answers(
         dshot=rows["dshot"][:, :motors].copy(),
         gyro=rows["gyro"].copy(),

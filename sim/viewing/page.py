@@ -25,7 +25,7 @@ SPEEDS = (0.05, 0.1, 0.25, 0.5, 1, 2, 5)  # to choose from in the page
 
 
 def page_times(scene: Scene) -> Array:
-    """Times [s] of the poses of a page."""
+    """Return the times [s] of the poses of a page."""
     begin, end = float(scene.trace.t[0]), float(scene.trace.t[-1])
     return np.arange(begin, end + 1e-9, FRAME_S)
 
@@ -52,7 +52,7 @@ def save_page(path: Path, scene: Scene, speed: float) -> None:
 
 
 def page_data(scene: Scene) -> dict[str, object]:
-    """What the page's script draws: flat lists, one row after the other.
+    """Return the data that the page's script draws: flat lists, one row after the other.
 
     attitude: quaternions w, x, y, z in 1e-4. place: [mm], or null. wanted, flown: rates in 0.1 deg/s.
     motors: in 1e-3. faces: corners in 0.1 mm about the centre of mass. Frames are FRAME_S apart.

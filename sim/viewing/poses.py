@@ -9,7 +9,7 @@ Array = NDArray[np.float64]
 
 
 def attitudes(t: Array, rate: Array) -> Array:
-    """Rotation matrices (N, 3, 3), body to world, of a flight that begins level and heading along x.
+    """Compute rotation matrices (N, 3, 3), body to world, of a flight that begins level and heading along x.
 
     t: times [s], (N,), rising. rate: body rates [rad/s], (N, 3). Between two rows their mean is turned by:
     exact for a constant rate, of second order in the step for others.
@@ -23,7 +23,7 @@ def attitudes(t: Array, rate: Array) -> Array:
 
 
 def _rotations(turns: Array) -> Array:
-    """Matrices (N, 3, 3) of rotation vectors [rad], (N, 3), by Rodrigues' formula."""
+    """Compute the matrices (N, 3, 3) of rotation vectors [rad], (N, 3), by Rodrigues' formula."""
     angle = np.linalg.norm(turns, axis=1)[:, None, None]
     x, y, z = turns.T
     cross = np.zeros((len(turns), 3, 3))

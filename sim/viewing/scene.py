@@ -1,4 +1,4 @@
-"""What is shown of a flight: its trace, and attitude and place of the aircraft at each row."""
+"""The scene of a flight: its trace, and attitude and place of the aircraft at each row."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ class Scene:
     source: str  # of attitude and place, a clause for the reader
 
     def rows(self, times: Array) -> list[int]:
-        """The first row at or after each of `times` [s]; the last one after the end."""
+        """Return the first row at or after each of `times` [s]; the last one after the end."""
         found = np.searchsorted(self.trace.t, times - 1e-9)
         return [min(int(row), len(self.trace.t) - 1) for row in found]
 
     def part(self, part: Part) -> Scene:
-        """The rows of `part`, at the times that they had. Raises TraceError where there are none."""
+        """Return the rows of `part` with their original times. Raises TraceError if there are none."""
         taken = part_rows("flight", self.trace.t, part)
         trace = Trace(**{name: getattr(self.trace, name)[taken] for name in COLUMNS})
         position = None if self.position is None else self.position[taken]
@@ -55,7 +55,7 @@ class Watch:
         self._position.append(self._live.position[0].copy())
 
     def scene(self, title: str, aircraft: Aircraft, trace: Trace) -> Scene:
-        """The flight that was watched at each row of `trace`."""
+        """Return the scene of the flight that was watched, at each row of `trace`."""
         position = np.array(self._position)
         moves = bool((np.ptp(position, axis=0) > STAYS_M).any())
         source = "attitude and place of the twin" if moves else "attitude of the twin"
@@ -63,7 +63,7 @@ class Watch:
 
 
 def recorded(title: str, aircraft: Aircraft, trace: Trace, begin: float = 0.0) -> Scene:
-    """A flight of which only the rates are known: level at its first row, and in place.
+    """Return the scene of a flight of which only the rates are known: level at its first row, and in place.
 
     begin: the time of the first row [s], where `trace` is a part of a flight.
     """

@@ -25,7 +25,7 @@ IDLE_COLOUR, FULL_COLOUR = "#ffe9a8", "#b3261e"  # of a rotor disc: command 0, c
 
 
 class Kind(Enum):
-    """What a polygon belongs to, which says its colour."""
+    """The objects of polygons, by which they are coloured."""
 
     BODY = "body"
     DISC = "disc"  # coloured by its motor's command
@@ -43,7 +43,7 @@ class Face:
 
 
 def aircraft_faces(aircraft: Aircraft) -> list[Face]:
-    """Polygons of the aircraft.
+    """Return the polygons of the aircraft.
 
     Solids and meshes are drawn as they are. Of the parts of which only mass and inertia are known, one that
     reaches far out between the rotors is drawn as a plate, others as the boxes of their inertia. Arms go to
@@ -85,19 +85,19 @@ def aircraft_faces(aircraft: Aircraft) -> list[Face]:
 
 
 def reach(aircraft: Aircraft) -> float:
-    """Radius [m] of a sphere about the centre of mass that holds what is drawn."""
+    """Return the radius [m] of a sphere about the centre of mass that contains all polygons."""
     return max(float(np.linalg.norm(face.corners, axis=1).max()) for face in aircraft_faces(aircraft))
 
 
 def disc_colour(command: float) -> tuple[float, float, float]:
-    """RGB 0..1 of a rotor disc at a motor's command, 0..1."""
+    """Return RGB 0..1 of a rotor disc at a motor's command, 0..1."""
     low, high = (np.array([int(c[k : k + 2], 16) for k in (1, 3, 5)]) for c in (IDLE_COLOUR, FULL_COLOUR))
     red, green, blue = ((low + min(max(command, 0.0), 1.0) * (high - low)) / 255).tolist()
     return red, green, blue
 
 
 def _estimate(part: Part, span: float) -> Array:
-    """Triangles (12, 3, 3) [m], body frame, of a part of which only the inertia is known."""
+    """Return triangles (12, 3, 3) [m], body frame, of a part of which only the inertia is known."""
     size, axes = equal_box(part.mass, part.inertia)
     if size.max() > 0.5 * span:  # weight far from the middle: plate and arms, not the slab of equal inertia
         size, axes = np.array([PLATE * span, 0.7 * PLATE * span, PLATE_M]), np.eye(3)
@@ -110,7 +110,7 @@ def _estimate(part: Part, span: float) -> Array:
 
 
 def _arm(middle: Array, seat: Array, width: float) -> Array:
-    """Triangles (12, 3, 3) [m] of a flat bar from under the middle of the rotors to a motor."""
+    """Return triangles (12, 3, 3) [m] of a flat bar from under the middle of the rotors to a motor."""
     along = (seat - middle) * [1.0, 1.0, 0.0]
     length = float(np.linalg.norm(along))
     x = along / length if length > 0 else np.array([1.0, 0.0, 0.0])
@@ -120,7 +120,7 @@ def _arm(middle: Array, seat: Array, width: float) -> Array:
 
 
 def _can(seat: Array, hub: Array, radius: float) -> list[Array]:
-    """Sides and lid of a motor between its seat and the hub."""
+    """Return sides and lid of a motor between its seat and the hub."""
     angle = 2 * np.pi * np.arange(MOTOR_SIDES) / MOTOR_SIDES
     ring = radius * np.column_stack([np.cos(angle), np.sin(angle), 0 * angle])
     low, high = seat + ring, hub + ring
@@ -129,7 +129,7 @@ def _can(seat: Array, hub: Array, radius: float) -> list[Array]:
 
 
 def _coarse(triangles: Array) -> Array:
-    """Triangles (K, 3, 3), their corners moved to an ever wider grid until few are left."""
+    """Simplify triangles (K, 3, 3): move their corners to an ever wider grid until few are left."""
     cells = 64
     while len(triangles) > TRIANGLES_MAX and cells > 4:
         step = float(np.ptp(triangles.reshape(-1, 3), axis=0).max()) / cells

@@ -84,7 +84,7 @@ def _show(
 
 
 def floor_faces(scene: Scene, size: float) -> list[Face]:
-    """Every other square of a chequered floor below the flight; size: the aircraft's radius [m]."""
+    """Return every other square of a chequered floor below the flight; size: the aircraft's radius [m]."""
     cell, low, high = size, np.full(3, -5 * size), np.full(3, 5 * size)
     if scene.position is not None:
         low, high = scene.position.min(axis=0) - AROUND_M, scene.position.max(axis=0) + AROUND_M
@@ -105,7 +105,7 @@ def _disc(command: float) -> tuple[float, float, float, float]:
 
 
 def _body(faces: list[Face], colour: tuple[float, float, float, float], client: int) -> int:
-    """A massless body of polygons seen from both sides."""
+    """Create a massless body of polygons seen from both sides."""
     corners: list[list[float]] = []
     indices: list[int] = []
     for face in faces:

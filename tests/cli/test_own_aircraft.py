@@ -1,4 +1,4 @@
-"""docs/own-aircraft.md, section 7: its very commands on a 5-inch's file, to a flashed emulated board."""
+"""docs/guides/own-aircraft.md, section 7: its commands on a 5-inch's file, to a flashed emulated board."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ import pytest
 from neuroflight.cli.main import parser
 from neuroflight.sim.aircraft.model import parse_aircraft
 from neuroflight.sim.design.airworthiness import Level, examine
-from tests.cli.test_readme import PORT, powered
-from tests.cli.test_readme import clone as clone
+from tests.cli.test_first_board import PORT, powered
+from tests.cli.test_first_board import clone as clone
 from tests.conftest import ROOT
 
 HEADING = "7. From the file to the board"
@@ -65,7 +65,7 @@ def five_inch() -> str:
 
 def commands() -> list[str]:
     """Every line of the section's block, in order."""
-    text = (ROOT / "docs" / "own-aircraft.md").read_text()
+    text = (ROOT / "docs" / "guides" / "own-aircraft.md").read_text()
     found = re.search(rf"^## {re.escape(HEADING)}\n.*?^```\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
     assert found is not None
     return found[1].splitlines()

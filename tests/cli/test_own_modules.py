@@ -1,4 +1,4 @@
-"""docs/own-modules.md: its very files, in a folder outside the repository, by its very commands."""
+"""docs/guides/own-modules.md: its very files, in a folder outside the repository, by its very commands."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from tests.conftest import ROOT
 
 Capture = pytest.CaptureFixture[str]
 
-PAGE = (ROOT / "docs" / "own-modules.md").read_text()
+PAGE = (ROOT / "docs" / "guides" / "own-modules.md").read_text()
 TINY = "hidden=[8,8] algorithm.aircraft=16 algorithm.horizon=64 algorithm.minibatch=256 algorithm.leg=1"
 SHORT = {"2000000": "4096", "300000": "1", "reward=worst-axis": f"reward=worst-axis {TINY}", "100": "4"}
 SECONDS_MAX = 1800

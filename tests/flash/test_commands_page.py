@@ -1,4 +1,4 @@
-"""docs/commands.md prints commands and scripts that are."""
+"""docs/guides/motors-and-channels.md prints commands and scripts that are."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from neuroflight.cli.main import parser
 from neuroflight.flash.channels.script import check_script, parse_script
 from tests.flash.channels.test_layout import layout
 
-PAGE = (Path(__file__).resolve().parents[2] / "docs" / "commands.md").read_text()
+PAGE = (Path(__file__).resolve().parents[2] / "docs" / "guides" / "motors-and-channels.md").read_text()
 COMMANDS = re.findall(r"^neuroflight (.+)$", PAGE, re.MULTILINE)
 
 
@@ -36,6 +36,6 @@ def test_all_commands_are_printed() -> None:
 @pytest.mark.parametrize("suffix", ["csv", "toml"])
 def test_a_printed_script_is_read(suffix: str) -> None:
     (text,) = re.findall(rf"```{suffix}\n(.+?)```", PAGE, re.DOTALL)
-    script = parse_script(text.encode(), "docs/commands.md", f".{suffix}")
+    script = parse_script(text.encode(), "docs/guides/motors-and-channels.md", f".{suffix}")
     check_script(script, layout(), may_arm=True)
     assert any(layout().arms(row) for row in script.rows)

@@ -1,4 +1,4 @@
-"""Reactions of the firmware to injected faults on the emulated board, as docs/safety.md states them."""
+"""How the firmware reacts to injected faults on the emulated board, as docs/explanation/safety.md says."""
 
 from __future__ import annotations
 

@@ -62,7 +62,7 @@ def install_by_rom(chip: IdleBoard, image: Path) -> None:
     """Then the button is released and the plug pulled once."""
     with Rig(chip).client() as client:
         client.connect()
-        rescue.install(client, rescue.make_plan(read_segments(image.with_suffix(".hex"))))
+        rescue.install(client, rescue.plan_flash(read_segments(image.with_suffix(".hex"))))
     chip.board.hold_boot_button(False)
     chip.board.reset()
     chip.boot()

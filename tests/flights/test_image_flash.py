@@ -12,7 +12,7 @@ from neuroflight.flash.client import Client
 from neuroflight.flash.image.board import read_board
 from neuroflight.flash.image.files import Image, ImageFile, Policy
 from neuroflight.flash.image.install import Installation, Installed
-from neuroflight.flash.image.plan import Plan, make_plan
+from neuroflight.flash.image.plan import InstallPlan, plan_install
 from neuroflight.flash.image.settings_kept import read_settings
 from neuroflight.flash.image.trial import Ending
 from neuroflight.sim.board.core.context import TIME_HZ
@@ -35,13 +35,13 @@ class Desk:
     def __init__(self, idle: IdleBoard) -> None:
         self.idle = idle
         self.line = LineTransport(UartLine(idle.board, format=Format(BAUD)), idle.run_to)
-        self.plan: Plan | None = None
+        self.plan: InstallPlan | None = None
 
     def flash(self, file: ImageFile) -> tuple[Installed, float]:
         """How it ended, and after how many seconds of the board's time."""
         client = Client(self.line, self.line.clock)
         begun = self.line.clock()
-        self.plan = make_plan(read_board(client), file)
+        self.plan = plan_install(read_board(client), file)
         installation = Installation(
             client, self.plan, lambda: self.line, lambda what, done, total: None, self.line.clock, self._sleep
         )

@@ -93,7 +93,7 @@ def test_an_aircraft_of_reversed_motors_flies_when_set_so(built: Built, tmp_path
     """As the usual one whose yaw is commanded the other way, under the PID.
 
     A network has learnt to answer the body's own coupling of the axes, which reversed rotors leave as it is:
-    its errors are up to two and a half times as large, as docs/settings.md says.
+    its errors are up to two and a half times as large, as docs/reference/settings.md says.
     """
     scenario = pulses(7, 12)
     scenario = scenario.under_pid() if pid else scenario
@@ -161,7 +161,7 @@ def test_the_motors_stop_before_it_flies_when_it_takes_off_with_their_direction_
     trace, safety = built(reversed_aircraft("nf1", tmp_path), lift, {}, ground=True)
     stopped = trace.t[(trace.dshot == 0).all(axis=1)]
     assert safety.stop_cause == StopCause.RUNAWAY
-    assert stopped[0] < 1.5, "within half a second of the throttle's rise, as docs/settings.md says"
+    assert stopped[0] < 1.5, "within half a second of the throttle's rise, as docs/reference/settings.md says"
 
 
 # --- A board that is turned ------------------------------------------------------------------------

@@ -154,7 +154,7 @@ def test_the_image_is_loaded_and_runs_from_its_reset(board_image: Path) -> None:
 
 @pytest.mark.slow
 def test_the_session_of_the_page_goes_as_it_says(board_image: Path) -> None:
-    page = (ROOT / "docs" / "emulated-board.md").read_text().partition("## A session with gdb")[2]
+    page = (ROOT / "docs/explanation/emulated-board.md").read_text().partition("## A session with gdb")[2]
     session = page.split("```")[3].strip().splitlines()
     command = [
         sys.executable,

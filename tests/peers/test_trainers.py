@@ -1,4 +1,4 @@
-"""docs/policies.md's table of trainers: each row's line exports a policy that, frozen, acts as the trainer's.
+"""docs/guides/policies.md's table of trainers: each line exports a policy that acts as the trainer's.
 
 Trainers that the project does not bring are installed by pip for one test and removed after it.
 """
@@ -23,7 +23,7 @@ from neuroflight.toolchain.policy.model import read_policy
 from tests.conftest import ROOT
 from tests.peers.trainer_policies import POLICIES
 
-PAGE = ROOT / "docs" / "policies.md"
+PAGE = ROOT / "docs" / "guides" / "policies.md"
 PROGRAM = Path(__file__).with_name("trainer_policies.py")
 CONSTRAINTS = (ROOT / "constraints.txt").read_text().replace("_", "-").splitlines()
 # Packages that each needs and this environment lacks: pip installs only these, and the trainer uses our

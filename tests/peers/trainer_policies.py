@@ -1,7 +1,7 @@
 """Policies of other trainers, by the trainers' own means: `python trainer_policies.py LINES.json FOLDER`.
 
 A program of its own, because each trainer brings packages of its own (test_trainers.py installs them).
-LINES.json holds the export lines of rows of docs/policies.md and the code before them; FOLDER gets a folder a
+LINES.json: export lines of rows of docs/guides/policies.md and the code before them; FOLDER gets a folder a
 policy: the ONNX file, observations, and the actions that the trainer itself answers them with.
 """
 

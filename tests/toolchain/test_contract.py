@@ -18,7 +18,7 @@ from neuroflight.toolchain.contract import (
     observation_memory,
 )
 
-PAGE = Path(__file__).resolve().parents[2] / "docs" / "policies.md"
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "guides" / "policies.md"
 
 
 @pytest.mark.parametrize(

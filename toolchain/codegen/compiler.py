@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from neuroflight.toolchain.codegen.emit import Emission, emit
-from neuroflight.toolchain.codegen.plan import Plan, lower
+from neuroflight.toolchain.codegen.plan import CodePlan, lower
 from neuroflight.toolchain.codegen.selftest import selftest_vectors
 from neuroflight.toolchain.errors import PolicyError
 from neuroflight.toolchain.ir.network import Network
@@ -23,15 +23,15 @@ class CompiledPolicy:
     policy: PolicyModel
     network: Network  # after optimization: what `toolchain.ir.interpreter` evaluates
     savings: tuple[Saving, ...]
-    plan: Plan
+    plan: CodePlan
     blob: PolicyBlob
     emission: Emission
 
 
 def compile_policy(policy: PolicyModel) -> CompiledPolicy:
-    """The C of `policy`. Deterministic.
+    """Compile `policy` to C, the same bytes in every run.
 
-    Raises PolicyError where folding or the self-test leaves float32's range.
+    Raises PolicyError if folding or the self-test leaves float32's range.
     """
     network, savings = optimize(policy.network)
     return compile_network(policy, network, savings)
@@ -40,7 +40,7 @@ def compile_policy(policy: PolicyModel) -> CompiledPolicy:
 def compile_network(
     policy: PolicyModel, network: Network, savings: tuple[Saving, ...] = ()
 ) -> CompiledPolicy:
-    """The C of `policy` with its network in the form `network`, as it stands."""
+    """Compile `policy` to C with its network in the form `network`, without optimizing it."""
     plan = lower(policy, network)
     observation, action = selftest_vectors(network)
     if not np.isfinite(action).all():

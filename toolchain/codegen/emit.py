@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from neuroflight.toolchain.codegen.kernel_calls import Call, Place
-from neuroflight.toolchain.codegen.plan import Plan
+from neuroflight.toolchain.codegen.plan import CodePlan
 from neuroflight.toolchain.ir.float32 import Float32
 from neuroflight.toolchain.policy.blob import PolicyBlob, header_values, model_values, pack
 from neuroflight.toolchain.policy.model import PolicyModel
@@ -44,8 +44,8 @@ class Part:
     bytes: int
 
 
-def emit(policy: PolicyModel, plan: Plan, blob: PolicyBlob) -> Emission:
-    """The C of `plan`, which compiles in `blob`."""
+def emit(policy: PolicyModel, plan: CodePlan, blob: PolicyBlob) -> Emission:
+    """Render the C of `plan` with `blob` compiled in."""
     enter, *calls, leave = plan.calls
     assert enter.target is not None, "the observation is copied into the scratch"
     data, fields = pack(blob), blob_header_fields()
@@ -71,7 +71,7 @@ def emit(policy: PolicyModel, plan: Plan, blob: PolicyBlob) -> Emission:
 
 
 def header_literals(blob: PolicyBlob) -> dict[str, int | float | bytes | str]:
-    """The blob's header for the macros of templates/blob_header.j2: its floats as C writes them."""
+    """Return the blob's header for the macros of templates/blob_header.j2, with floats as C literals."""
     gains = ", ".join(literal(term.gain) for term in blob.terms)
     floats = {
         name: ", ".join(literal(value) for value in np.frombuffer(bytes(values), "<f4")) or literal(0.0)
@@ -82,7 +82,7 @@ def header_literals(blob: PolicyBlob) -> dict[str, int | float | bytes | str]:
 
 
 def literal(value: float | np.float32) -> str:
-    """A float32 as C writes it exactly, in hexadecimal; NaN as the one that both C and numpy call NaN."""
+    """Return a float32 as an exact C literal, in hexadecimal; NaN as C and numpy have it."""
     if not np.isfinite(value):
         return (
             '__builtin_nanf("")'

@@ -1,4 +1,4 @@
-"""What compiling a policy did: each pass with its equivalence check, the network before and after, memory."""
+"""The compilation of a policy, explained: passes with their equivalence checks, networks, memory."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ FLOAT = 4  # bytes
 
 @dataclass(frozen=True)
 class NodeFacts:
-    """One node as people read it."""
+    """One node as shown to people."""
 
     value: int  # the number of the value that it gives; 0 is the observation
     operation: str
@@ -80,7 +80,7 @@ def explain_policy(policy: PolicyModel) -> Explanation:
 
 
 def node_facts(network: Network) -> tuple[NodeFacts, ...]:
-    """Every node of a network, in order of computation."""
+    """Describe every node of a network, in order of computation."""
     return tuple(
         NodeFacts(
             number,
@@ -96,7 +96,7 @@ def node_facts(network: Network) -> tuple[NodeFacts, ...]:
 
 
 def describe(operation: Operation) -> str:
-    """An operation in a few words, without its weights."""
+    """Describe an operation in a few words, without its weights."""
     name = type(operation).__name__
     match operation:
         case Linear():

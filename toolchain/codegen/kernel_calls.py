@@ -1,4 +1,4 @@
-"""What lowering gives: calls of kernels, and the places in `struct policy` that they work on."""
+"""The result of lowering: calls of kernels, and the places in `struct policy` that they work on."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ BLOCK = 8  # outputs summed at a time: 8 sums, 8 inputs and 16 weights fill the 
 
 @dataclass(frozen=True)
 class Place:
-    """Where a value lies in `struct policy`."""
+    """The place of a value in `struct policy`."""
 
     memory: str  # "scratch" or "state"
     offset: int  # floats

@@ -60,7 +60,7 @@ class _Value:
 
 
 class Lowering:
-    """Walks the network once; what it has found stands in its public attributes."""
+    """The lowering of a network, done once; its results are the public attributes."""
 
     def __init__(self, network: Network) -> None:
         self.calls: list[PendingCall] = []
@@ -157,7 +157,10 @@ class Lowering:
         return target
 
     def _look_up(self, function: ActivationTable, x: _Value) -> _Value:
-        """The bounds that keep addresses inside the table come with the code: no weight can change them."""
+        """Append a call that looks `x` up in a function's table.
+
+        The bounds that keep addresses inside the table are constants of the call: no weight can change them.
+        """
         limits = (function.low, function.high, function.magic)
         kernel = "look_up_even" if function.even else "look_up"
         return self._map(kernel, [x], table=self._tables[function.name], constants=limits)
@@ -186,7 +189,7 @@ class Lowering:
         constants: tuple[float, ...] = (),
         target: _Value | None = None,
     ) -> _Value:
-        """A kernel that goes over its sources value by value, LANES at a time."""
+        """Append a call of a kernel that goes over its sources value by value, LANES at a time."""
         sources = [self._whole(source) for source in sources]
         target = target or self._new(sources[0].count)
         count = padded(target.count)
@@ -194,7 +197,7 @@ class Lowering:
         return target
 
     def _whole(self, value: _Value) -> _Value:
-        """`value` where the padding behind it may be read."""
+        """Return `value`, or a copy of it, whose padding may be read."""
         if value.whole:
             return value
         target = self._new(value.count)
@@ -285,7 +288,7 @@ class Lowering:
 
 
 def _part(value: _Value, start: int, count: int) -> _Value:
-    """Whole lanes of a value: nothing is copied."""
+    """Return whole lanes of a value, without a copy."""
     return replace(value, place=replace(value.place, offset=value.place.offset + start), count=count)
 
 

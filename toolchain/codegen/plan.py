@@ -29,8 +29,8 @@ from neuroflight.toolchain.policy.model import PolicyModel
 
 
 @dataclass(frozen=True, eq=False)
-class Plan:
-    """What is emitted: calls, the table they read and the memory they need."""
+class CodePlan:
+    """The plan of the emitted C: calls, the table they read and the memory they need."""
 
     calls: tuple[Call, ...]
     table: Float32  # (weight count,)
@@ -45,19 +45,19 @@ class Plan:
         return self.scratch + self.state
 
 
-def lower(policy: PolicyModel, network: Network) -> Plan:
-    """The plan of `policy` with its network in the form `network`."""
+def lower(policy: PolicyModel, network: Network) -> CodePlan:
+    """Lower `policy`, with its network in the form `network`, to a plan."""
     lowering = Lowering(network)
     calls, scratch, unshared = place_buffers(lowering.calls)
     table = np.concatenate([np.zeros(0, np.float32), *lowering.table])
     hashed = _architecture_hash(policy, calls, lowering.functions)
-    return Plan(tuple(calls), table, scratch, unshared, lowering.state, hashed)
+    return CodePlan(tuple(calls), table, scratch, unshared, lowering.state, hashed)
 
 
 def _architecture_hash(
     policy: PolicyModel, calls: Iterable[Call], functions: Iterable[ActivationTable]
 ) -> int:
-    """CRC-32 over everything that the code, rather than the table, decides, as lines of text."""
+    """Compute the CRC-32 over everything that the code, rather than the table, decides, as lines of text."""
     lines = [
         f"observation {policy.observation}",
         f"rate {policy.control_rate_hz}",

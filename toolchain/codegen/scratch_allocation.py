@@ -19,7 +19,8 @@ class PendingCall:
 
 
 def place_buffers(pending: Sequence[PendingCall]) -> tuple[list[Call], int, int]:
-    """The calls with their scratch in place, the floats that takes, and what it would take unshared.
+    """Return the calls with their scratch buffers placed, the floats needed, and the floats needed without
+    sharing.
 
     Buffers are placed by size, the largest first, each at the lowest place where it meets no other that
     lives at the same time; what a call reads and what it writes live at the same time.

@@ -18,9 +18,10 @@ SCALES = (0.05, 0.2, 0.5, 1.0, 2.0, 5.0, 15.0, 40.0)
 
 
 def selftest_vectors(network: Network) -> tuple[Float32, Float32]:
-    """Observations (SELFTEST_COUNT, inputs) and actions (SELFTEST_COUNT, outputs): the same in every run.
+    """Return observations (SELFTEST_COUNT, inputs) and actions (SELFTEST_COUNT, outputs), the same in every
+    run.
 
-    The random bits come from SHAKE-128, because no library promises a generator's stream for ever.
+    The random bits come from SHAKE-128, because no library promises to keep its generator's numbers for ever.
     """
     count = SELFTEST_COUNT - len(EXTREMES)
     bits = hashlib.shake_128(b"neuroflight self-test").digest(4 * count * network.inputs)

@@ -10,14 +10,14 @@ from neuroflight.toolchain.ir.lanes import padded
 
 
 def lanes_part(values: Float32 | NDArray[np.float64]) -> Float32:
-    """Parameters of values, one each, padded to whole lanes."""
+    """Pad parameters, one for each value, to whole lanes."""
     room = np.zeros(padded(values.size), np.float32)
     room[: values.size] = values
     return room
 
 
 def block_part(weight: Float32, bias: Float32, first: int, width: int) -> Float32:
-    """Biases, then weights by input, of `width` outputs from `first` on; those beyond the last are 0."""
+    """Arrange biases, then weights by input, of `width` outputs from `first` on; missing outputs are 0."""
     rows = slice(first, first + width)
     block = np.zeros((1 + weight.shape[1], width), np.float32)
     block[0, : len(bias[rows])] = bias[rows]
@@ -26,7 +26,7 @@ def block_part(weight: Float32, bias: Float32, first: int, width: int) -> Float3
 
 
 def padded_gates(array: Float32, units: int) -> Float32:
-    """Rows of gates, each gate padded to whole lanes with rows of 0."""
+    """Pad the rows of each gate to whole lanes with rows of 0."""
     gates = array.reshape(-1, units, *array.shape[1:])
     room = np.zeros((len(gates), padded(units), *array.shape[1:]), np.float32)
     room[:, :units] = gates

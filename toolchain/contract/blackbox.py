@@ -9,7 +9,7 @@ from enum import IntEnum
 
 
 class LogDevice(IntEnum):
-    """Where a log goes: the setting blackbox_device."""
+    """Destinations of a log: the setting blackbox_device."""
 
     NONE = 0
     SERIAL = 1  # UART3, where uart3_function says blackbox
@@ -17,7 +17,7 @@ class LogDevice(IntEnum):
 
 
 class LogState(IntEnum):
-    """What the device of the log does."""
+    """States of the log's device."""
 
     ABSENT = 0  # there is none, or it is not set
     STARTING = 1  # it is being looked at
@@ -29,7 +29,7 @@ class LogState(IntEnum):
 
 
 class LogError(IntEnum):
-    """Why the device cannot take a log, or lost a part of one."""
+    """Reasons why the device cannot take a log, or lost a part of one."""
 
     NONE = 0
     NO_CARD = 1  # nothing answers

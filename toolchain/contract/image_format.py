@@ -93,21 +93,21 @@ IMAGE_TAIL_BYTES = 128  # of the bank, its last: they begin with the state
 
 
 def image_field_offset(name: str) -> int:
-    """Where a field of the header begins, from the bank's begin [bytes]."""
+    """Return the offset of a header field from the bank's start [bytes]."""
     names = [field.name for field in IMAGE_FIELDS]
     before = "<" + "".join(field.format for field in IMAGE_FIELDS[: names.index(name)])
     return IMAGE_HEADER_OFFSET + struct.calcsize(before)
 
 
 def image_checksum(image: bytes | bytearray) -> int:
-    """The CRC-32 of an image, from its bank's begin to its end, as its header has it."""
+    """Compute the CRC-32 of an image, from the bank's start to the image's end, as in its header."""
     at = image_field_offset("crc")
     return zlib.crc32(image[at + 4 :], zlib.crc32(image[:at]))
 
 
 @dataclass(frozen=True)
 class ImageHeader:
-    """What an image says about itself. Nothing of it is checked but that it begins as a header does."""
+    """The header of an image, unchecked except for its magic number."""
 
     layout: int
     bank: int
@@ -125,7 +125,7 @@ class ImageHeader:
     raw: bytes  # as it lies in flash
 
     def misfit(self, policy: PolicyHeader) -> str | None:
-        """What keeps this image from flying that policy, in words; None: nothing does."""
+        """Return a text about the first misfit between this image and that policy; None if it can fly it."""
         for name in (
             *("control_rate_hz", "filters_hash", "weight_count", "observation_count", "action_count"),
             "architecture_hash",
@@ -137,7 +137,7 @@ class ImageHeader:
 
 
 def image_header(image: bytes | bytearray) -> ImageHeader | None:
-    """The header of an image, given from its bank's begin; None: there is none."""
+    """Decode the header of an image that starts at the bank's first byte; None if there is none."""
     end = IMAGE_HEADER_OFFSET + struct.calcsize(IMAGE_HEADER_FORMAT)
     if len(image) < end:
         return None

@@ -38,20 +38,20 @@ class ModeRange:
 
     @property
     def packed(self) -> int:
-        """As a setting holds it: box in bits 0-7, aux - 1 in 8-11, low step in 12-17, high step in 18-23,
-        and_others in 24. 0 is no range: its ends are the same."""
+        """The range as a setting's number: box in bits 0-7, aux - 1 in 8-11, low step in 12-17, high step in
+        18-23, and_others in 24. 0 is no range, because its ends are equal."""
         low, high = ((us - MODE_LOW_US) // MODE_STEP_US for us in (self.low_us, self.high_us))
         return self.mode | (self.aux - 1) << 8 | low << 12 | high << 18 | self.and_others << 24
 
     @staticmethod
     def unpack(packed: int) -> ModeRange | None:
-        """The range that a setting holds, None where it holds none. Raises ValueError for an unknown mode."""
+        """Return the range in a setting's number, or None. Raises ValueError for an unknown mode."""
         low, high = ((packed >> shift & 0x3F) * MODE_STEP_US + MODE_LOW_US for shift in (12, 18))
         if low == high:
             return None
         return ModeRange(Mode(packed & 0xFF), (packed >> 8 & 0xF) + 1, low, high, bool(packed >> 24 & 1))
 
     def __str__(self) -> str:
-        """As users write it: `arm aux1 1700 2100`."""
+        """Format the range as users write it: `arm aux1 1700 2100`."""
         text = f"{self.mode.name.lower()} aux{self.aux} {self.low_us} {self.high_us}"
         return text + " and" if self.and_others else text

@@ -41,7 +41,8 @@ IDLE_MAX = 0.5
 
 
 class Mix(IntEnum):
-    """How a controller's outputs y and the pilot's thrust T become motor fractions u, before the idle.
+    """Two ways to compute motor fractions u from a controller's outputs y and the pilot's thrust T, before
+    the idle.
 
     Both keep the differences between the motors, which turn the aircraft, and both are computed in float32 in
     the order written here. ATTITUDE_FIRST: u_i = T (1 - max y) + y_i. The outputs carry thrust of their own.
@@ -54,12 +55,12 @@ class Mix(IntEnum):
 
     @property
     def text(self) -> str:
-        """As files write it: attitude-first, centred."""
+        """Name in files: attitude-first, centred."""
         return self.name.lower().replace("_", "-")
 
     @staticmethod
     def of(text: str) -> Mix:
-        """The mix that a file calls so. Raises ValueError, one line."""
+        """Return the mix with that name. Raises ValueError, one line."""
         for mix in Mix:
             if mix.text == text:
                 return mix

@@ -181,7 +181,7 @@ CRC8_DVB_S2_POLY = 0xD5
 
 
 class Task(IntEnum):
-    """What the processor is measured at."""
+    """Tasks whose processor time is measured."""
 
     GYRO = 0  # a gyro sample that is no control step
     CONTROL = 1  # one that is, from the interrupt to the motors' frame
@@ -192,14 +192,14 @@ class Task(IntEnum):
 
 
 class Reboot(IntEnum):
-    """What REBOOT starts; numbers are the ecosystem's, and what it has beside them is refused."""
+    """Programs that REBOOT starts, by the ecosystem's numbers; its other numbers are refused."""
 
     FIRMWARE = 0
     ROM = 1  # the boot loader in the chip's ROM
 
 
 class Refusal(IntEnum):
-    """Why a request that would change something is refused."""
+    """Reasons for refusing a request that would change something."""
 
     NONE = 0
     ARMED = 1  # or under test; only with the motors stopped

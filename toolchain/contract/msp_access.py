@@ -1,4 +1,4 @@
-"""When each request may come, and why it may be refused: what docs/msp.md says and tests hold the C to."""
+"""The conditions and refusals of each request; docs/reference/msp.md prints them, tests hold the C to it."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ __all__ = ["Access", "MspWhen", "access_of", "acknowledge_access"]
 
 
 class MspWhen(Enum):
-    """When a request is carried out; else it is refused as ARMED."""
+    """Conditions for carrying out a request; otherwise it is refused as ARMED."""
 
     ALWAYS = "always"
     STOPPED = "disarmed"
@@ -23,7 +23,7 @@ class MspWhen(Enum):
 
 @dataclass(frozen=True)
 class Access:
-    """When a request is carried out, and every reason why it may be refused besides."""
+    """The condition for carrying out a request, and all its other refusals."""
 
     when: MspWhen = MspWhen.ALWAYS
     refusals: tuple[Refusal, ...] = ()
@@ -160,7 +160,7 @@ _ACTS = {
 
 
 def access_of(message: Msp) -> Access:
-    """Of a message; what only reads is always answered. FAULTS without a payload, which reads."""
+    """Return the access rules of a message; of FAULTS, those without a payload. Reading is always allowed."""
     if message in _SETS:
         if _SETS[message]:
             slot = "; a refused range leaves its slot empty" if message is Msp.SET_MODE_RANGE else ""
@@ -172,5 +172,5 @@ def access_of(message: Msp) -> Access:
 
 
 def acknowledge_access() -> Access:
-    """FAULTS with a payload, which acknowledges."""
+    """Return the access rules of FAULTS with a payload, which acknowledges."""
     return Access(_STORING, (_R.PAYLOAD, _R.INDEX, _R.FLASH, _R.ABSENT))

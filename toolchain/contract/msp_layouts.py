@@ -1,7 +1,7 @@
 """Layouts of MSP messages: of what fields a payload is made, in order, and what they mean.
 
 Numbers are little-endian. A layout is a value: `flash.layouts` packs and unpacks by it, the firmware's table
-of configuration messages and docs/msp.md are rendered from it.
+of configuration messages and docs/reference/msp.md are rendered from it.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ TEXTS = ("text", "counted", "bytes")
 
 
 class MspHow(IntEnum):
-    """Where the firmware takes a field of a configuration message from, and where a SET brings it."""
+    """Ways in which the firmware reads a field of a configuration message, and a SET writes it."""
 
     CONSTANT = 0  # a fixed number; a SET must bring the same
     UNUSED = 1  # told as that number; a SET may bring any
@@ -67,7 +67,7 @@ class MspSource(IntEnum):
 
 @dataclass(frozen=True)
 class Bound:
-    """Where a field of a configuration message comes from. Made by the functions below."""
+    """The origin of a field of a configuration message; made by the functions below."""
 
     how: MspHow
     setting: str = ""
@@ -79,27 +79,27 @@ class Bound:
 
 
 def constant(number: int) -> Bound:
-    """Always that number."""
+    """Bind a field to a constant."""
     return Bound(MspHow.CONSTANT, number=number)
 
 
 def unused(number: int = 0) -> Bound:
-    """Told as that number; what a SET brings is passed over."""
+    """Bind a field to a number that is sent; what a SET brings is ignored."""
     return Bound(MspHow.UNUSED, number=number)
 
 
 def scaled(setting: str, gain: float = 1.0, offset: float = 0.0) -> Bound:
-    """The setting times gain plus offset, rounded."""
+    """Bind a field to the setting times gain plus offset, rounded."""
     return Bound(MspHow.SCALED, setting, gain=gain, offset=offset)
 
 
 def choice(setting: str, *numbers: int) -> Bound:
-    """The number that stands for the setting's choice."""
+    """Bind a field to the number of the setting's choice."""
     return Bound(MspHow.CHOICE, setting, choices=numbers)
 
 
 def source(which: MspSource, argument: int = 0) -> Bound:
-    """What the firmware computes."""
+    """Bind a field to a value that the firmware computes."""
     return Bound(MspHow.SOURCE, number=argument, source=which)
 
 
@@ -128,7 +128,7 @@ class MspGroup:
 
 
 class Direction(Enum):
-    """Who speaks."""
+    """Directions of a message."""
 
     REQUEST = "request"
     REPLY = "reply"
@@ -139,8 +139,7 @@ Fields = tuple[MspField | MspGroup, ...]
 
 @dataclass(frozen=True)
 class MspLayout:
-    """The payload of a message. `required`: so many of its fields must be there, newer versions have the
-    rest."""
+    """The payload of a message. `required`: number of its first fields that must be present."""
 
     message: Msp
     direction: Direction
@@ -165,58 +164,58 @@ class Configuration:
 
 # --- How the tables of the other files are written ------------------------------------------------
 def number(kind: str, name: str, unit: str = "", meaning: str = "") -> MspField:
-    """A number."""
+    """Describe a field with one number."""
     return MspField(name, kind, unit, meaning)
 
 
 def numbers(kind: str, names: str, unit: str = "", meaning: str = "") -> tuple[MspField, ...]:
-    """Numbers of one kind; their names, separated by spaces."""
+    """Describe several numbers of one kind, one field each; names are separated by spaces."""
     return tuple(MspField(name, kind, unit, meaning) for name in names.split())
 
 
 def bound(kind: str, name: str, to: Bound, unit: str = "", meaning: str = "", count: int = 1) -> MspField:
-    """A field of a configuration message."""
+    """Describe a field of a configuration message."""
     return MspField(name, kind, unit, meaning, count, to)
 
 
 def told(kind: str, name: str, to: Bound, unit: str = "", meaning: str = "") -> MspField:
-    """The same, passed over in a SET, as another field brings it too."""
+    """Describe a field that a SET ignores, because another field brings its value too."""
     return MspField(name, kind, unit, meaning, bound=to, told_only=True)
 
 
 def zeros(kind: str, names: str) -> tuple[MspField, ...]:
-    """Fields of a configuration message that this firmware has nothing for: 0, and nothing else is taken."""
+    """Describe fields that this firmware does not use: only 0 is sent and accepted."""
     return tuple(MspField(name, kind, bound=constant(0)) for name in names.split())
 
 
 def reply(
     message: Msp, *fields: MspField | MspGroup, required: int | None = None, meaning: str = ""
 ) -> MspLayout:
-    """What answers a message."""
+    """Describe the reply of a message."""
     return MspLayout(message, Direction.REPLY, fields, required, meaning)
 
 
 def request(
     message: Msp, *fields: MspField | MspGroup, required: int | None = None, meaning: str = ""
 ) -> MspLayout:
-    """What a message brings."""
+    """Describe the request of a message."""
     return MspLayout(message, Direction.REQUEST, fields, required, meaning)
 
 
 def pair(
     get: Msp, set_: Msp, *fields: MspField, required: int = 1, read_first: bool = False
 ) -> Configuration:
-    """A message whose SET brings what the GET tells."""
+    """Describe a message and the SET that brings the same fields."""
     return Configuration(reply(get, *fields), request(set_, *fields, required=required), read_first)
 
 
 def read_only(get: Msp, *fields: MspField) -> Configuration:
-    """A message that nothing sets."""
+    """Describe a message that nothing sets."""
     return Configuration(reply(get, *fields))
 
 
 def flat(fields: Fields) -> Iterator[MspField]:
-    """Every field, those of groups too, in order."""
+    """Yield every field in order, also those of groups."""
     for field in fields:
         if isinstance(field, MspGroup):
             yield from field.fields

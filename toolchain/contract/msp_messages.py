@@ -300,6 +300,6 @@ _BY_KEY = {(layout.message, layout.direction): layout for layout in LAYOUTS}
 
 
 def layout_of(message: Msp, direction: Direction = Direction.REPLY) -> MspLayout:
-    """The layout of a message. Raises KeyError where it has none: an empty payload, or one that
-    flash/records.py and flash/requests.py read."""
+    """Return the layout of a message. Raises KeyError if its payload is empty, or is read by flash/records.py
+    and flash/requests.py."""
     return _BY_KEY[message, direction]

@@ -1,4 +1,4 @@
-"""What a policy may observe: blocks, low-passed and delayed terms of them, and their limits."""
+"""The observation of a policy: blocks, low-passed and delayed terms of them, and their limits."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from enum import IntEnum
 
 
 class Width(IntEnum):
-    """How wide a block is: a fixed count, or one value a motor."""
+    """The width of a block: a fixed count, or one value a motor."""
 
     SCALAR = 1
     AXES = 3
@@ -19,7 +19,7 @@ class Width(IntEnum):
 
 @dataclass(frozen=True)
 class ObservationBlock:
-    """A named piece of what a control step knows."""
+    """A named quantity known in a control step."""
 
     name: str
     code: int
@@ -29,7 +29,7 @@ class ObservationBlock:
     in_firmware: bool = True  # the firmware has a source for it
 
     def count(self, motors: int) -> int:
-        """Number of float32 values of this block on an aircraft with `motors` motors."""
+        """Return the number of float32 values of this block on an aircraft with `motors` motors."""
         return motors if self.width is Width.MOTORS else int(self.width)
 
 
@@ -91,20 +91,20 @@ class ObservationTerm:
 
     @property
     def text(self) -> str:
-        """As a policy writes it: NAME[~fHz][@k]."""
+        """Text in a policy's metadata: NAME[~fHz][@k]."""
         cutoff = "" if self.cutoff_hz is None else f"~{self.cutoff_hz!r}".removesuffix(".0") + "Hz"
         return f"{self.name}{cutoff}" + (f"@{self.age}" if self.age else "")
 
     def count(self, motors: int) -> int:
-        """Number of float32 values on an aircraft with `motors` motors."""
+        """Return the number of float32 values on an aircraft with `motors` motors."""
         return self.block.count(motors)
 
     def memory(self, motors: int) -> int:
-        """Number of float32 values that outlive a step: the low-pass's, and those that wait to be old."""
+        """Return the number of float32 values kept between steps: the low-pass's and the delayed ones."""
         return self.count(motors) * (self.age + (self.cutoff_hz is not None))
 
     def gain(self, control_rate_hz: int) -> float:
-        """The low-pass's a, above 0 and below 1, exactly a float32; 0 for a term without one."""
+        """Return the low-pass's coefficient a, 0 < a < 1, exactly a float32; 0 for a term without one."""
         if self.cutoff_hz is None:
             return 0.0
         (gain,) = struct.unpack(
@@ -120,12 +120,12 @@ _TERM = re.compile(
 
 
 def observation_blocks(text: str) -> tuple[ObservationTerm, ...]:
-    """Terms in the comma-separated `text`, in order. Raises ValueError, one line, on one that is none."""
+    """Parse the terms in the comma-separated `text`. Raises ValueError, one line, for an unknown one."""
     return tuple(_observation_term(term) for term in text.split(","))
 
 
 def _shown(text: str) -> str:
-    """What a user wrote, as a message quotes it: one line, not too long."""
+    """Quote a user's text for a message: one line, not too long."""
     return repr(text if len(text) <= SHOWN_MAX else f"{text[: SHOWN_MAX - 3]}...")
 
 
@@ -148,22 +148,22 @@ def _observation_term(text: str) -> ObservationTerm:
 
 
 def needs_model(terms: tuple[ObservationTerm, ...]) -> bool:
-    """Whether a policy that observes `terms` needs the constants of a model of its aircraft."""
+    """Return True if a policy that observes `terms` needs the constants of a model of its aircraft."""
     return any(term.name in MODEL_BLOCKS for term in terms)
 
 
 def observation_count(terms: tuple[ObservationTerm, ...], motors: int) -> int:
-    """Width of the policy's input."""
+    """Return the width of the policy's input."""
     return sum(term.count(motors) for term in terms)
 
 
 def observation_memory(terms: tuple[ObservationTerm, ...], motors: int) -> int:
-    """Floats that an observation of these terms remembers from step to step."""
+    """Return the number of floats that these terms keep from step to step."""
     return sum(term.memory(motors) for term in terms)
 
 
 def check_cutoffs(terms: tuple[ObservationTerm, ...], control_rate_hz: int) -> None:
-    """Raises ValueError, one line, on a low-pass that is none at this control rate."""
+    """Raise ValueError, one line, for a low-pass that is impossible at this control rate."""
     for term in terms:
         if term.cutoff_hz is not None and not term.cutoff_hz < control_rate_hz / 2:
             raise ValueError(
@@ -173,7 +173,7 @@ def check_cutoffs(terms: tuple[ObservationTerm, ...], control_rate_hz: int) -> N
 
 
 def check_observation(terms: tuple[ObservationTerm, ...], motors: int) -> None:
-    """Raises ValueError, one line, naming the first figure that is more than an observation may have."""
+    """Raise ValueError, one line, naming the first limit of an observation that is exceeded."""
     for count, most, what in (
         (len(terms), OBSERVATION_TERMS_MAX, "has {} terms"),
         (observation_count(terms, motors), OBSERVATION_COUNT_MAX, "has {} values"),

@@ -25,7 +25,7 @@ META_TRAINING = "neuroflight.training"
 POLICY_FILE_BYTES_MAX = 4 << 20
 SELFTEST_COUNT = 16
 
-# --- Policy blob: the bytes that a policy slot holds (docs/policy-blob.md) ---------------------
+# --- Policy blob: the bytes that a policy slot holds (docs/reference/policy-blob.md) ---------------------
 # header | float32 weights | float32 self-test observations | float32 self-test actions | CRC-32, each part
 # behind the one before without a gap, all little-endian.
 POLICY_BLOB_MAGIC = 0x4250464E  # "NFPB"
@@ -99,7 +99,7 @@ POLICY_BLOB_HEADER_FORMAT = "<" + "".join(field.format for field in POLICY_BLOB_
 
 @dataclass(frozen=True)
 class PolicyHeader:
-    """What a blob says about itself. Nothing of it is checked but that it begins as a header does."""
+    """The header of a blob, unchecked except for its magic number."""
 
     layout: int
     total_bytes: int
@@ -117,7 +117,7 @@ class PolicyHeader:
 
 
 def policy_header(blob: bytes | bytearray) -> PolicyHeader | None:
-    """The header that `blob` begins with; None: there is none."""
+    """Decode the header at the start of `blob`; None if there is none."""
     if len(blob) < struct.calcsize(POLICY_BLOB_HEADER_FORMAT):
         return None
     values = struct.unpack_from(POLICY_BLOB_HEADER_FORMAT, blob)
@@ -132,12 +132,12 @@ def policy_header(blob: bytes | bytearray) -> PolicyHeader | None:
 
 
 def policy_checksum(blob: bytes | bytearray) -> int:
-    """The CRC-32 that a blob has to end with."""
+    """Compute the CRC-32 that a blob has to end with."""
     return zlib.crc32(blob[:-POLICY_BLOB_CRC_BYTES])
 
 
 def bound_policy(blob: bytes | bytearray, build: bytes, sequence: int = 0) -> bytes:
-    """The blob as it goes into a slot with an image: of that build, with that sequence number."""
+    """Return the blob for a slot beside the image of `build`, with that sequence number."""
     values = list(struct.unpack_from(POLICY_BLOB_HEADER_FORMAT, blob))
     names = [field.name for field in POLICY_BLOB_FIELDS]
     values[names.index("build")], values[names.index("sequence")] = build, sequence

@@ -82,7 +82,7 @@ HANDOVER_MS = 50  # in which a change of controller passes from the old outputs 
 
 
 class FlightState(IntEnum):
-    """What the firmware is doing; firmware/src/safety/safety.c has the transitions."""
+    """States of the firmware; firmware/src/safety/safety.c has the transitions."""
 
     BOOT = 0
     CALIBRATING = 1
@@ -139,7 +139,7 @@ ARMING_FLAG_COUNT = 32
 
 
 class StopCause(IntEnum):
-    """Why the motors stopped last."""
+    """Causes of the motors' last stop."""
 
     NONE = 0
     SWITCH = 1
@@ -154,7 +154,7 @@ class StopCause(IntEnum):
 
 
 class FallbackCause(IntEnum):
-    """Why the PID flies instead of the policy; all but the pilot's switch refuse it until acknowledged."""
+    """Reasons why the PID flies; all but the pilot's switch keep the policy out until acknowledged."""
 
     NONE = 0
     SWITCH = 1  # the pilot's
@@ -167,7 +167,7 @@ class FallbackCause(IntEnum):
 
 
 class GyroHealth(IntEnum):
-    """What is wrong with the gyro's samples."""
+    """Faults of the gyro's samples."""
 
     GOOD = 0
     INVALID = 1  # the transfer failed or the value is no rate

@@ -59,7 +59,7 @@ def compile_arm(*arguments: str, out: Path) -> None:
 
 
 def state_bytes(program: Path) -> int:
-    """sizeof(struct policy) in an ELF that was compiled with -g. Raises BuildError when it does not tell."""
+    """Read sizeof(struct policy) from an ELF that was compiled with -g. Raises BuildError without it."""
     with program.open("rb") as file:
         elf = ELFFile(file)
         units = elf.get_dwarf_info().iter_CUs() if elf.has_dwarf_info() else ()
@@ -96,7 +96,7 @@ class ArmPolicy:
         self.init()
 
     def init(self, table: Float32 | None = None) -> None:
-        """policy_init with another table of weights, None for the one that the program brings."""
+        """Call policy_init with another table of weights, or with the program's own if it is None."""
         if table is None:
             self.machine.call("policy_init", self._state, self._own)
             return
@@ -108,7 +108,7 @@ class ArmPolicy:
         self.machine.write(self.observation, np.asarray(observation, np.float32).tobytes())
 
     def actions(self, observations: Float32) -> Float32:
-        """Actions (N, outputs) of observations (N, inputs), one call of policy_step each."""
+        """Compute the actions (N, outputs) of observations (N, inputs), one call of policy_step each."""
         actions = np.empty((len(observations), self.outputs), np.float32)
         for observation, action in zip(observations, actions, strict=True):
             self.observe(observation)

@@ -1,4 +1,4 @@
-"""What a function costs on the Cortex-M7: instructions, exactly; cycles, as predicted.
+"""The cost of a function on the Cortex-M7: instructions, exactly; cycles, as predicted.
 
 An emulated core says which runs of code a call executes and how often, the disassembly which instructions
 stand in them. Runs are cut into basic blocks by two rules that need no knowledge of the program: a block
@@ -46,7 +46,7 @@ class BlockCost:
 
 @dataclass(frozen=True)
 class RouteCost:
-    """What one route through a function costs, block by block in the order of addresses."""
+    """The cost of one route through a function, block by block in order of addresses."""
 
     blocks: tuple[BlockCost, ...]
 
@@ -74,13 +74,13 @@ class RouteCost:
         )
 
     def cycles_with_devices(self, accesses: int) -> float | None:
-        """Predicted, with what `accesses` of peripherals' registers and the barriers are assumed to take."""
+        """Predict the cycles, with those for `accesses` to peripherals' registers and for barriers."""
         return None if self.cycles is None else self.cycles + DEVICE_CYCLES * (accesses + self.barriers)
 
 
 @dataclass(frozen=True)
 class Priced:
-    """What routes cost, in cycles as well where there is a model."""
+    """The costs of routes, in cycles as well if there is a model."""
 
     costs: tuple[RouteCost, ...]
     pricer: str  # which model priced cycles; "" for none
@@ -88,15 +88,15 @@ class Priced:
 
 
 def route_of(runs: Iterable[tuple[int, int]]) -> Route:
-    """The route of a call from the runs of code it executed (`CortexM7.recording`)."""
+    """Return the route of a call from the runs of code it executed (`CortexM7.recording`)."""
     return frozenset(Counter(runs).items())
 
 
 def route_costs(routes: Sequence[Route], code: Mapping[int, Instruction], *, price: bool) -> list[RouteCost]:
-    """The cost of each route. `code`: the program's disassembly.
+    """Compute the cost of each route. `code`: the program's disassembly.
 
     price: predict cycles; llvm-mca runs once, for the blocks of all routes. Raises PricingError then, and
-    BuildError where code was executed that the disassembly does not have.
+    BuildError if executed code is not in the disassembly.
     """
     executed = [_executed(route, code) for route in routes]
     blocks = _blocks(executed, code)
@@ -114,9 +114,9 @@ def route_costs(routes: Sequence[Route], code: Mapping[int, Instruction], *, pri
 
 
 def price_routes(routes: Sequence[Route], code: Mapping[int, Instruction]) -> Priced:
-    """The cost of each route; where llvm-mca is missing or lacks an instruction, without cycles.
+    """Compute the cost of each route, without cycles if llvm-mca is missing or lacks an instruction.
 
-    Raises BuildError where code was executed that the disassembly does not have.
+    Raises BuildError if executed code is not in the disassembly.
     """
     try:
         pricer = pricer_version()
@@ -126,7 +126,7 @@ def price_routes(routes: Sequence[Route], code: Mapping[int, Instruction]) -> Pr
 
 
 def _executed(route: Route, code: Mapping[int, Instruction]) -> Counter[int]:
-    """How often each instruction was executed, by its address."""
+    """Count the executions of each instruction, by address."""
     counts: Counter[int] = Counter()
     for (start, size), times in route:
         address = start
@@ -141,10 +141,10 @@ def _executed(route: Route, code: Mapping[int, Instruction]) -> Counter[int]:
 def _blocks(
     executed: Sequence[Counter[int]], code: Mapping[int, Instruction]
 ) -> list[tuple[Instruction, ...]]:
-    """Basic blocks of all that was executed.
+    """Split all executed code into basic blocks.
 
     Code that does not branch runs on, so the count can only grow from one instruction to the next within a
-    route; where the sum over all routes is level, it is so in each.
+    route; if the sum over all routes is level, it is level in each.
     """
     total: Counter[int] = Counter()
     for counts in executed:

@@ -38,7 +38,7 @@ class Instruction:
 
     @property
     def text(self) -> str:
-        """As it is written."""
+        """Text of the instruction."""
         return f"{self.mnemonic} {self.operands}".strip()
 
     @property
@@ -49,21 +49,21 @@ class Instruction:
 
     @property
     def is_branch(self) -> bool:
-        """Whether what runs next may stand elsewhere."""
+        """True if the next instruction may be elsewhere."""
         to_pc = re.search(r"\bpc\}", self.operands) or self.operands.startswith("pc,")
         return bool(to_pc or BRANCH.fullmatch(self.operation))
 
     @property
     def is_conditional(self) -> bool:
-        """Whether it may be skipped in its place."""
+        """True if it may be skipped."""
         return bool(self.condition)
 
 
 def disassemble(program: Path, *, lines: bool = False) -> dict[int, Instruction]:
-    """Every instruction of the ELF file `program` by its address, in ascending order; data is left out.
+    """Disassemble the ELF file `program`: every instruction by its address, ascending, without data.
 
-    lines: look up the line of C of each, where the program was compiled with -g.
-    Raises BuildError when the disassembler is missing or refuses.
+    lines: look up the line of C of each, if the program was compiled with -g.
+    Raises BuildError if the disassembler is missing or fails.
     """
     if shutil.which(DISASSEMBLER) is None:
         raise BuildError(f"{DISASSEMBLER} is not installed; run: sudo apt-get install {PACKAGE}")

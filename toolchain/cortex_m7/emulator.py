@@ -116,13 +116,13 @@ class Program:
     sections: Mapping[str, int]  # size [bytes] of those that occupy memory
 
     def symbol(self, name: str) -> Symbol:
-        """The symbol `name`. Raises BuildError when the program has none."""
+        """Return the symbol `name`. Raises BuildError if the program has none."""
         if name not in self.symbols:
             raise BuildError(f"{self.path.name} has no {name}; link a program that does")
         return self.symbols[name]
 
     def place(self, address: int) -> str:
-        """`address` as people read it: policy_step+0x1a, or the bare number outside all functions."""
+        """Format `address` as policy_step+0x1a, or as the bare number outside all functions."""
         for symbol in self._functions:
             if symbol.address <= address < symbol.address + max(symbol.size, 1):
                 return f"{symbol.name}+0x{address - symbol.address:x}"
@@ -134,9 +134,9 @@ class Program:
 
 
 def load_program(path: Path) -> Program:
-    """The program in the ELF file `path`. Raises BuildError when it is none for this core.
+    """Load the program in the ELF file `path`. Raises BuildError for any other file.
 
-    A file that was read is parsed again only where its bytes are others.
+    Unchanged bytes are not parsed again.
     """
     try:
         if file_size(path) > ELF_BYTES_MAX:
@@ -175,7 +175,7 @@ class CortexM7:
         self._uc.hook_add(UC_HOOK_MEM_INVALID, self._note_access)
 
     def allocate(self, size: int) -> int:
-        """The address of `size` fresh bytes of zero, 64-byte aligned; they are never given back."""
+        """Allocate `size` zeroed bytes, 64-byte aligned, and return their address; they are never freed."""
         address = self._free
         self._free += -(-size // 64) * 64
         if self._free > ARENA.address + ARENA.size:
@@ -183,7 +183,7 @@ class CortexM7:
         return address
 
     def read(self, address: int, size: int) -> bytes:
-        """`size` bytes of memory."""
+        """Read `size` bytes of memory."""
         return bytes(self._uc.mem_read(address, size))
 
     def write(self, address: int, data: bytes) -> None:
@@ -238,7 +238,7 @@ class CortexM7:
             yield blocks
 
     def stack_bytes(self, function: str, *arguments: int) -> int:
-        """The stack that a call takes at its deepest: the stack pointer is read before every instruction."""
+        """Measure the deepest stack of a call: the stack pointer is read before every instruction."""
         top = lowest = STACK.address + STACK.size
 
         def look(uc: Uc, _address: int, _size: int, _data: object) -> None:
@@ -250,7 +250,7 @@ class CortexM7:
         return top - lowest
 
     def accesses(self, region: Region, function: str, *arguments: int) -> int:
-        """How often a call reads or writes in `region`."""
+        """Count the reads and writes of a call in `region`."""
         count = 0
 
         def note(uc: Uc, *_: object) -> bool:
@@ -336,7 +336,7 @@ def _pages(address: int, size: int) -> range:
 
 
 def _joined(pages: Mapping[int, int]) -> Iterator[tuple[int, int, int]]:
-    """Neighbouring pages of one protection as (address, size, protection)."""
+    """Yield neighbouring pages with equal protection as (address, size, protection)."""
     start, end, allowed = 0, 0, -1
     for page, protection in sorted(pages.items()):
         if page == end and protection == allowed:

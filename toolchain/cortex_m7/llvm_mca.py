@@ -1,9 +1,9 @@
-"""What basic blocks cost on a Cortex-M7 by llvm-mca's model of it, with two corrections.
+"""The cycles of basic blocks on a Cortex-M7, by llvm-mca's model of it with two corrections.
 
 The cost of a block is the marginal one: with the block written n times over, what a repetition adds to
 the cycles, (C(300) - C(100)) / 200. That is what a loop's body costs in a loop, and what code that runs on
 into other code costs; a lone block would pay for filling and emptying the pipeline each time.
-docs/timing.md says how this was held against published figures, and what the model leaves out.
+docs/explanation/timing.md says how this was held against published figures, and what the model leaves out.
 
 1. llvm-mca prices a VLDM of 16 registers like one of one, the core moves 64 bits a cycle. So LDM, STM, VLDM,
    VSTM, PUSH and POP of n words are written as ceil(n / 2) accesses of 64 bits: the same registers in the
@@ -38,22 +38,22 @@ Block = Sequence[Instruction]
 
 
 class PricingError(BuildError):
-    """No price for a block: llvm-mca is missing, or does not know an instruction."""
+    """A block without a price: llvm-mca is missing, or does not know an instruction."""
 
 
 def find_pricer() -> str | None:
-    """The name of an installed llvm-mca, or None."""
+    """Return the name of an installed llvm-mca, or None."""
     return PRICER if shutil.which(PRICER) else None
 
 
 def pricer_version() -> str:
-    """The version of llvm-mca in a few words, "LLVM 14.0.6". Raises PricingError when it is missing."""
+    """Return the version of llvm-mca, such as "LLVM 14.0.6". Raises PricingError if it is missing."""
     words = _run(["--version"], "").split("LLVM version", 1)
     return f"LLVM {words[1].split()[0]}" if len(words) == 2 else "LLVM of unknown version"
 
 
 def block_cycles(blocks: Sequence[Block]) -> list[float]:
-    """Predicted cycles of each block, branch included. Raises PricingError."""
+    """Predict the cycles of each block, branch included. Raises PricingError."""
     texts = [tuple(line for instruction in block for line in assembly(instruction)) for block in blocks]
     distinct = list(dict.fromkeys(text for text in texts if text))
     lines = [".syntax unified", ".thumb"]
@@ -72,11 +72,12 @@ def block_cycles(blocks: Sequence[Block]) -> list[float]:
 
 
 def assembly(instruction: Instruction) -> tuple[str, ...]:
-    """`instruction` as llvm-mca takes and prices it: none, one or several lines.
+    """Return `instruction` as llvm-mca takes and prices it: none, one or several lines.
 
-    Conditions go (a skipped instruction takes its place in the pipeline too), IT with them; calls become
-    jumps, because what is called is counted by itself; VCMPE and comparing with zero, which the model lacks,
-    become VCMP of two registers; masks of interrupts take their place and no more.
+    Conditions are left out with their IT, because a skipped instruction takes its place in the pipeline too;
+    calls become jumps, because the called function is counted separately; VCMPE and comparing with zero,
+    which
+    the model lacks, become VCMP of two registers; masks of interrupts become one cycle.
     """
     operation, operands = instruction.operation, instruction.operands
     if re.fullmatch("it[te]*", instruction.mnemonic):
@@ -105,7 +106,7 @@ def _branch(operation: str, operands: str) -> str:
 
 
 def _multiple(kind: re.Match[str], operands: str) -> Iterator[str]:
-    """Accesses of 64 bits in place of a load or store of several words."""
+    """Yield accesses of 64 bits in place of a load or store of several words."""
     vector, name, _ = kind.groups()
     on_stack = name in ("push", "pop")
     base, registers = ("sp!", operands) if on_stack else operands.split(",", 1)
@@ -122,14 +123,14 @@ def _multiple(kind: re.Match[str], operands: str) -> Iterator[str]:
 
 @dataclass(frozen=True)
 class _Access:
-    """Writes accesses of at most 64 bits."""
+    """Accesses of at most 64 bits that replace one instruction."""
 
     vector: str  # "v" or ""
     is_load: bool
     base: str
 
     def pair(self, first: str, second: str) -> str:
-        """Two words, the base as it was. VLDR of a double takes an even register first; a VLDM any."""
+        """Write an access of two words without write-back. VLDR of a double needs an even first register."""
         if not self.vector:
             return f"{'ldrd' if self.is_load else 'strd'} {first}, {second}, [{self.base}]"
         if int(first[1:]) % 2 == 0:
@@ -137,7 +138,7 @@ class _Access:
         return self.last([first, second], writes_back=False)
 
     def last(self, words: Sequence[str], *, writes_back: bool) -> str:
-        """One or two words; a core register alone has no multiple."""
+        """Write an access of one or two words; a single core register has no multiple."""
         if not self.vector and len(words) == 1:
             return f"{'ldr' if self.is_load else 'str'} {words[0]}, [{self.base}]{', #4' * writes_back}"
         name = f"{self.vector}{'ldm' if self.is_load else 'stm'}ia"
@@ -145,7 +146,7 @@ class _Access:
 
 
 def _words(registers: str) -> list[str]:
-    """The 32-bit registers of a list: {r4-r7, pc}, {s16-s31}, {d8, d9}."""
+    """List the 32-bit registers of a list such as {r4-r7, pc}, {s16-s31}, {d8, d9}."""
     words: list[str] = []
     for part in registers.strip(" {}").split(","):
         first, _, last = part.strip().partition("-")
@@ -158,7 +159,7 @@ def _words(registers: str) -> list[str]:
 
 
 def _totals(lines: Sequence[str]) -> list[int]:
-    """Cycles of each region of the text, in order."""
+    """Run llvm-mca and return the cycles of each region of the text, in order."""
     options = ["-march=thumb", f"-mtriple={TRIPLE}", "-mcpu=cortex-m7", f"-iterations={SHORT}", "-json"]
     answer = json.loads(_run(options, "\n".join(lines) + "\n"))
     return [int(region["SummaryView"]["TotalCycles"]) for region in answer["CodeRegions"]]

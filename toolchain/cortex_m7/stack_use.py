@@ -149,7 +149,7 @@ class _Function:
 
 
 def stack_use(program: Path, objects: Path) -> StackUse:
-    """The worst case of the image `program`, whose .su files lie below `objects`. Raises StackError."""
+    """Compute the worst case of the image `program`, with .su files below `objects`. Raises StackError."""
     code = _Code(program, _usages(objects))
     thread = code.depth(THREAD)
     levels = tuple(max((code.depth(name) for name in level), key=lambda d: d.size) for level in LEVELS)
@@ -163,7 +163,7 @@ def stack_use(program: Path, objects: Path) -> StackUse:
 
 
 def _usages(objects: Path) -> dict[tuple[str, str], int]:
-    """Bytes of each function by its file and name."""
+    """Read the bytes that each function reserves, by its file and name."""
     found: dict[tuple[str, str], int] = {}
     for path in sorted(objects.rglob("*.su")):
         for line in path.read_text().splitlines():
@@ -200,7 +200,7 @@ class _Code:
         self._known: dict[int, Depth] = {}
 
     def depth(self, name: str) -> Depth:
-        """The deepest path that begins with the function `name`."""
+        """Return the deepest path that begins with the function `name`."""
         return self._depth(self._one(name), ())
 
     def _depth(self, function: _Function, callers: tuple[_Function, ...]) -> Depth:
@@ -215,7 +215,7 @@ class _Code:
         return self._known[function.start]
 
     def _own(self, function: _Function) -> int:
-        """The function's own frame; where the compiler tells none, what its code pushes."""
+        """Return the size of a function's own frame: the compiler's, or the bytes that its code pushes."""
         name = _CLONE.sub("", function.name)
         told = [
             size
@@ -251,7 +251,7 @@ class _Code:
         yield from found
 
     def _named(self, place: str) -> list[_Function]:
-        """The function that FILE:NAME says, or those in the tables called so."""
+        """Return the function FILE:NAME, or the functions in the tables of that name."""
         file, name = place.split(":")
         functions = [found for found in self._names.get(name, ()) if found.file in ("", file)]
         if not (goals := functions or self._tables(file, name)):
@@ -259,7 +259,7 @@ class _Code:
         return goals
 
     def _tables(self, file: str, name: str | None = None) -> list[_Function]:
-        """The functions that constant tables of `file` hold, all of them or the one called `name`."""
+        """Return the functions in the constant tables of `file`, or in the one called `name`."""
         words = {
             word & ~1
             for (home, known), held in self._objects.items()
@@ -274,7 +274,7 @@ class _Code:
         return self._functions[address]
 
     def _one(self, name: str) -> _Function:
-        """The function `name`; of several local ones the deepest."""
+        """Return the function `name`; the deepest if several files have one."""
         if name not in self._names:
             raise StackError(f"the image has no function {name}")
         candidates = self._names[name]
@@ -298,7 +298,7 @@ def _functions(elf: ELFFile) -> Iterator[_Function]:
 
 
 def _objects(elf: ELFFile) -> dict[tuple[str, str], tuple[int, ...]]:
-    """The words of each constant or initialized object, by its file ("" for a global one) and name."""
+    """Return the words of each constant or initialized object, by its file ("" for a global one) and name."""
     table = elf.get_section_by_name(".symtab")
     assert isinstance(table, SymbolTableSection)
     found: dict[tuple[str, str], tuple[int, ...]] = {}
@@ -328,7 +328,7 @@ def _goes_by_pointer(instruction: Instruction) -> bool:
 
 
 def _pushed_bytes(instruction: Instruction) -> int:
-    """What one instruction takes off the stack pointer."""
+    """Return the bytes that one instruction takes off the stack pointer."""
     name, operands = instruction.operation, instruction.operands
     if _SAVED.match(name) and (name.endswith("push") or operands.startswith("sp!")):
         return sum(_register_bytes(part) for part in operands[operands.index("{") + 1 : -1].split(","))
@@ -340,7 +340,7 @@ def _pushed_bytes(instruction: Instruction) -> int:
 
 
 def _register_bytes(part: str) -> int:
-    """Bytes of a register or a span of them in a list."""
+    """Return the bytes of a register or a span of them in a list."""
     first, _, last = part.strip().partition("-")
     count = int(last[1:]) - int(first[1:]) + 1 if last else 1
     return count * (8 if first.startswith("d") else 4)

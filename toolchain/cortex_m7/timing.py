@@ -1,4 +1,4 @@
-"""How long a policy takes on the board's Cortex-M7, over many observations, and what memory it needs."""
+"""The time of a policy's step on the board's Cortex-M7, over many observations, and its memory."""
 
 from __future__ import annotations
 
@@ -76,11 +76,11 @@ class Timing:
         return 1e6 * cycles / CORE_HZ
 
     def share(self, cycles: float) -> float:
-        """Part of a control period that `cycles` take, 0..1."""
+        """Return the share of a control period that `cycles` take, 0..1."""
         return cycles * self.control_rate_hz / CORE_HZ
 
     def limit_ratio(self, cycles: float) -> float:
-        """`cycles` in units of the arithmetic limit, one multiply-accumulate a cycle."""
+        """Return `cycles` relative to the arithmetic limit, one multiply-accumulate a cycle."""
         return cycles / max(self.multiply_accumulates, 1)
 
 
@@ -116,7 +116,7 @@ def time_policy(
 
 
 def step_cost(policy: ArmPolicy, observations: Float32, *, progress: Progress | None = None) -> Cost:
-    """What policy_step costs over `observations` (N, inputs), one after the other."""
+    """Measure the cost of policy_step over `observations` (N, inputs), one after the other."""
     return call_cost(policy.machine, policy.step, policy.observation, observations, progress=progress)
 
 
@@ -128,9 +128,9 @@ def call_cost(
     *,
     progress: Progress | None = None,
 ) -> Cost:
-    """What `call`, a function and its arguments, costs with each row of `values` in turn at address `place`.
+    """Measure `call`, a function and its arguments, with each row of `values` in turn at address `place`.
 
-    Where llvm-mca is missing or lacks an instruction, cycles are left out and the reason is given.
+    If llvm-mca is missing or lacks an instruction, cycles are left out and the reason is given.
     """
     seen: dict[Route, int] = {}
     with machine.recording() as runs:
@@ -151,7 +151,8 @@ def call_cost(
 
 
 def mixed_observations(count: int, inputs: int, seed: int = 0) -> Float32:
-    """Observations (count, inputs), in turn of unit scale, of any scale from 1e-6 to 1e6, and with extremes.
+    """Draw observations (count, inputs), in turn of unit scale, of any scale from 1e-6 to 1e6, and with
+    extremes.
 
     Every third holds extreme values among those of unit scale: zero, denormal, huge, infinite and NaN.
     """

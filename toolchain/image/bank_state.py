@@ -1,4 +1,4 @@
-"""What a board keeps of the image in a bank: the marks of firmware/src/storage/image_bank.h, as bytes."""
+"""The state that a board keeps of a bank's image, as bytes: firmware/src/storage/image_bank.h."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _AT = FLASH_BANK_A.address - FLASH_BASE
 
 
 def state(*, sequence: int, confirmed: bool, written: bool = False) -> bytes:
-    """The state of a bank whose image has the number `sequence`: its first words, at the bank's tail."""
+    """Encode the state of a bank whose image has the number `sequence`, for the bank's tail."""
     number = struct.pack("<2I", sequence, sequence ^ _ERASED)
     return struct.pack(
         IMAGE_STATE_FORMAT,
@@ -34,9 +34,9 @@ def state(*, sequence: int, confirmed: bool, written: bool = False) -> bytes:
 
 
 def proven(flash: bytes) -> bytes:
-    """The flash of a board on which the image of bank A has run well before.
+    """Return the flash of a board on which the image of bank A has run successfully before.
 
-    flash: bytes from its begin on, such as a .bin; without an image they stay as they are.
+    flash: bytes from its start on, such as a .bin; without an image they are returned unchanged.
     """
     magic = flash[_AT + IMAGE_HEADER_OFFSET :][:4]
     tail = _AT + FLASH_BANK_A.size - IMAGE_TAIL_BYTES

@@ -118,7 +118,7 @@ class MakeError(BuildError):
     """A compilation that failed; `output` is all that make and the compiler said."""
 
     def __init__(self, message: str, output: str) -> None:
-        """One line for the user, and the compiler's words for whoever mends the code."""
+        """message: one line for the user; output: the compiler's own, for whoever mends the code."""
         super().__init__(message)
         self.output = output
 
@@ -186,7 +186,7 @@ def build(
 
 
 def find_target(name: str) -> Target:
-    """The target called `name`. Raises BuildError listing the known ones."""
+    """Return the target called `name`. Raises BuildError listing the known ones."""
     if name not in TARGETS:
         raise BuildError(f"unknown TARGET {name!r}, known are {', '.join(TARGETS)}")
     return TARGETS[name]
@@ -280,7 +280,7 @@ def run_make(target: Target, root: Path, out: Path, generated: Path) -> int:
 
 @contextmanager
 def _named_for_make(folders: Mapping[str, Path], firmware: Path) -> Iterator[list[str]]:
-    """NAME=PATH of folders as make takes them, which knows no names with a space and other characters.
+    """Yield NAME=PATH of folders for make, which cannot handle a space and some other characters in a path.
 
     A checkout in such a place still has plain paths relative to `firmware`, where make works. A folder
     elsewhere is reached by a link of a plain name.
@@ -301,13 +301,13 @@ def _named_for_make(folders: Mapping[str, Path], firmware: Path) -> Iterator[lis
 
 
 def _environment(environment: Mapping[str, str]) -> dict[str, str]:
-    """`environment` without what an outer make hands down: its job slots and its variables are not ours."""
+    """Return `environment` without the job slots and variables of an outer make."""
     outer = ("MAKEFLAGS", "MFLAGS", "MAKEOVERRIDES", "MAKELEVEL")
     return {name: value for name, value in environment.items() if name not in outer} | {"LC_ALL": "C"}
 
 
 def _step_cost(compiled: CompiledPolicy, image: Path) -> Cost:
-    """What policy_step takes inside the image. Raises FaultError when it fails there."""
+    """Measure policy_step inside the image. Raises FaultError if it fails there."""
     policy = compiled.policy
     arm = ArmPolicy(load_program(image), policy.observation_count, policy.action_count, BOARD_MEMORY)
     return step_cost(arm, mixed_observations(OBSERVATIONS, policy.observation_count))
@@ -326,7 +326,7 @@ def _image_size(image: Image, objects: Path, compiled: CompiledPolicy) -> ImageS
 
 
 def _stack(target: Target, image: Path, objects: Path) -> tuple[StackUse | None, str | None]:
-    """The deepest that the image's stack becomes; None with the reason where that is not known."""
+    """Compute the deepest stack of the image; None with the reason if that is unknown."""
     if not target.has_board_memory:
         return None, NO_STACK
     try:

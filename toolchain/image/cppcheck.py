@@ -31,9 +31,9 @@ OPTIONS = (
 
 
 def analyse(policy: Path, firmware: Path = FIRMWARE) -> str:
-    """What cppcheck finds in the firmware around `policy`, one finding a line; empty when it finds nothing.
+    """Run cppcheck on the firmware with `policy`: its findings, one a line; empty without any.
 
-    Raises PolicyError or BuildError when it cannot look.
+    Raises PolicyError or BuildError if it cannot run.
     """
     if shutil.which(ANALYSER) is None:
         raise BuildError(f"{ANALYSER} is not installed; run: sudo apt-get install {ANALYSER}")
@@ -55,7 +55,7 @@ def analyse(policy: Path, firmware: Path = FIRMWARE) -> str:
 
 
 def main(argv: Sequence[str]) -> int:
-    """Look, and print what was found. Returns 0 when that is nothing."""
+    """Run the check and print its findings. Returns 0 if there are none."""
     try:
         found = analyse(Path(argv[0]))
     except NeuroflightError as error:

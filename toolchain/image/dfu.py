@@ -49,14 +49,14 @@ class Segment(Protocol):
 
 @dataclass(frozen=True)
 class Loaded:
-    """What an ELF loads at an address."""
+    """Bytes that an ELF loads at an address."""
 
     address: int
     data: bytes
 
 
 def dfu_file(segments: Sequence[Segment]) -> bytes:
-    """The DfuSe file that puts `segments` into flash."""
+    """Encode the DfuSe file that writes `segments` to flash."""
     elements = b"".join(
         struct.pack(_ELEMENT, segment.address, len(segment.data)) + segment.data for segment in segments
     )
@@ -71,9 +71,9 @@ def dfu_file(segments: Sequence[Segment]) -> bytes:
 
 
 def loaded_parts(path: Path) -> tuple[Loaded, ...]:
-    """What the ELF `path` puts into flash, in order of address; parts that touch are one, of whole words.
+    """Read the parts that the ELF `path` loads into flash, by address, adjacent ones joined, in whole words.
 
-    Raises BuildError when it is no ELF.
+    Raises BuildError if it is no ELF.
     """
     parts: list[tuple[int, bytes]] = []
     try:

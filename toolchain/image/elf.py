@@ -49,7 +49,7 @@ VFP_REGISTERS = 1  # Tag_ABI_VFP_args: floats are passed in VFP registers (ARM I
 
 
 def read_flashable(path: Path) -> bytes:
-    """Content of a .bin, at most what the flash holds. Raises BuildError where it is not."""
+    """Read a .bin, at most as large as the flash. Raises BuildError otherwise."""
     try:
         size = file_size(path)
         if not 0 < size <= FLASH_BYTES:
@@ -84,7 +84,7 @@ class Segment:
 
 @dataclass(frozen=True)
 class MemoryUse:
-    """How much of a memory region an image takes."""
+    """The share of a memory region that an image takes."""
 
     region: str
     used: int  # bytes
@@ -93,7 +93,7 @@ class MemoryUse:
 
 @dataclass(frozen=True)
 class Image:
-    """What an ELF file says."""
+    """The facts of an ELF file."""
 
     machine: str  # "ARM", "x64", ...
     entry: int
@@ -104,12 +104,12 @@ class Image:
 
     @property
     def is_hard_float(self) -> bool:
-        """Whether floats are passed in VFP registers."""
+        """True if floats are passed in VFP registers."""
         return self.attributes.get("ABI_VFP_ARGS") == VFP_REGISTERS
 
 
 def read_image(path: Path) -> Image:
-    """The facts of the ELF file `path`. Raises BuildError when it is none."""
+    """Read the facts of the ELF file `path`. Raises BuildError if it is none."""
     try:
         file_size(path)  # raises for a pipe or a device, which would not end
         with path.open("rb") as file:
@@ -144,7 +144,7 @@ def memory_use(image: Image) -> tuple[MemoryUse, ...]:
 
 
 def image_budgets(image: Image) -> tuple[MemoryUse, ...]:
-    """How much of its limits an image takes: boot part, bank, policy slot, RAM beside weights and log.
+    """Return the image's use of its limits: boot part, bank, policy slot, RAM beside weights and log.
 
     Raises BuildError.
     """

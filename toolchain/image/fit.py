@@ -1,4 +1,4 @@
-"""What of the chip's memories is the policy's, and which of its functions run from ITCM.
+"""The policy's part of the chip's memories, and its functions that run from ITCM.
 
 image.ld keeps the rest of the image to what is left, so that a policy that fits its parts links whatever it
 consists of. Functions of the policy that find no room in its part of ITCM run from flash: the same bits, but
@@ -15,7 +15,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from neuroflight.toolchain import contract
-from neuroflight.toolchain.codegen.plan import Plan
+from neuroflight.toolchain.codegen.plan import CodePlan
 from neuroflight.toolchain.errors import BuildError, PolicyError
 from neuroflight.toolchain.image.elf import Section, read_image
 
@@ -28,7 +28,7 @@ ONCE = ("policy_step", "policy_init")
 ALIGNMENT, VENEER_BYTES = 8, 8  # of a function; what leads from ITCM to one in flash
 
 
-def check_memories(plan: Plan) -> None:
+def check_memories(plan: CodePlan) -> None:
     """Raise PolicyError naming the first memory that the policy is too large for."""
     weights, memory = plan.table.size, plan.memory
     narrower = "train one with narrower layers or fewer recurrent units"
@@ -45,7 +45,7 @@ def check_memories(plan: Plan) -> None:
 
 
 def split(code: Iterable[Section]) -> tuple[list[Section], list[Section]]:
-    """The functions of a policy that run from ITCM, and those that find no room there."""
+    """Split a policy's functions into those that run from ITCM and those that do not fit there."""
     fast: list[Section] = []
     slow: list[Section] = []
     room = POLICY_ITCM_BYTES
@@ -58,7 +58,7 @@ def split(code: Iterable[Section]) -> tuple[list[Section], list[Section]]:
 
 
 def policy_code(policy_object: Path) -> list[Section]:
-    """The functions of a compiled policy, a section each. Raises BuildError."""
+    """Return the functions of a compiled policy, a section each. Raises BuildError."""
     return [s for s in read_image(policy_object).sections if s.name.startswith(CODE)]
 
 

@@ -39,7 +39,7 @@ class Stage:
 
 @dataclass(frozen=True)
 class PolicyFacts:
-    """Which policy an image holds."""
+    """The policy in an image."""
 
     file: str
     sha256: str
@@ -68,7 +68,7 @@ class AircraftFacts:
 
 @dataclass(frozen=True)
 class PidFacts:
-    """Which PID stands beside the policy."""
+    """The PID beside the policy."""
 
     aircraft: str
     name: str  # in the aircraft's file
@@ -78,7 +78,7 @@ class PidFacts:
 
 @dataclass(frozen=True)
 class ImageSize:
-    """How large the image is, by its ELF file [bytes]."""
+    """The size of the image, by its ELF file [bytes]."""
 
     text_data_bss: int  # all sections that occupy memory while it runs, without the stack
     flash: int  # what is written to flash: boot part, code, constants, load images
@@ -108,7 +108,7 @@ class BankImage:
 
 
 def bank_images(content: bytes) -> tuple[BankImage, ...]:
-    """Those that a neuroflight.nfi holds, one behind the other."""
+    """Return the images in a neuroflight.nfi, one behind the other."""
     found: list[BankImage] = []
     while (header := image_header(content)) is not None and header.image_bytes > 0:
         image, content = content[: header.image_bytes], content[header.image_bytes :]
@@ -141,7 +141,7 @@ class BuildReport:
     check: Stamp | None = None  # that found the policy fit to fly; None: nothing did
 
     def document(self) -> dict[str, object]:
-        """The content of report.json."""
+        """Return the content of report.json."""
         stack = None if self.stack is None else asdict(self.stack) | {"margin": self.stack.margin}
         check = None if self.check is None else dict(self.check.document)
         return asdict(replace(self, check=None)) | {"stack": stack, "check": check}
@@ -149,7 +149,7 @@ class BuildReport:
 
 @dataclass(frozen=True)
 class MotorFacts:
-    """How a controller's outputs become motor values."""
+    """The mapping of a controller's outputs to motor values."""
 
     idle: float  # motor fraction without thrust
     mix: Mix
@@ -157,7 +157,7 @@ class MotorFacts:
 
 @dataclass(frozen=True)
 class Built:
-    """What the report of a build says of one of its files."""
+    """A build's report about one of its files."""
 
     sha256: str  # of the file
     policy: str  # its network, as "6-64-64-4 tanh"
@@ -172,9 +172,9 @@ class Built:
 
 
 def built(product: Path) -> Built:
-    """What is inside `product`, a file of a build, by the report.json beside it.
+    """Read what is inside `product`, a file of a build, from the report.json beside it.
 
-    Raises BuildError, one line, where that cannot be told, or tells of another file.
+    Raises BuildError, one line, if that is missing, unreadable or about another file.
     """
     path = product.with_name("report.json")
     try:
@@ -215,9 +215,10 @@ def _aircraft(table: Mapping[str, object]) -> AircraftFacts:
 
 
 def read_check(product: Path) -> Stamp | None:
-    """The stamp of the policy inside `product`, a file of a build, by the report.json beside it; None: none.
+    """Read the stamp of the policy inside `product`, a file of a build, from the report.json beside it, or
+    None.
 
-    Raises BuildError or PolicyError where that cannot be told; neither names `product`.
+    Raises BuildError or PolicyError if that is unreadable; neither names `product`.
     """
     path = product.with_name("report.json")
     try:
@@ -238,7 +239,7 @@ def read_check(product: Path) -> Stamp | None:
 
 
 def built_motors(product: Path, *, pid: bool = False) -> MotorFacts:
-    """Idle and mix of the policy inside `product`, a file of a build, or of its PID.
+    """Return idle and mix of the policy inside `product`, a file of a build, or of its PID.
 
     Raises BuildError as `built`, and when there is no PID.
     """
@@ -251,7 +252,7 @@ def built_motors(product: Path, *, pid: bool = False) -> MotorFacts:
 
 
 def print_report(report: BuildReport, console: Console) -> None:
-    """The table: stages, policy, memory, files."""
+    """Print the table: stages, policy, memory, files."""
     from rich.table import Table
 
     table = Table(box=None, show_header=False, padding=(0, 2, 0, 0))
@@ -302,7 +303,7 @@ def print_report(report: BuildReport, console: Console) -> None:
 
 
 def _training(facts: Mapping[str, object]) -> Iterator[str]:
-    """The entries of TRAINING_SHOWN in words: of a table, such as the algorithm's, its name."""
+    """Yield the entries of TRAINING_SHOWN in words: for a table, such as the algorithm's, its name."""
     for key in TRAINING_SHOWN:
         value = facts.get(key)
         value = value.get("name") if isinstance(value, dict) else value
@@ -311,7 +312,7 @@ def _training(facts: Mapping[str, object]) -> Iterator[str]:
 
 
 def _step(report: BuildReport) -> str:
-    """What a control step of the policy takes, in words."""
+    """Describe the cost of the policy's control step."""
     counted = f"{report.step_instructions:,} instructions"
     if report.predicted_cycles is None:
         return f"{counted}; no predicted cycles: {report.predicted_cycles_reason}"
@@ -323,7 +324,7 @@ def _step(report: BuildReport) -> str:
 
 
 def _code(size: ImageSize) -> str:
-    """Where the policy's code runs, in words."""
+    """Describe where the policy's code runs."""
     if size.policy_code_in_flash == 0:
         return f"{size.policy_code:,} bytes, all in ITCM"
     lines = -(-size.policy_code_in_flash // CACHE_LINE_BYTES)

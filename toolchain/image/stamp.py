@@ -43,9 +43,9 @@ class _Span:
 
 
 def stamp(path: Path, build_of: Path | None = None) -> None:
-    """Complete the header of the ELF `path`, in place. build_of: an ELF whose build's number it takes.
+    """Complete the header of the ELF `path`, in place. build_of: an ELF whose build's number is used.
 
-    Raises BuildError where the file is no image for a bank of this board.
+    Raises BuildError if the file is no image for a bank of this board.
     """
     bank, spans = _bank_spans(path)
     file = bytearray(path.read_bytes())
@@ -75,7 +75,7 @@ def _store(file: bytearray, spans: tuple[_Span, ...], content: bytes | bytearray
 
 
 def _bank_spans(path: Path) -> tuple[int, tuple[_Span, ...]]:
-    """The bank that the ELF loads into, and which of its bytes do."""
+    """Return the bank that the ELF loads into, and the spans of its bytes that do."""
     for bank, region in enumerate(FLASH_BANKS):
         if spans := _spans(path, region):
             return bank, spans
@@ -85,7 +85,7 @@ def _bank_spans(path: Path) -> tuple[int, tuple[_Span, ...]]:
 
 
 def _spans(path: Path, region: Region) -> tuple[_Span, ...]:
-    """Which bytes of the ELF it loads into that region."""
+    """Return the spans of the ELF that it loads into that region."""
     try:
         with path.open("rb") as stream:
             loads = [

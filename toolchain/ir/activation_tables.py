@@ -51,12 +51,12 @@ class ActivationTable:
 
     @property
     def magic(self) -> float:
-        """What is added to |x| to round it to a multiple of `step`; exact in float32."""
+        """Number added to |x| to round it to a multiple of `step`; exact in float32."""
         return 1.5 * 2.0**23 * self.step
 
 
 def apply(table: ActivationTable, x: Float32) -> Float32:
-    """The tabulated function of each float32 value of `x`, rounded at each step as the compiled C is.
+    """Compute the tabulated function of each float32 value of `x`, rounded at each step as the compiled C is.
 
     NaN takes the row of `high`, as it does by the processor's own minimum; 0 x makes the result NaN, as of an
     infinity.

@@ -58,7 +58,7 @@ class Function:
         return round(-self.low / self.step) + 1
 
     def interval(self, row: int) -> tuple[float, float]:
-        """The values of |x| - row * step that row `row` serves; row 0 from a 128th of a step on."""
+        """Return the range of |x| - row * step that row `row` serves; row 0 starts at a 128th of a step."""
         first = -self.step / 2 if row else 0.0 if self.even else self.step / 128
         return first, 0.0 if row == self.rows - 1 else self.step / 2
 
@@ -101,7 +101,7 @@ FUNCTIONS = (TANH, EXPM1, ERF, SOFTPLUS)
 
 
 def fit_row(function: Function, row: int) -> Float32:
-    """Coefficients c0, c1, c2, c3 of row `row`, shape (4,)."""
+    """Fit the coefficients c0, c1, c2, c3 of row `row`, shape (4,)."""
     with localcontext() as context:
         context.prec = DIGITS
         first, last = (Decimal(end) for end in function.interval(row))
@@ -122,13 +122,13 @@ def fit_row(function: Function, row: int) -> Float32:
 
 
 def _neighbours(value: Decimal, count: int) -> list[float]:
-    """The float32 nearest to `value` and `count` more on either side."""
+    """Return the float32 nearest to `value` and `count` more on either side."""
     bits = np.float32(float(value)).view(np.int32) + np.arange(-count, count + 1, dtype=np.int32)
     return [float(c) for c in bits.view(np.float32)]
 
 
 def _bound(function: Function, row: int) -> Callable[[Float32], float]:
-    """The largest error of f [ulp] that coefficients of row `row` can lead to, as a function of them."""
+    """Return a function that bounds the error of f [ulp] for given coefficients of row `row`."""
     centre = row * function.step
     r = np.linspace(*function.interval(row), SAMPLES)
     a = [Decimal(centre + float(v)) for v in r]
@@ -149,7 +149,7 @@ def _bound(function: Function, row: int) -> Callable[[Float32], float]:
 def _minimax(
     grid: Sequence[Decimal], target: Sequence[Decimal], constant: Decimal, powers: Sequence[int]
 ) -> list[Decimal]:
-    """c0 to c3 of the polynomial closest to `target` on `grid` in relative error.
+    """Fit c0 to c3 of the polynomial closest to `target` on `grid` in relative error.
 
     Only the coefficients of `powers` are free; where 0 is not among them, c0 is `constant`. Others are 0.
     """
@@ -177,7 +177,7 @@ def _minimax(
 
 
 def _solve(matrix: list[list[Decimal]], right: list[Decimal]) -> list[Decimal]:
-    """x of matrix x = right, by elimination with the largest pivot."""
+    """Solve matrix x = right by elimination with the largest pivot."""
     rows = [[*row, value] for row, value in zip(matrix, right, strict=True)]
     for i in range(len(rows)):
         best = max(range(i, len(rows)), key=lambda j: abs(rows[j][i]))
@@ -190,7 +190,7 @@ def _solve(matrix: list[list[Decimal]], right: list[Decimal]) -> list[Decimal]:
 
 
 def tables_json(functions: Sequence[Function] = FUNCTIONS) -> str:
-    """The tables as the JSON text of activation_tables.json: floats in hexadecimal, one row a line."""
+    """Format the tables as the JSON text of activation_tables.json: floats in hexadecimal, one row a line."""
     blocks = []
     for function in functions:
         rows = (fit_row(function, row) for row in range(function.rows))

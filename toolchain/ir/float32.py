@@ -13,7 +13,7 @@ Float32 = NDArray[np.float32]
 
 
 def fma(a: ArrayLike, b: ArrayLike, c: ArrayLike) -> Float32:
-    """a b + c with a single rounding to float32, element by element; shapes broadcast.
+    """Compute a b + c with a single rounding to float32, element by element; shapes broadcast.
 
     The product of two float32 values has at most 48 significant bits, so it is exact in float64. Only
     the sum rounds, and rounding it to float64 and then to float32 would round twice. TwoSum recovers

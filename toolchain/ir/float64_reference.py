@@ -105,7 +105,7 @@ def _moved(operation: Operation, rng: np.random.Generator) -> Operation:
 
 
 def _clear(operation: Operation, sequences: int) -> tuple[Float64, ...]:
-    """The state after policy_init: none, h, or h and c."""
+    """Return the state after policy_init: none, h, or h and c."""
     if not isinstance(operation, Recurrent):
         return ()
     none = np.zeros((sequences, operation.units))
@@ -121,7 +121,7 @@ def _clear(operation: Operation, sequences: int) -> tuple[Float64, ...]:
 def _cell(
     cell: Gru | Lstm, tanh: Function, x: Float64, h: Float64, c: Float64 | None = None
 ) -> tuple[Float64, ...]:
-    """h' of a Gru, h' and c' of an Lstm."""
+    """Compute h' of a Gru, or h' and c' of an Lstm."""
     from_input, from_state = x @ _wide(cell.input_weight), h @ _wide(cell.state_weight)
     if isinstance(cell, Gru):
         z, r, n = np.split(from_input + cell.input_bias, 3, axis=1)

@@ -51,7 +51,8 @@ _LARGEST = np.finfo(np.float32).max
 
 
 def evaluate(network: Network, observation: Float32, *, exact: bool = True) -> Float32:
-    """Actions (N, outputs) of observations (N, inputs), both float32, each from cleared recurrent state.
+    """Compute the actions (N, outputs) of observations (N, inputs), both float32, each from cleared recurrent
+    state.
 
     exact: give the emitted C's bits; otherwise matrices go through BLAS and tanh through numpy, many times
     as fast and a few ulp away, which is for statistics over many flights.
@@ -61,7 +62,7 @@ def evaluate(network: Network, observation: Float32, *, exact: bool = True) -> F
 
 
 def replay(network: Network, observation: Float32) -> Float32:
-    """Actions (T, outputs) of T observations (T, inputs) in turn: recurrent state carries over."""
+    """Compute the actions (T, outputs) of T observations (T, inputs) in turn, keeping recurrent state."""
     if not network.recurrent:
         return evaluate(network, observation)
     state, actions = clear_state(network, 1), []
@@ -72,7 +73,7 @@ def replay(network: Network, observation: Float32) -> Float32:
 
 
 def clear_state(network: Network, count: int) -> State:
-    """The state after policy_init, for `count` policies side by side."""
+    """Return the state after policy_init, for `count` policies side by side."""
     cells = [node.operation for node in network.nodes if isinstance(node.operation, Recurrent)]
     rows = [cell.units for cell in cells for _ in range(2 if isinstance(cell, Lstm) else 1)]
     return tuple(np.zeros((count, units), np.float32) for units in rows)
@@ -81,7 +82,7 @@ def clear_state(network: Network, count: int) -> State:
 def advance(
     network: Network, observation: Float32, state: State, *, exact: bool = True
 ) -> tuple[Float32, State]:
-    """One step of N policies side by side: actions (N, outputs) and the state after it."""
+    """Advance N policies by one step: actions (N, outputs) and the state after it."""
     last = network.nodes[-1].operation
     if not isinstance(last, Clip) or last.low is None or last.high is None:
         raise ValueError(f"the last operation is {last}, expected a Clip with both bounds")
@@ -217,7 +218,7 @@ def _softmax(x: Float32) -> Float32:
 
 
 def _sum(x: Float32, add: Callable[[Float32, Float32], Float32]) -> Float32:
-    """In LANES lanes by turns; what is left over goes to the first."""
+    """Sum a row in LANES partial sums in turn; the remainder goes to the first."""
     whole = x.shape[1] - x.shape[1] % LANES
     lanes = [np.zeros(len(x), np.float32) for _ in range(LANES)]
     for index in range(x.shape[1]):

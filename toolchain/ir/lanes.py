@@ -4,5 +4,5 @@ LANES = 4
 
 
 def padded(count: int) -> int:
-    """`count` rounded up to whole lanes."""
+    """Round `count` up to whole lanes."""
     return -(-count // LANES) * LANES

@@ -69,7 +69,7 @@ class Network:
 
     @property
     def recurrent(self) -> bool:
-        """Whether an action depends on the observations before."""
+        """True if an action depends on earlier observations."""
         return any(isinstance(node.operation, Recurrent) for node in self.nodes)
 
     @property
@@ -95,12 +95,12 @@ class Network:
 
 
 def chain(inputs: int, operations: Iterable[Operation]) -> Network:
-    """The network in which every operation takes the value before it."""
+    """Return the network in which every operation takes the value before it."""
     return Network(inputs, tuple(Node(op, (index,)) for index, op in enumerate(operations)))
 
 
 def output_width(operation: Operation, widths: Sequence[int]) -> int:
-    """Width of what `operation` gives for values of `widths`. Raises ValueError when they do not fit it."""
+    """Return the width of the result of `operation`. Raises ValueError if `widths` do not fit it."""
     same = widths[0] if widths else 0
     if isinstance(operation, Activation):
         expected, result = [same], same
@@ -133,12 +133,12 @@ def output_width(operation: Operation, widths: Sequence[int]) -> int:
 
 
 def multiply_adds(operation: Operation) -> int:
-    """Multiply-accumulates of the operation's matrices."""
+    """Count the multiply-accumulates of the operation's matrices."""
     return sum(array.size for array in arrays(operation) if array.ndim == 2)
 
 
 def arrays(operation: Operation) -> list[NDArray[np.floating[Any]]]:
-    """The operation's constants that are arrays."""
+    """List the operation's constants that are arrays."""
     return [value for value in vars(operation).values() if isinstance(value, np.ndarray)]
 
 

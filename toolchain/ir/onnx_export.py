@@ -69,7 +69,7 @@ class _Graph:
     names: set[str] = field(default_factory=set)
 
     def constant(self, values: ArrayLike, dtype: DTypeLike = np.float32) -> str:
-        """The name of a tensor that holds `values`."""
+        """Add a tensor that holds `values` and return its name."""
         name = f"constant{len(self.tensors)}"
         array = np.asarray(values).astype(dtype)
         self.tensors.append(numpy_helper.from_array(array, name))
@@ -96,7 +96,7 @@ def to_model(
     state: bool = False,
     values: bool = False,
 ) -> onnx.ModelProto:
-    """The model of `network`: `observation` [rows, n] to `action` [rows, m], without metadata.
+    """Convert `network` to an ONNX model, `observation` [rows, n] to `action` [rows, m], without metadata.
 
     rows: 1, or a name for any number of observations side by side.
     state: add inputs state0, state1, ... and outputs new_state0, ..., [rows, units], in the order of
@@ -180,7 +180,7 @@ def _write(graph: _Graph, node: Node, inputs: list[str], output: str, state: boo
 
 
 def _write_cell(graph: _Graph, cell: Gru | Lstm, x: str, output: str, state: bool) -> None:
-    """A recurrent cell over a sequence of one: a row [rows, n] is [1, rows, n] inside."""
+    """Append a recurrent cell over a sequence of one: a row [rows, n] is [1, rows, n] inside."""
     axis = graph.constant([0], np.int64)
     none = np.zeros(4 * cell.units)
     biases = (cell.input_bias, cell.state_bias) if isinstance(cell, Gru) else (cell.bias, none)

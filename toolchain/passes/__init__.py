@@ -74,7 +74,7 @@ PASSES = (
 
 @dataclass(frozen=True)
 class Size:
-    """What a network costs."""
+    """The cost of a network."""
 
     nodes: int
     operations: int  # of one evaluation; a multiply-add, a bound or a tanh is one
@@ -83,7 +83,7 @@ class Size:
 
 @dataclass(frozen=True)
 class Saving:
-    """What one pass took away, over all its runs; less than nothing where it prepares another's work."""
+    """The saving of one pass over all its runs; negative if it prepares another's work."""
 
     rewrite: str  # the name of the pass
     nodes: int
@@ -93,7 +93,7 @@ class Saving:
 
 
 def optimize(network: Network, prove: bool = False) -> tuple[Network, tuple[Saving, ...]]:
-    """The shortened network and what was saved, one `Saving` a pass that did something, in their order.
+    """Shorten the network; return it and one `Saving` for each pass that did something, in their order.
 
     prove: run the network in onnxruntime before and after each pass that did something, and raise
     `toolchain.passes.equivalence.ProofError` where they differ by more than rounding. Deterministic. Raises
@@ -117,19 +117,19 @@ def optimize(network: Network, prove: bool = False) -> tuple[Network, tuple[Savi
 
 
 def size(network: Network) -> Size:
-    """Nodes, operations and bytes of a network."""
+    """Return nodes, operations and bytes of a network."""
     widths = network.widths[1:]
     total = sum(operations(node.operation, width) for node, width in zip(network.nodes, widths, strict=True))
     return Size(len(network.nodes), total, sum(weight_bytes(node.operation) for node in network.nodes))
 
 
 def weight_bytes(operation: Operation) -> int:
-    """Bytes of the operation's weights in float32."""
+    """Return the bytes of the operation's weights in float32."""
     return sum(FLOAT_BYTES * array.size for array in arrays(operation))
 
 
 def operations(operation: Operation, width: int) -> int:
-    """Operations of one evaluation; a function that has a kernel of its own counts as one."""
+    """Count the operations of one evaluation; a function that has a kernel of its own counts as one."""
     match operation:
         case Linear():
             return multiply_adds(operation)
@@ -152,7 +152,7 @@ def operations(operation: Operation, width: int) -> int:
 
 
 def _add(old: Saving | None, name: str, before: Network, after: Network, prove: bool) -> Saving:
-    """The saving of a pass with one more run of it."""
+    """Add one more run of a pass to its saving."""
     less, now = size(before), size(after)
     proof = None if old is None else old.proof
     if prove:

@@ -29,7 +29,7 @@ from neuroflight.toolchain.passes.rewrite import Draft, absorbed, rewrite
 
 
 def merge_affine(network: Network) -> Network:
-    """Two affine maps in a row become one."""
+    """Join two consecutive affine maps into one."""
 
     def rule(draft: Draft, node: Node, _number: int) -> Node | None:
         match node, draft.sole(node.inputs[0]):
@@ -63,7 +63,7 @@ def fold_affine(network: Network) -> Network:
 
 
 def move_affine(network: Network) -> Network:
-    """Affine maps move through Concat and Slice to layers that they can vanish into."""
+    """Move affine maps through Concat and Slice to layers that can absorb them."""
     vanishes = absorbed(network)
 
     def movable(draft: Draft, value: int) -> Node | None:
@@ -94,7 +94,7 @@ def move_affine(network: Network) -> Network:
 
 
 def lower_sigmoid(network: Network) -> Network:
-    """A sigmoid between matrices becomes 1/2 + 1/2 tanh(x/2), whose affine maps vanish in them.
+    """Replace a sigmoid between matrices by 1/2 + 1/2 tanh(x/2), whose affine maps they absorb.
 
     With a matrix on one side only, the map that stays would cost more bytes than the other saves time.
     """
@@ -112,7 +112,7 @@ def lower_sigmoid(network: Network) -> Network:
 
 
 def input_matrix(operation: Operation) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
-    """Weight and bias that `operation` first lays on what it takes, None if it does not begin so."""
+    """Return weight and bias that `operation` first applies to its input; None if it has none."""
     match operation:
         case Linear():
             weight, bias = operation.weight, operation.bias
@@ -126,7 +126,7 @@ def input_matrix(operation: Operation) -> tuple[NDArray[np.float64], NDArray[np.
 
 
 def with_input(operation: Operation, weight: NDArray[np.float64], bias: NDArray[np.float64]) -> Operation:
-    """`operation` with another matrix for what it takes. Raises PolicyError as `rounded` does."""
+    """Return `operation` with another input matrix. Raises PolicyError as `rounded` does."""
     match operation:
         case Linear():
             return Linear(rounded(weight), rounded(bias))
@@ -138,7 +138,7 @@ def with_input(operation: Operation, weight: NDArray[np.float64], bias: NDArray[
 
 
 def rounded(values: NDArray[np.float64]) -> Float32:
-    """`values` in float32. Raises PolicyError where they leave its range."""
+    """Round `values` to float32. Raises PolicyError if they leave its range."""
     with np.errstate(over="ignore", under="ignore", invalid="ignore"):
         result = values.astype(np.float32)
     if not np.isfinite(result).all():
@@ -150,7 +150,7 @@ def rounded(values: NDArray[np.float64]) -> Float32:
 
 
 def _before(second: Operation, first: Affine) -> Operation:
-    """`second` of an affine map of x, as one operation of x."""
+    """Join an affine map of x and then `second` into one operation of x."""
     with np.errstate(over="ignore", invalid="ignore"):
         if isinstance(second, Affine):
             return Affine(second.scale * first.scale, second.scale * first.offset + second.offset)
@@ -161,7 +161,7 @@ def _before(second: Operation, first: Affine) -> Operation:
 
 
 def _after(first: Operation, second: Affine) -> Operation:
-    """An affine map of `first` of x, as one operation of x."""
+    """Join `first` of x and then an affine map into one operation of x."""
     with np.errstate(over="ignore", invalid="ignore"):
         match first:
             case Linear(weight, bias):
@@ -174,7 +174,7 @@ def _after(first: Operation, second: Affine) -> Operation:
 
 
 def _below_concat(draft: Draft, node: Node, parts: Sequence[Node | None]) -> Node:
-    """A Concat some of whose `parts` are affine maps: one map of the Concat of what they take."""
+    """Replace a Concat of affine maps by one affine map of the Concat of their inputs."""
     values, maps = [], []
     for value, part in zip(node.inputs, parts, strict=True):
         width = draft.widths[value]
@@ -189,7 +189,7 @@ def _below_concat(draft: Draft, node: Node, parts: Sequence[Node | None]) -> Nod
 
 
 def _above_concat(draft: Draft, node: Node, before: Node, second: Affine) -> Node | None:
-    """An affine map of a Concat: the Concat of maps of its parts, if each vanishes into its part."""
+    """Replace an affine map of a Concat by a Concat of maps of its parts, if each part absorbs its map."""
     parts = [draft.sole(value) for value in before.inputs]
     if not all(part and isinstance(part.operation, Linear | Norm | Affine) for part in parts):
         return None

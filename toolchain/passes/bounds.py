@@ -12,7 +12,7 @@ from neuroflight.toolchain.passes.rewrite import Draft, rewrite
 
 
 def drop_bounds(network: Network) -> Network:
-    """A Clip, ReLU, LeakyReLU or ELU that cannot bind is dropped; two bounds in a row become one."""
+    """Drop a Clip, ReLU, LeakyReLU or ELU that cannot bind; join two consecutive bounds."""
     intervals = value_intervals(network)
 
     def rule(draft: Draft, node: Node, number: int) -> Node | int | None:
@@ -43,7 +43,7 @@ def drop_bounds(network: Network) -> Network:
 
 
 def fold_constants(network: Network) -> Network:
-    """What a matrix takes that no observation changes moves into the bias; its weight becomes 0."""
+    """Move inputs of a matrix that no observation changes into its bias; their weight becomes 0."""
     intervals = value_intervals(network)
 
     def rule(draft: Draft, node: Node, _number: int) -> Node | None:
@@ -67,6 +67,6 @@ def _bound(low: float, high: float) -> Clip | Relu:
 
 
 def _join(first: tuple[float, float], second: tuple[float, float]) -> tuple[float, float]:
-    """The bounds that do the work of two: the first's, bounded by the second."""
+    """Return the bounds that do the work of two: the first's, bounded by the second."""
     low, high = (min(max(bound, second[0]), second[1]) for bound in first)
     return low, high

@@ -35,7 +35,7 @@ class EquivalenceError(Exception):
 
 @dataclass(frozen=True)
 class Equivalence:
-    """How far two networks are apart."""
+    """The largest differences between two networks."""
 
     observations: int
     unit: float  # largest difference of an action where no observed value exceeds 1
@@ -44,7 +44,7 @@ class Equivalence:
     bound: float = BOUND  # of both
 
     def worst(self, other: Equivalence) -> Equivalence:
-        """Both as one: the larger of each figure."""
+        """Return the larger of each figure."""
         return Equivalence(
             self.observations + other.observations,
             max(self.unit, other.unit),
@@ -83,7 +83,7 @@ def check_equivalence(before: Network, after: Network, name: str) -> Equivalence
 
 
 def _observations(inputs: int, steps: int) -> Float32:
-    """(magnitudes, ROWS, steps, inputs): normal, then of one size with random signs, then one value alone."""
+    """Draw observations (magnitudes, ROWS, steps, inputs): normal, of one size, and single values."""
     rng = np.random.default_rng(0)
     shape = (len(MAGNITUDES), ROWS, steps, inputs)
     third = ROWS // 3
@@ -97,7 +97,7 @@ def _observations(inputs: int, steps: int) -> Float32:
 
 @dataclass(frozen=True, eq=False)
 class _Run:
-    """What a network computed from the observations."""
+    """The actions of a network for the observations."""
 
     actions: NDArray[np.float64]  # (magnitudes, ROWS, steps, outputs)
     exact: NDArray[np.float64]  # the same in float64
@@ -105,7 +105,7 @@ class _Run:
 
 
 def _run(network: Network, observations: Float32) -> _Run:
-    """All observations through onnxruntime, unoptimized, and through the reference."""
+    """Run all observations through onnxruntime, unoptimized, and through the reference."""
     import onnxruntime
 
     options = onnxruntime.SessionOptions()
@@ -132,6 +132,6 @@ def _run(network: Network, observations: Float32) -> _Run:
 
 
 def _worst(difference: NDArray[np.float64], compared: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """The largest difference of each observation's actions, (magnitudes, ROWS); 0 where not compared."""
+    """Return the largest difference of each observation's actions, (magnitudes, ROWS); 0 if not compared."""
     with np.errstate(invalid="ignore"):
         return np.where(compared, np.abs(difference).max(axis=(2, 3)), 0)

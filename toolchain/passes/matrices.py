@@ -13,10 +13,11 @@ from neuroflight.toolchain.passes.rewrite import Draft, rewrite
 
 
 def merge_linear(network: Network) -> Network:
-    """Linear layers without an activation between become one, where that costs no more.
+    """Join linear layers without an activation between, if that costs no more.
 
-    In a row, into the input weights of a recurrent cell too; as addends, and as neighbours in a Concat,
-    where they take the same value.
+    In a row, into the input weights of a recurrent cell too; as addends; and as neighbours in a Concat if
+    they
+    take the same value.
     """
 
     def rule(draft: Draft, node: Node, _number: int) -> Node | None:

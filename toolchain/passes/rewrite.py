@@ -1,4 +1,4 @@
-"""How every pass changes a network: node by node in order of computation, by a local rule."""
+"""The rewriting of a network: node by node in order of computation, by a pass's local rule."""
 
 from __future__ import annotations
 
@@ -30,15 +30,15 @@ class Draft:
         return len(self.nodes)
 
     def producer(self, value: int) -> Node | None:
-        """The node that gives `value`, None for the observation."""
+        """Return the node that computes `value`, None for the observation."""
         return None if value == OBSERVATION else self.nodes[value - 1]
 
     def sole(self, value: int) -> Node | None:
-        """The node that gives `value` if only one input takes it, so that it may be rewritten."""
+        """Return the node that computes `value` if only one input takes it, so that it may be rewritten."""
         return self.producer(value) if self.uses[value] == 1 else None
 
     def release(self, values: Sequence[int]) -> None:
-        """Inputs no longer take `values`; what nobody takes releases what it took."""
+        """Note that inputs no longer take `values`; a value that nothing takes releases its inputs, too."""
         released = list(values)
         while released:
             value = released.pop()
@@ -54,7 +54,7 @@ Rule = Callable[[Draft, Node, int], Node | int | None]
 
 
 def rewrite(network: Network, rule: Rule) -> Network:
-    """`network` after `rule` has seen every node, rewritten ones again; the same object if it did nothing.
+    """Apply `rule` to every node, also to rewritten ones; return the same object if nothing changed.
 
     The rule may add nodes to the draft. It may not replace the last node by an earlier value: that node
     is the Clip that a policy ends with. Nodes that nothing takes any more are dropped.
@@ -89,9 +89,9 @@ def rewrite(network: Network, rule: Rule) -> Network:
 
 
 def absorbed(network: Network) -> list[bool]:
-    """Whether each value is taken only by what an affine map can vanish into.
+    """Return, for each value, True if only operations take it that can absorb an affine map.
 
-    That is a matrix, another affine map, or a Concat or Slice whose result is.
+    That is a matrix, another affine map, or a Concat or Slice whose result is so.
     """
     result = [True] * (len(network.nodes) + 1)
     result[-1] = False

@@ -23,7 +23,7 @@ from neuroflight.toolchain.passes.rewrite import Draft, rewrite
 
 
 def share_equal(network: Network) -> Network:
-    """What is computed twice from the same values, weights included, is computed once."""
+    """Compute only once what nodes compute from the same values and weights."""
     known: dict[tuple[object, ...], int] = {}
 
     def rule(draft: Draft, node: Node, _number: int) -> int | None:
@@ -38,7 +38,7 @@ def share_equal(network: Network) -> Network:
 
 
 def drop_identities(network: Network) -> Network:
-    """What gives the value that it takes is dropped."""
+    """Drop nodes whose result equals their input."""
 
     def rule(draft: Draft, node: Node, _number: int) -> int | None:
         return node.inputs[0] if _is_identity(node.operation, draft.widths[node.inputs[0]]) else None
@@ -47,7 +47,7 @@ def drop_identities(network: Network) -> Network:
 
 
 def simplify_slices(network: Network) -> Network:
-    """Slice of Slice and Slice of Concat take their values where they come from; Concats join."""
+    """Let a Slice of a Slice or Concat read the original value; join Concats."""
 
     def rule(draft: Draft, node: Node, _number: int) -> Node | int | None:
         match node.operation:
@@ -63,7 +63,7 @@ def simplify_slices(network: Network) -> Network:
 
 
 def _content(operation: Operation) -> tuple[object, ...]:
-    """The operation by value."""
+    """Return the operation's content for comparison by value."""
     content: list[object] = [type(operation)]
     for entry in fields(operation):
         value = getattr(operation, entry.name)
@@ -104,7 +104,7 @@ def _source(draft: Draft, node: Node, cut: Slice) -> Node | None:
 
 
 def _joined(draft: Draft, node: Node) -> Node | None:
-    """A Concat of Concats as one; neighbouring slices of one value as one slice."""
+    """Join a Concat of Concats, and neighbouring slices of one value."""
     values = list[int]()
     for value in node.inputs:
         part = draft.sole(value)

@@ -50,7 +50,7 @@ def drop_unread(network: Network) -> Network:
 
 
 def kept_elements(network: Network) -> list[Mask]:
-    """For every value, the elements that something reads; masks of what is computed value by value agree."""
+    """Return, for every value, the elements that something reads; masks of elementwise operations agree."""
     kept: list[Mask] = [np.zeros(width, np.bool_) for width in network.widths]
     kept[OBSERVATION][:] = True
     kept[-1][:] = True
@@ -64,7 +64,7 @@ def kept_elements(network: Network) -> list[Mask]:
 
 
 def _mark(operation: Operation, result: Mask, taken: Sequence[Mask]) -> None:
-    """Keep of what is `taken` what `result` needs, and of `result` what comes with that."""
+    """Mark the elements of `taken` that `result` needs, and those of `result` that have to stay with them."""
     if not result.any():
         return
     if isinstance(operation, Elementwise):
@@ -92,7 +92,7 @@ def _mark(operation: Operation, result: Mask, taken: Sequence[Mask]) -> None:
 
 
 def _parts(result: Mask, widths: Sequence[int]) -> list[Mask]:
-    """The parts that a Concat of these widths is made of; writing to one writes to `result`."""
+    """Split the mask of a Concat into its parts; they are views: writing to one writes to `result`."""
     return np.split(result, np.cumsum(widths)[:-1])
 
 
@@ -105,7 +105,7 @@ def _mark_slice(cut: Slice, result: Mask, taken: Mask) -> None:
 
 
 def _progression(cut: Slice, result: Mask, taken: Mask) -> Slice | None:
-    """The slice that takes the kept elements of `result` out of those `taken`, None if no slice does."""
+    """Return the slice that takes the kept elements of `result` from those `taken`, None if there is none."""
     places = cut.start + cut.step * np.arange(cut.count)
     new = (np.cumsum(taken) - 1)[places[result]]
     steps = np.unique(np.diff(new))
@@ -115,7 +115,7 @@ def _progression(cut: Slice, result: Mask, taken: Mask) -> Slice | None:
 
 
 def _cut(operation: Operation, result: Mask, taken: Mask) -> Operation:
-    """`operation` on the kept elements only."""
+    """Reduce `operation` to the kept elements."""
     match operation:
         case Linear(weight, bias):
             return Linear(np.ascontiguousarray(weight[result][:, taken]), bias[result])

@@ -1,6 +1,6 @@
 """The policy blob: weights and self-test of a policy as the bytes that a slot holds.
 
-Packs and parses it without loss: docs/policy-blob.md. A blob holds no code. It
+Packs and parses it without loss: docs/reference/policy-blob.md. A blob holds no code. It
 runs only in an image that was built around a policy of the same architecture;
 firmware/src/storage/policy_blob.c decides.
 """
@@ -41,7 +41,7 @@ class BlobTerm:
 
 @dataclass(frozen=True, eq=False)
 class PolicyBlob:
-    """What a policy blob says. Counts are those of the arrays."""
+    """The content of a policy blob. Counts are those of the arrays."""
 
     sequence: int  # 0: as built; it counts swaps and wraps, the newest valid one is flown
     architecture_hash: int  # CRC-32 of all but the weights: toolchain.codegen.plan
@@ -81,22 +81,22 @@ class PolicyBlob:
 
 
 def blob_terms(terms: Sequence[ObservationTerm], control_rate_hz: int) -> tuple[BlobTerm, ...]:
-    """`terms` as a policy of this control rate has them computed."""
+    """Return `terms` as computed by a policy of this control rate."""
     return tuple(BlobTerm(term.block, term.age, term.gain(control_rate_hz)) for term in terms)
 
 
 def filters_hash(filters: Sequence[object]) -> int:
-    """CRC-32 of the gyro filter chain of a policy's metadata, as JSON without blanks and with sorted keys."""
+    """Compute the CRC-32 of a policy's gyro filter chain, as JSON without blanks and with sorted keys."""
     return zlib.crc32(json.dumps(list(filters), separators=(",", ":"), sort_keys=True).encode())
 
 
 def same_architecture(a: PolicyBlob, b: PolicyBlob) -> bool:
-    """Whether an image built around one of the two accepts the other in a policy slot."""
+    """Return True if an image built around one of the two accepts the other in a policy slot."""
     return _architecture(a) == _architecture(b)
 
 
 def pack(blob: PolicyBlob) -> bytes:
-    """The bytes of `blob`, the same in every run. Raises PolicyError where the layout cannot say it."""
+    """Encode `blob`, the same in every run. Raises PolicyError for values that the layout cannot hold."""
     _reject_unsayable(blob)
     body = HEADER.pack(*header_values(blob).values())
     for array in (blob.weights, blob.selftest_observation, blob.selftest_action):
@@ -105,7 +105,7 @@ def pack(blob: PolicyBlob) -> bytes:
 
 
 def header_values(blob: PolicyBlob) -> dict[str, int | float | bytes]:
-    """The value of each field of the header, in the header's order; arrays end where the rest is zero."""
+    """Return the value of each field of the header, in order; arrays end before trailing zeros."""
     weight_bytes = FLOAT.itemsize * blob.weights.size
     selftest_bytes = FLOAT.itemsize * (blob.selftest_observation.size + blob.selftest_action.size)
     return {
@@ -139,7 +139,7 @@ def header_values(blob: PolicyBlob) -> dict[str, int | float | bytes]:
 
 
 def model_values(model: ModelConstants | None) -> dict[str, int | bytes]:
-    """The header's fields of a model: a row of MOTOR_COUNT_MAX values an axis; zeros for none."""
+    """Return the header's fields of a model: MOTOR_COUNT_MAX values an axis; zeros without a model."""
     if model is None:
         return {"model_delay": 0, "model_rotor": b"", "model_turn": b"", "model_reaction": b""}
     rows = np.zeros((2, 3, contract.MOTOR_COUNT_MAX), FLOAT)
@@ -154,10 +154,11 @@ def model_values(model: ModelConstants | None) -> dict[str, int | bytes]:
 
 
 def parse(data: bytes) -> PolicyBlob:
-    """The blob in `data`, which holds it and nothing else. Raises PolicyError, one line.
+    """Parse the blob in `data`, which must hold nothing else. Raises PolicyError, one line.
 
-    Checked in this order: length, magic, layout version, sizes, CRC, then what the fields say. No length
-    in the data is believed before it is held against the data.
+    Checked in this order: length, magic, layout version, sizes, CRC, then the fields. No length in the data
+    is
+    used before it is compared with the data.
     """
     header, arrays, idle = _read_header(data)
     _reject_sizes(header, len(data))
@@ -201,7 +202,7 @@ def _architecture(blob: PolicyBlob) -> tuple[int, ...]:
 
 
 def _read_header(data: bytes) -> tuple[dict[str, int], dict[str, bytes], float]:
-    """The header's whole numbers, arrays and idle; only the version of the layout has been checked."""
+    """Read the header's whole numbers, arrays and idle; only the version of the layout has been checked."""
     if len(data) < HEADER.size + CRC.size:
         raise PolicyError(
             f"the blob is {len(data)} bytes, expected at least {HEADER.size + CRC.size}; is it a policy blob?"
@@ -221,7 +222,7 @@ def _read_header(data: bytes) -> tuple[dict[str, int], dict[str, bytes], float]:
 
 
 def _float_count(header: dict[str, int]) -> int:
-    """Floats between header and CRC."""
+    """Return the number of floats between header and CRC."""
     row = header["observation_count"] + header["action_count"]
     return header["weight_count"] + header["selftest_count"] * row
 

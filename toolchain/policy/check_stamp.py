@@ -28,7 +28,7 @@ UNCHECKED = "--unchecked"
 
 @dataclass(frozen=True, eq=False)
 class Stamp:
-    """What a check found."""
+    """The result of a check."""
 
     policy_sha256: str  # of the ONNX file's bytes
     aircraft: str  # its name
@@ -39,19 +39,19 @@ class Stamp:
 
     @property
     def text(self) -> str:
-        """In a report."""
+        """Text for a report."""
         return f"{'fit' if self.fit else 'NOT fit'} to fly {self.aircraft}"
 
 
 def stamp_path(policy: Path) -> Path:
-    """Where the stamp of a policy file lies."""
+    """Return the path of a policy file's stamp."""
     return policy.with_suffix(SUFFIX)
 
 
 def stamp_document(
     *, policy_sha256: str, aircraft: str, aircraft_sha256: str, fit: bool, figures: Mapping[str, Any]
 ) -> dict[str, Any]:
-    """The sealed document of a check by the present rules; figures: what else is told of it."""
+    """Build the sealed document of a check by the present rules; figures: further results."""
     document = {
         "format": FORMAT,
         "rules": RULES,
@@ -70,7 +70,7 @@ def write_stamp(policy: Path, document: Mapping[str, Any]) -> None:
 
 
 def read_stamp(policy: Path) -> Stamp | None:
-    """The stamp beside a policy file; None: there is none. Raises PolicyError, one line, on a broken one."""
+    """Read the stamp beside a policy file, or None. Raises PolicyError, one line, for a broken one."""
     path = stamp_path(policy)
     try:
         if (size := file_size(path)) > STAMP_BYTES_MAX:
@@ -85,7 +85,7 @@ def read_stamp(policy: Path) -> Stamp | None:
 
 
 def parse_stamp(document: object) -> Stamp:
-    """The stamp that a sealed document is. Raises PolicyError, without a file's name."""
+    """Parse a sealed document. Raises PolicyError, without a file's name."""
     if not isinstance(document, dict) or document.get("format") != FORMAT:
         raise PolicyError("it has another format")
     if document.get(SEAL) != _seal({key: value for key, value in document.items() if key != SEAL}):
@@ -99,9 +99,9 @@ def parse_stamp(document: object) -> Stamp:
 
 
 def fault(stamp: Stamp | None, policy_sha256: str, aircraft_sha256: str | None) -> str | None:
-    """Why a stamp does not say that these bytes are fit for this aircraft; None: it does.
+    """Return why a stamp does not hold for these bytes and this aircraft; None if it does.
 
-    aircraft_sha256: None where the aircraft is not known, or any will do.
+    aircraft_sha256: None if the aircraft is unknown, or any will do.
     """
     if stamp is None:
         return "was not checked"
@@ -117,10 +117,9 @@ def fault(stamp: Stamp | None, policy_sha256: str, aircraft_sha256: str | None) 
 
 
 def require_fit(policy: Path, policy_sha256: str, aircraft_sha256: str | None, aircraft: str) -> Stamp:
-    """The stamp beside a policy file that says it is fit.
+    """Return the stamp beside a policy file if it is fit.
 
-    aircraft: as the command takes it. Raises PolicyError, one line with the command to run, where there is
-    none.
+    aircraft: as the command takes it. Raises PolicyError, one line with the command to run, otherwise.
     """
     command = check_command(policy, aircraft)
     try:
@@ -134,7 +133,7 @@ def require_fit(policy: Path, policy_sha256: str, aircraft_sha256: str | None, a
 
 
 def check_command(policy: Path | str, aircraft: str) -> str:
-    """The command that checks a policy."""
+    """Return the command that checks a policy."""
     return f"neuroflight policy check {policy} --aircraft {aircraft}"
 
 

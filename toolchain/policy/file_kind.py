@@ -48,7 +48,7 @@ ARCHIVES = (  # an entry's name, or its end, and what the archive is then
     ),
     (
         "policy.pth",
-        "a model of Stable-Baselines3 (.zip); export its actor as ONNX: docs/policies.md has the lines",
+        "a model of Stable-Baselines3 (.zip); export its actor as ONNX (docs/guides/policies.md)",
     ),
     ("model.weights.h5", "a Keras model (.keras); " + KERAS_EXPORT),
     (".npy", "an archive of numpy arrays (.npz), not a model; export the model as ONNX"),

@@ -83,7 +83,7 @@ def freeze(checkpoint: Path, out: Path, *, fold: bool = True) -> None:
 
 
 def load_checkpoint(path: Path) -> tuple[dict[str, Any], dict[str, NDArray[Any]], dict[str, Any]]:
-    """Configuration, policy weights and progress of a checkpoint. Loads plain data only, never code."""
+    """Load configuration, policy weights and progress of a checkpoint: plain data only, never code."""
     try:
         content = load_plain(path)
     except OSError as error:
@@ -111,7 +111,7 @@ def to_onnx(
     *,
     fold: bool = True,
 ) -> bytes:
-    """The bytes of policy.onnx. The same arguments give the same bytes.
+    """Build the bytes of policy.onnx. The same arguments give the same bytes.
 
     config: the checkpoint's configuration (contract: CHECKPOINT_*); entries that decide nothing here are
     kept in the metadata. state: Stable-Baselines3's names to arrays or CPU tensors. progress: counts such
@@ -228,9 +228,9 @@ def _memory(frozen: FrozenConfig, state: Mapping[str, ArrayLike]) -> Memory | No
 
 
 def _weights(frozen: FrozenConfig, state: Mapping[str, ArrayLike]) -> list[tuple[Matrix, Matrix]]:
-    """Weight (outputs, inputs) and bias (outputs,) of each layer of the policy network, in order.
+    """Return weight (outputs, inputs) and bias (outputs,) of each layer of the policy network, in order.
 
-    Those behind the memory, if there is one.
+    These follow the memory, if there is one.
     """
     widths = [len(frozen.observation_scale), *frozen.hidden, frozen.motors][frozen.recurrent != "none" :]
     names = [f"mlp_extractor.policy_net.{2 * i}" for i in range(len(widths) - 2)] + ["action_net"]
@@ -252,7 +252,7 @@ def _weights(frozen: FrozenConfig, state: Mapping[str, ArrayLike]) -> list[tuple
 def _layers(
     frozen: FrozenConfig, state: Mapping[str, ArrayLike], fold: bool
 ) -> tuple[Memory | None, list[tuple[Matrix, Matrix]]]:
-    """The memory and the layers; fold: with the observation's scale and the output's map in them."""
+    """Return the memory and the layers; fold: with the observation's scale and the output's map in them."""
     scale, memory, layers = (
         np.array(frozen.observation_scale),
         _memory(frozen, state),
@@ -299,7 +299,7 @@ def _metadata(frozen: FrozenConfig, config: Mapping[str, Any], progress: Mapping
 
 
 def _training(config: Mapping[str, Any], progress: Mapping[str, Any]) -> dict[str, Any]:
-    """What people want to know of the training: its configuration without bulk, and its counts.
+    """Return the training's configuration without bulky entries, and its counts.
 
     Measured times are left out, so that the same training gives the same file.
     """

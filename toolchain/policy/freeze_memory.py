@@ -37,7 +37,7 @@ class Memory:
 
     @staticmethod
     def of(kind: str, state: Mapping[str, ArrayLike], inputs: int, units: int) -> Memory:
-        """That of a checkpoint's tensors. Raises PolicyError naming the one that does not fit."""
+        """Build the memory from a checkpoint's tensors. Raises PolicyError naming one that does not fit."""
         size = len(KINDS[kind]) * units
         parts = []
         for name, shape in zip(_NAMES, ((size, inputs), (size, units), (size,), (size,)), strict=True):
@@ -52,11 +52,11 @@ class Memory:
         return Memory(kind, *parts)
 
     def scaled(self, factors: Matrix) -> Memory:
-        """The same for inputs that are not yet multiplied by `factors` (n,)."""
+        """Return the memory for inputs that are not yet multiplied by `factors` (n,)."""
         return Memory(self.kind, self.weight * factors, self.state_weight, self.bias, self.state_bias)
 
     def onnx_arrays(self) -> dict[str, Matrix]:
-        """W (1, GH, n), R (1, GH, H) and B (1, 2GH) of the ONNX operator."""
+        """Return W (1, GH, n), R (1, GH, H) and B (1, 2GH) of the ONNX operator."""
 
         def ordered(values: Matrix) -> Matrix:
             places = KINDS[self.kind]
@@ -71,7 +71,7 @@ class Memory:
         }
 
     def onnx_nodes(self, value: str, result: str) -> list[Any]:
-        """Nodes from the row `value` (1, n) to the row `result` (1, H); `memory_axis` is the tensor [0]."""
+        """Make nodes from the row `value` (1, n) to `result` (1, H); `memory_axis` is the tensor [0]."""
         from onnx import helper
 
         weights = list(self.onnx_arrays())

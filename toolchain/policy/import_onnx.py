@@ -35,7 +35,7 @@ CHECKPOINT_STARTS = (b"PK", b"\x80")  # torch's zip archive and the pickle it wr
 
 @dataclass(frozen=True)
 class PolicyClaims:
-    """What the user says about a model that does not say it itself."""
+    """The user's statements about a model that does not contain them itself."""
 
     observation: str  # comma-separated blocks
     control_rate_hz: int
@@ -49,7 +49,7 @@ class PolicyClaims:
 
 
 def is_checkpoint(path: Path) -> bool:
-    """Whether the file is torch's rather than an ONNX model. Raises PolicyError when it is neither."""
+    """Return True if the file is torch's, False if an ONNX model. Raises PolicyError if it is neither."""
     try:
         size = file_size(path)  # raises for a pipe or a device, which would not end
         with path.open("rb") as file:
@@ -135,7 +135,7 @@ def imported_model(
     constants: Mapping[str, float] | None = None,
     prove: Proof | None = None,
 ) -> tuple[bytes, Sequence[str]]:
-    """The bytes of the policy, and what was changed. Raises PolicyError where it cannot be read back."""
+    """Return the bytes of the policy, and the changes. Raises PolicyError if it cannot be read back."""
     from neuroflight.toolchain.ir.onnx_export import to_model
     from neuroflight.toolchain.policy.foreign_ends import Ends
     from neuroflight.toolchain.policy.foreign_model import (
@@ -210,7 +210,7 @@ def _float64(model: onnx.ModelProto) -> str:
 
 
 def _in_one_file(data: bytes, folder: Path) -> tuple[bytes, list[str]]:
-    """The model with the weights that lie in files beside it, and what that changed."""
+    """Move weights from files beside the model into it; return it and the changes."""
     model = parse_model(data)
     check_parts(model, functions=True)
     if not (files := embed_weights(model, folder)):

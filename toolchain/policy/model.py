@@ -61,7 +61,7 @@ class PolicyModel:
 
     @property
     def gyro_mean(self) -> bool:
-        """Whether it sees the mean of the gyro's samples of a control period."""
+        """True if it observes the mean of the gyro's samples of a control period."""
         return [contract.POLICY_FILTER_MEAN] in self.filters
 
     @property
@@ -71,7 +71,7 @@ class PolicyModel:
 
 
 def read_policy(path: Path) -> PolicyModel:
-    """The policy in the ONNX file `path`. Raises PolicyError, one line, on anything it cannot prove."""
+    """Read the policy in the ONNX file `path`. Raises PolicyError, one line, unless it is proven valid."""
     data = read_file(path)
     try:
         return parse_policy(data)
@@ -80,7 +80,7 @@ def read_policy(path: Path) -> PolicyModel:
 
 
 def read_file(path: Path) -> bytes:
-    """The bytes of an ONNX file. Raises PolicyError when it is missing or larger than any policy."""
+    """Read the bytes of an ONNX file. Raises PolicyError if it is missing or larger than any policy."""
     try:
         size = file_size(path)
         with path.open("rb") as file:
@@ -97,7 +97,7 @@ def read_file(path: Path) -> bytes:
 
 
 def parse_policy(data: bytes) -> PolicyModel:
-    """The policy in the bytes of an ONNX file. Raises PolicyError, one line, without the file's name."""
+    """Parse the policy in an ONNX file's bytes. Raises PolicyError, one line, without the file's name."""
     from neuroflight.toolchain.reader.graph import read_network
 
     model = parse_model(data)
@@ -109,7 +109,7 @@ def parse_policy(data: bytes) -> PolicyModel:
 
 
 def parse_model(data: bytes) -> onnx.ModelProto:
-    """The ONNX model in `data`, unchecked. Raises PolicyError when it is none."""
+    """Parse the ONNX model in `data`, unchecked. Raises PolicyError if it is none."""
     import onnx  # a third of a second that commands without a policy need not wait for
     from google.protobuf.message import DecodeError
 
@@ -181,7 +181,7 @@ def _mix(metadata: Mapping[str, str]) -> Mix:
 def _model(
     metadata: Mapping[str, str], blocks: tuple[ObservationTerm, ...], motors: int
 ) -> ModelConstants | None:
-    """The model's constants; None where the observation needs none."""
+    """Read the model's constants; None if the observation needs none."""
     if not contract.needs_model(blocks):
         return None
     document = _json(metadata, contract.META_MODEL, dict)

@@ -23,7 +23,7 @@ DELAY_STEPS_MAX = contract.ESTIMATOR_DELAY_MAX
 
 @dataclass(frozen=True)
 class ModelConstants:
-    """Of one control step at the policy's rate; every number is exactly a float32."""
+    """Model constants of one control step at the policy's rate; every number is exactly a float32."""
 
     delay_steps: int  # control steps from an output to the rotor
     speed_curve: tuple[float, float, float]  # a, b, c [rad/s]: a command u settles at (a u + b) u + c
@@ -68,12 +68,12 @@ class ModelConstants:
         return (*self.speed_curve, self.rise, self.fall, self.gain_max, self.loss_max, self.correction)
 
     def document(self) -> dict[str, object]:
-        """As JSON data."""
+        """Return the constants as JSON data."""
         return asdict(self)
 
     @staticmethod
     def of(document: Mapping[str, object]) -> ModelConstants:
-        """From JSON data; numbers are rounded to float32. Raises ValueError, one line."""
+        """Build the constants from JSON data, rounded to float32. Raises ValueError, one line."""
         names = [field.name for field in fields(ModelConstants)]
         if unknown := sorted(set(document) ^ set(names)):
             raise ValueError(

@@ -15,7 +15,7 @@ Float64 = NDArray[np.float64]
 
 
 def read_gemm(build: Builder, call: Call) -> Row:
-    """alpha x W + beta b."""
+    """Read Gemm: alpha x W + beta b."""
     row, options = call.row(0), call.attributes
     shape = row.shape[::-1] if options.get("transA", 0) else row.shape
     flat = len(shape) == 1  # which ONNX forbids and jax2onnx writes
@@ -35,7 +35,7 @@ def read_gemm(build: Builder, call: Call) -> Row:
 
 
 def read_matmul(build: Builder, call: Call) -> Row:
-    """x W or W x, where every axis but the one that is summed over has size 1."""
+    """Read MatMul: x W or W x, if every axis but the summed one has size 1."""
     first = isinstance(call.input(0), Row)
     row, constant = call.row(0 if first else 1), call.floats(1 if first else 0)
     weight = _weights(call, 1).T if first else _weights(call, 0)
@@ -103,7 +103,7 @@ def mapped(
     offset: Float64 | float,
     shape: tuple[int, ...],
 ) -> Row:
-    """scale row + offset, value by value."""
+    """Append scale row + offset, value by value."""
     factors, summands = (np.broadcast_to(np.float64(values), row.width).copy() for values in (scale, offset))
     if max(np.abs(factors).max(), np.abs(summands).max()) > np.finfo(np.float32).max:
         raise call.error("scales its value beyond the range of float32")
@@ -127,7 +127,7 @@ def _of_two(build: Builder, call: Call, first: Row, second: Row) -> Row:
 
 
 def _gated_by_itself(build: Builder, first: Row, second: Row) -> Row | None:
-    """x of x sigmoid(x), as exporters write SiLU before opset 24."""
+    """Append x sigmoid(x) as SiLU, as exporters write it before opset 24; None for any other product."""
     for row, gate in ((first, second), (second, first)):
         node = build.operation(gate)
         if node and node.operation == Sigmoid() and node.inputs == (row.number,) and row.shape == gate.shape:
@@ -184,7 +184,7 @@ def constant_row(build: Builder, call: Call, like: Row, values: Float64) -> Row:
 
 
 def read_negative(build: Builder, call: Call) -> Row:
-    """-x."""
+    """Read Neg."""
     return mapped(build, call, call.row(), -1.0, 0.0, call.row().shape)
 
 

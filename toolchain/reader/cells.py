@@ -127,7 +127,7 @@ class _Search:
             raise NoCellError("its new value has more branches than a cell's")
 
     def groups(self, state: int, value: int) -> list[_Group]:
-        """Group the elements of `state` by the value that their new values are computed in."""
+        """Group the elements of `state` by the value that computes their new values."""
         found: defaultdict[int, list[tuple[int, int]]] = defaultdict(list)
         for place in range(self.widths[state]):
             base, (where,) = self.source(value, (place,))

@@ -55,14 +55,14 @@ def check_model(model: onnx.ModelProto, *, float64: bool = False) -> None:
 
 
 def observation_width(model: onnx.ModelProto) -> int:
-    """n of the one input `observation` float32 [1, n]."""
+    """Return n of the one input `observation` float32 [1, n]."""
     given = {tensor.name for tensor in model.graph.initializer}
     inputs = [value for value in model.graph.input if value.name not in given]
     return _only_vector(inputs, POLICY_INPUT, "input")
 
 
 def action_width(model: onnx.ModelProto) -> int:
-    """m of the one output `action` float32 [1, m]."""
+    """Return m of the one output `action` float32 [1, m]."""
     return _only_vector(list(model.graph.output), POLICY_OUTPUT, "output")
 
 
@@ -137,7 +137,7 @@ def _check_tensors(graph: onnx.GraphProto, floats: Set[int]) -> None:
 
 
 def _check_order(graph: onnx.GraphProto) -> None:
-    """Every value is computed once, by a node before those that take it; an empty name is no value."""
+    """Raise PolicyError unless every value is computed once, before it is taken; an empty name is none."""
     known = {tensor.name for tensor in graph.initializer}
     if len(known) != len(graph.initializer):
         raise PolicyError("two initializers of the policy have one name; export it again")
@@ -167,7 +167,7 @@ def _check_order(graph: onnx.GraphProto) -> None:
 
 
 def _check_inputs(graph: onnx.GraphProto, version: int) -> None:
-    """No node leaves out an input that its operator needs."""
+    """Raise PolicyError if a node lacks an input that its operator needs."""
     for node in graph.node:
         try:
             schema = onnx.defs.get_schema(node.op_type, version, "")
@@ -183,7 +183,7 @@ def _check_inputs(graph: onnx.GraphProto, version: int) -> None:
 
 
 def _reaches(graph: onnx.GraphProto, start: onnx.NodeProto, end: onnx.NodeProto) -> bool:
-    """Whether `end` depends on what `start` computes."""
+    """Return True if `end` depends on the outputs of `start`."""
     takers: dict[str, list[onnx.NodeProto]] = {}
     for node in graph.node:
         for name in filter(None, node.input):
@@ -199,7 +199,7 @@ def _reaches(graph: onnx.GraphProto, start: onnx.NodeProto, end: onnx.NodeProto)
 
 
 def _only_vector(values: list[onnx.ValueInfoProto], name: str, role: str) -> int:
-    """n of the one float32 [1, n] value called `name`."""
+    """Return n of the one float32 [1, n] value called `name`."""
     names = ", ".join(shown(value.name) for value in values[:8]) or "none"
     if [value.name for value in values] != [name]:
         hint = f"; {HINTS[role]}" if len(values) > 1 else "; `neuroflight freeze` renames it"
@@ -219,7 +219,7 @@ def _only_vector(values: list[onnx.ValueInfoProto], name: str, role: str) -> int
 
 
 def _names(model: onnx.ModelProto) -> Iterator[object]:
-    """Every name in the model; protobuf gives bytes instead of str for what is not UTF-8."""
+    """Yield every name in the model; protobuf gives bytes instead of str for invalid UTF-8."""
     for node in model.graph.node:
         yield from (node.name, node.op_type, node.domain, *node.input, *node.output)
         yield from (attribute.name for attribute in node.attribute)

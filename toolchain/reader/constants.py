@@ -34,7 +34,7 @@ Move = Callable[[Sequence[Any], Attributes], Array | tuple[Array, ...]]
 
 
 def array(tensor: onnx.TensorProto, label: str) -> Array:
-    """The values of a tensor, which the checks found to be of a known type and in the file itself."""
+    """Return the values of a tensor, which the checks found to be of a known type and in the file itself."""
     try:
         return np.asarray(numpy_helper.to_array(tensor), TYPES[tensor.data_type])
     except (ValueError, TypeError, KeyError) as error:
@@ -42,7 +42,7 @@ def array(tensor: onnx.TensorProto, label: str) -> Array:
 
 
 def fold(call: Call) -> Array | tuple[Array, ...]:
-    """What a node computes from constants. Raises PolicyError when it is no operator of the list."""
+    """Compute a node of constants. Raises PolicyError if its operator is not in the list."""
     if call.operator == "Shape":
         value = call.input(0)
         shape = value.shape if isinstance(value, Row | Unread | np.ndarray) else None
@@ -59,7 +59,7 @@ def fold(call: Call) -> Array | tuple[Array, ...]:
 
 
 def apply(call: Call, function: Move, inputs: Sequence[Any]) -> Array | tuple[Array, ...]:
-    """What `function` makes of `inputs`; numpy's errors about shapes and places become refusals."""
+    """Apply `function` to `inputs`; numpy's errors about shapes and indices become refusals."""
     try:
         with np.errstate(all="ignore"):
             return function(inputs, {**call.attributes, "outputs": call.outputs})
@@ -69,7 +69,7 @@ def apply(call: Call, function: Move, inputs: Sequence[Any]) -> Array | tuple[Ar
 
 
 def _bounded(shape: Sequence[int]) -> tuple[int, ...]:
-    """`shape` of a result, refused before memory is taken for it."""
+    """Return `shape`; raise ValueError before too much memory is allocated for it."""
     if any(size < 0 for size in shape) or math.prod(shape) > ELEMENTS_MAX:
         raise ValueError(f"shape {list(shape)}, expected at most {ELEMENTS_MAX} values")
     return tuple(shape)

@@ -53,7 +53,7 @@ class RandomError(PolicyError):
 
 
 def read_network(model: onnx.ModelProto) -> Network:
-    """The network of `model`; it ends with a Clip within [0, 1]. Raises PolicyError."""
+    """Read the network of `model`; it ends with a Clip within [0, 1]. Raises PolicyError."""
     check_model(model)
     width = observation_width(model)
     if width > WIDTH_MAX:
@@ -107,7 +107,7 @@ def _call(node: onnx.NodeProto, values: dict[str, Value]) -> Call:
 
 
 def _read(build: Builder, call: Call) -> tuple[Value, ...]:
-    """The outputs of one node."""
+    """Read the outputs of one node."""
     if call.operator == "Shape" and isinstance(call.input(0), Unread):
         result: Value | tuple[Value, ...] = fold(call)
         return result if isinstance(result, tuple) else (result,)
@@ -185,7 +185,7 @@ def _constant(call: Call) -> Value:
 
 
 def _network(build: Builder, action: Row) -> Network:
-    """The nodes up to the one that gives the action, without those that a later one absorbed."""
+    """Return the nodes up to the action's, without those that a later one absorbed."""
     nodes = build.nodes[: action.number]
     kept, numbers = list[Node](), {0: 0}
     taken = {number for node in nodes for number in node.inputs} | {action.number}

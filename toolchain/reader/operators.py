@@ -170,7 +170,7 @@ def _norm(build: Builder, call: Call) -> tuple[Value, ...]:
 
 
 def _batch_norm(build: Builder, call: Call) -> Row:
-    """In inference an affine map of each value."""
+    """Read BatchNormalization in inference: an affine map of each value."""
     row = call.row()
     if call.attributes.get("training_mode", 0) or call.outputs > 1:
         raise call.error("is in training mode, expected inference; export after model.eval()")
@@ -205,7 +205,7 @@ def _cast(build: Builder, call: Call) -> Row:
 
 
 def _concat(build: Builder, call: Call) -> Row:
-    """Values one after the other along any axis."""
+    """Read Concat along any axis."""
     rows = [call.row(place) for place in range(len(call.inputs))]
     starts = np.cumsum([0, *(row.width for row in rows)])
     if starts[-1] > WIDTH_MAX:
@@ -218,7 +218,7 @@ def _concat(build: Builder, call: Call) -> Row:
 
 
 def _move(build: Builder, call: Call) -> Value | tuple[Value, ...]:
-    """Whatever only moves values: a renamed row where they stay in order, slices where they do not."""
+    """Read a node that only moves values: a renamed row if they stay in order, otherwise slices."""
     row = call.row()
     constants = [call.constant(place) for place in range(1, len(call.inputs))]
     moved = apply(call, MOVES[call.operator], [row.places, *constants])

@@ -19,7 +19,7 @@ class UnboundedError(PolicyError):
 
 
 def bounded(network: Network) -> Network:
-    """`network` with a Clip within [0, 1] at its end. Raises UnboundedError otherwise."""
+    """Return `network` with a Clip within [0, 1] at its end. Raises UnboundedError otherwise."""
     match network.nodes[-1].operation if network.nodes else None:
         case Clip(low=float(low), high=float(high)) if 0 <= low <= high <= 1:
             return network

@@ -232,7 +232,7 @@ def _mean_shape(call: Call, row: Row) -> tuple[int, ...]:
 
 
 def _over_all(call: Call, row: Row) -> bool:
-    """Whether a ReduceMean takes the mean of all values of `row`."""
+    """Return True if a ReduceMean takes the mean of all values of `row`."""
     axes = reduced_axes(call, row)
     return all(size == 1 or axis in axes for axis, size in enumerate(row.shape))
 

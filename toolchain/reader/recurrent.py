@@ -40,7 +40,7 @@ ACTIVATIONS = {"RNN": [b"Tanh"], "GRU": [b"Sigmoid", b"Tanh"], "LSTM": [b"Sigmoi
 
 
 def read_gru(build: Builder, call: Call) -> tuple[Value, ...]:
-    """Y and Y_h of a GRU."""
+    """Read GRU: Y and Y_h."""
     if call.attributes.get("linear_before_reset", 0) != 1:
         raise call.error(
             "has linear_before_reset 0, expected 1: the reset gate after the state's matrix, as torch's GRU "
@@ -124,7 +124,7 @@ def _outputs(result: Row) -> tuple[Row, Row]:
 
 @dataclass(frozen=True)
 class _Writer:
-    """Appends the operations of one cell, all of its width."""
+    """A writer of the operations of one cell, all of its width."""
 
     build: Builder
     call: Call
@@ -171,7 +171,7 @@ def _initial(call: Call, units: int, *places: int) -> list[Row] | None:
 
 
 def _parts(call: Call, gates: int) -> tuple[Row, Float32, Float32, Float32]:
-    """Input, weights (gates H, inputs), state weights (gates H, H) and both biases (2 gates H,)."""
+    """Return input, weights (gates H, inputs), state weights (gates H, H) and both biases (2 gates H,)."""
     _check_options(call)
     row = call.row(0)
     if len(row.shape) != 3 or row.shape[:2] != (1, 1):

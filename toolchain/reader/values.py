@@ -1,4 +1,4 @@
-"""What the reader knows of each ONNX value, and the network that grows from it.
+"""The reader's view of ONNX values, and the network that grows from it.
 
 An ONNX value of any rank is a row of float32 in C order, so that a reshape, a squeeze or a transpose that
 leaves the order alone costs nothing, and whatever else moves values becomes slices.
@@ -94,7 +94,7 @@ class Call:
     outputs: int
 
     def input(self, place: int) -> Value | None:
-        """Input number `place`, None where the node leaves it out."""
+        """Return input number `place`, None if the node leaves it out."""
         return self.inputs[place] if place < len(self.inputs) else None
 
     def numbers(self, place: int) -> NDArray[np.float64] | None:
@@ -106,14 +106,14 @@ class Call:
         return None if given is None else given.astype(np.float64)
 
     def row(self, place: int = 0) -> Row:
-        """The computed value that the node takes at `place`. Raises PolicyError for a constant there."""
+        """Return the computed value at input `place`. Raises PolicyError for a constant there."""
         value = self.input(place)
         if isinstance(value, Row):
             return value
         raise self.error(f"takes a constant as input {place}, expected a value computed from the observation")
 
     def constant(self, place: int) -> Array | None:
-        """The constant at `place`, of any type. Raises PolicyError for a computed value there."""
+        """Return the constant at input `place`, of any type. Raises PolicyError for a computed value."""
         value = self.input(place)
         if value is None or isinstance(value, np.ndarray):
             return value
@@ -149,7 +149,7 @@ class Call:
         return float(values.flat[0])
 
     def error(self, message: str) -> PolicyError:
-        """A refusal that names the node."""
+        """Return a refusal that names the node."""
         return PolicyError(f"{self.label} {message}")
 
 
@@ -166,11 +166,11 @@ class Builder:
     computed: dict[Part, Row] = field(default_factory=dict)  # parts whose values are used outside a pattern
 
     def __post_init__(self) -> None:
-        """The observation is value 0."""
+        """Begin with value 0, the observation."""
         self.widths.append(self.inputs)
 
     def append(self, call: Call, operation: Operation, *rows: Row, shape: tuple[int, ...]) -> Row:
-        """`call` computes `operation` from `rows`; the result has `shape`."""
+        """Append `operation` on `rows`, computed by `call`; return its result of `shape`."""
         self.afford(call, multiply_adds(operation))
         self.multiply_adds += multiply_adds(operation)
         if len(self.nodes) >= NODES_MAX:
@@ -191,11 +191,11 @@ class Builder:
             )
 
     def operation(self, row: Row) -> Node | None:
-        """The node that computes `row`, None for the observation."""
+        """Return the node that computes `row`, None for the observation."""
         return self.nodes[row.number - 1] if row.number else None
 
     def arranged(self, call: Call, row: Row, places: NDArray[np.int64]) -> Row:
-        """The value whose item i is item places[i] of `row`: itself where nothing moves, slices otherwise."""
+        """Return the value whose item i is item places[i] of `row`, by slices unless nothing moves."""
         shape, flat = places.shape, places.ravel()
         if flat.size == 0 or flat.size > WIDTH_MAX:
             raise call.error(f"gives {flat.size} values, expected 1 to {WIDTH_MAX}")
@@ -213,14 +213,14 @@ class Builder:
         return self.append(call, Concat(), *pieces, shape=shape)
 
     def broadcast(self, call: Call, row: Row, shape: tuple[int, ...]) -> Row:
-        """`row` repeated along the axes where `shape` is larger, as ONNX's arithmetic does."""
+        """Repeat `row` along the axes where `shape` is larger, as ONNX's arithmetic does."""
         if math.prod(shape) > WIDTH_MAX:
             raise call.error(f"gives values of shape {list(shape)}, expected at most {WIDTH_MAX}")
         return self.arranged(call, row, np.broadcast_to(row.places, shape))
 
 
 def joint_shape(call: Call, *shapes: tuple[int, ...]) -> tuple[int, ...]:
-    """The shape that ONNX's arithmetic gives values of `shapes`."""
+    """Return the shape that ONNX's arithmetic gives values of `shapes`."""
     try:
         return np.broadcast_shapes(*shapes)
     except ValueError as error:
@@ -229,24 +229,24 @@ def joint_shape(call: Call, *shapes: tuple[int, ...]) -> tuple[int, ...]:
 
 
 def shown(name: str) -> str:
-    """A name as messages quote it: one line, not too long."""
+    """Quote a name for messages: one line, not too long."""
     return repr(name if len(name) <= NAME_MAX else name[: NAME_MAX - 3] + "...")
 
 
 def printable(name: str) -> str:
-    """A name that may stand in a table or a C comment: letters, digits and what names of exporters hold."""
+    """Replace characters of a name that may not stand in a table or a C comment."""
     return "".join(c if c.isalnum() or c in "/._:-" else "_" for c in name[:NAME_MAX])
 
 
 def label(node: onnx.NodeProto) -> str:
-    """A node's name and operator."""
+    """Format a node's name and operator."""
     operator = node.op_type if node.domain in STANDARD_DOMAINS else f"{node.domain}::{node.op_type}"
     operator = operator if operator.isprintable() and len(operator) <= NAME_MAX else shown(operator)
     return f"node {shown(node.name or ', '.join(node.output))} ({operator})"
 
 
 def _slices(flat: NDArray[np.int64]) -> list[Slice]:
-    """The fewest slices, read greedily, that give the places `flat` one after the other."""
+    """Return slices, chosen greedily, that give the places `flat` one after the other."""
     slices, start = list[Slice](), 0
     while start < flat.size:
         step = int(flat[start + 1] - flat[start]) if start + 1 < flat.size else 0

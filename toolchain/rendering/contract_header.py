@@ -76,12 +76,12 @@ class BlobField:
 
 
 def blob_header_fields() -> tuple[BlobField, ...]:
-    """The header of the policy blob for the macros of templates/blob_header.j2."""
+    """Return the header of the policy blob for the macros of templates/blob_header.j2."""
     return _struct_fields(contract.POLICY_BLOB_FIELDS)
 
 
 def _struct_fields(source: tuple[contract.HeaderField, ...]) -> tuple[BlobField, ...]:
-    """Members in order, without gaps."""
+    """Return the struct's members in order, without gaps."""
     fields, offset = [], 0
     for field in source:
         comment = f"{field.unit}: {field.meaning}" if field.unit else field.meaning
@@ -92,7 +92,7 @@ def _struct_fields(source: tuple[contract.HeaderField, ...]) -> tuple[BlobField,
 
 
 def render_contract() -> str:
-    """The text of nf_contract.h. Deterministic: the contract in its own order."""
+    """Render the text of nf_contract.h. Deterministic: the contract in its own order."""
     groups = [list(_defines(f"NF_{name}", value)) for name, value in _constants()]
     return render(
         "nf_contract.h.j2",
@@ -126,7 +126,7 @@ def render_contract() -> str:
 
 
 def _choices(setting: contract.Setting) -> str:
-    """Names of a setting's choices as the firmware has them."""
+    """Return the names of a setting's choices as the firmware has them."""
     return ",".join(setting.choices)
 
 
@@ -138,7 +138,7 @@ _CHOICES = list(dict.fromkeys(map(_choices, contract.SETTINGS)))
 
 
 def _setting(setting: contract.Setting, span: contract.Setting | contract.Span) -> dict[str, str | int]:
-    """A row of the macros NF_SETTINGS..., `span` having the limits."""
+    """Return a row of the macros NF_SETTINGS..., with the limits of `span`."""
     return {
         "name": setting.name,
         "kind": setting.kind,
@@ -154,13 +154,13 @@ def _setting(setting: contract.Setting, span: contract.Setting | contract.Span) 
 
 
 def _limits(setting: contract.Setting, span: contract.Setting | contract.Span) -> str:
-    """Kind, limits and default."""
+    """Format kind, limits and default."""
     return ", ".join((setting.kind, *(_number(setting, x) for x in (span.low, span.high, span.default))))
 
 
 @cache
 def _limits_used() -> tuple[str, ...]:
-    """Those of all settings, each once."""
+    """Return the limits of all settings, each once."""
     both = ((s, span) for s in contract.SETTINGS for span in (s, s.betaflight) if span is not None)
     return tuple(dict.fromkeys(_limits(setting, span) for setting, span in both))
 
@@ -196,7 +196,7 @@ def _defines(name: str, value: object) -> Iterator[Define]:
 
 
 def _literal(value: object) -> str:
-    """`value` as a C constant. Large integers are addresses, magics and sizes: unsigned and hex."""
+    """Format `value` as a C constant. Large integers are addresses, magics and sizes: unsigned and hex."""
     match value:
         case int() if 0 <= value < 1 << 16:
             return str(value)

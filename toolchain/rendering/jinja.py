@@ -20,5 +20,5 @@ def _environment() -> jinja2.Environment:
 
 
 def render(template: str, **values: object) -> str:
-    """Text of `templates/<template>` with `values` filled in. Raises jinja2.UndefinedError on a gap."""
+    """Render `templates/<template>` with `values`. Raises jinja2.UndefinedError for an unknown name."""
     return _environment().get_template(template).render(**values)

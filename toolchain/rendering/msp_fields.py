@@ -36,7 +36,7 @@ class MspTables:
 
 
 def render_configurations() -> MspTables:
-    """All configuration messages. Raises ValueError for a field that is bound to nothing."""
+    """Render all configuration messages. Raises ValueError for a field that is bound to nothing."""
     fields: list[str] = []
     rows: list[str] = []
     for pair in contract.CONFIGURATIONS:
@@ -82,7 +82,7 @@ def _place(table: list[str], rows: list[str]) -> str:
 
 
 def _bound(bound: Bound) -> str:
-    """How, index of the setting or source, number, gain."""
+    """Format how a field is bound, index of the setting or source, number, gain."""
     index = (
         int(bound.source) if bound.how is MspHow.SOURCE else _SETTINGS[bound.setting] if bound.setting else 0
     )

@@ -1,4 +1,4 @@
-"""Renders the contract's messages as docs/msp.md: `python -m neuroflight.toolchain.rendering.msp_page FILE`.
+"""Renders the contract's messages as docs/reference/msp.md, which `python -m tests.reference` writes.
 
 The prose stands in templates/msp_page.md.j2; the commands of the command line are read from the firmware's
 table.
@@ -7,7 +7,6 @@ table.
 from __future__ import annotations
 
 import re
-import sys
 from pathlib import Path
 
 from neuroflight.toolchain.contract import (
@@ -40,7 +39,6 @@ from neuroflight.toolchain.contract import (
     Task,
 )
 from neuroflight.toolchain.contract.msp_access import Access, MspWhen, access_of, acknowledge_access
-from neuroflight.toolchain.files import write_text
 from neuroflight.toolchain.rendering.jinja import render
 
 PROSE = "msp_page.md.j2"
@@ -104,12 +102,12 @@ NUMBERED = {
 
 
 def commands() -> list[tuple[str, str, str]]:
-    """Name, arguments and meaning of each command of the command line, as the firmware's `help` says them."""
+    """Return name, arguments and meaning of each command of the command line, from the firmware's `help`."""
     return COMMAND.findall(COMMANDS.read_text())
 
 
 def msp_page() -> str:
-    """The text of the page; messages by number, a row a direction."""
+    """Render the page; messages by number, a row a direction."""
     parts = {
         "api": f"{MSP_API_MAJOR}.{MSP_API_MINOR}",
         "ports": "Two" if MSP_PORT_COUNT == 2 else str(MSP_PORT_COUNT),
@@ -147,7 +145,7 @@ def _command(name: str, arguments: str, meaning: str) -> str:
 
 
 def _messages() -> list[str]:
-    """The rows, requests before replies."""
+    """Return the rows, requests before replies."""
     keys = {(layout.message, layout.direction): layout for layout in LAYOUTS}
     rows = []
     for message in sorted(Msp):
@@ -200,11 +198,7 @@ def _field(field: MspField | MspGroup) -> str:
 
 
 def _bound(bound: Bound | None) -> str:
-    """What stands behind a field of a configuration message, where it is one thing."""
+    """Describe the setting or rule behind a field of a configuration message, if it is a single one."""
     if bound is None:
         return ""
     return "unused" if bound.how is MspHow.UNUSED else f"`{bound.setting}`" if bound.setting else ""
-
-
-if __name__ == "__main__":
-    write_text(Path(sys.argv[1]), msp_page())

@@ -41,9 +41,9 @@ class PidTable:
 
 
 def render_pid_table(table: PidTable | None, motors: int, control_rate_hz: int) -> str:
-    """The text of pid_table.c for a firmware of `motors` motors; None: no PID is built in.
+    """Render pid_table.c for a firmware of `motors` motors; table None: no PID is built in.
 
-    Raises ValueError when the table is another aircraft's.
+    Raises ValueError if the table is another aircraft's.
     """
     if table is not None and table.motor_count != motors:
         raise ValueError(f"the PID of {table.aircraft} drives {table.motor_count} motors, expected {motors}")

@@ -1,24 +1,18 @@
-"""Renders the contract's SETTINGS as docs/settings.md.
-
-    python -m neuroflight.toolchain.rendering.settings_page FILE
+"""Renders SETTINGS as docs/reference/settings.md, which `python -m tests.reference` writes.
 
 The prose stands in templates/settings_page.md.j2.
 """
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
-
 from neuroflight.toolchain.contract import SETTINGS, ModeRange, Setting
-from neuroflight.toolchain.files import write_text
 from neuroflight.toolchain.rendering.jinja import render
 
 PROSE = "settings_page.md.j2"
 
 
 def settings_page() -> str:
-    """The text of the page, a row a setting, in the contract's order."""
+    """Render the page, a row a setting, in the contract's order."""
     return render(PROSE) + "".join(_row(setting) for setting in SETTINGS)
 
 
@@ -39,9 +33,5 @@ def _row(setting: Setting) -> str:
 
 
 def _both(actual: str, betaflight: str) -> str:
-    """What holds in each of the two styles of rates."""
+    """Format a value that may differ between the two styles of rates."""
     return actual if actual == betaflight else f"{actual}; betaflight: {betaflight}"
-
-
-if __name__ == "__main__":
-    write_text(Path(sys.argv[1]), settings_page())

@@ -18,7 +18,8 @@ State = Mapping[str, NDArray[Any]]
 
 
 def read_actor(checkpoint: Path) -> Callable[[Float32], Float32]:
-    """Observations (sequences, steps, n) to actions: scaling, memory, layers, output map, clip.
+    """Return a function from observations (sequences, steps, n) to actions: scaling, memory, layers, output
+    map, clip.
 
     Raises PolicyError, one line. The function raises RuntimeError on observations that do not fit.
     """
@@ -53,7 +54,7 @@ def read_actor(checkpoint: Path) -> Callable[[Float32], Float32]:
 
 
 def _memory(state: State, kind: str) -> torch.nn.GRU | torch.nn.LSTM:
-    """The layer whose tensors are called "recurrent."."""
+    """Build the layer from the tensors called "recurrent."."""
     place = "recurrent."
     tensors = {
         name.removeprefix(place): torch.from_numpy(array)

@@ -44,7 +44,7 @@ class Inputs:
 
 
 def make_inputs(width: int, count: int, seed: int, steps: int = STEPS) -> tuple[Inputs, ...]:
-    """All groups for a policy that observes `width` values, about `count` observations each, at least some.
+    """Make all groups for a policy that observes `width` values, about `count` observations each.
 
     steps: of a path. A group's numbers depend on the seed and on its place, not on those before it.
     """
@@ -62,7 +62,7 @@ def make_inputs(width: int, count: int, seed: int, steps: int = STEPS) -> tuple[
 
 
 def smooth_paths(rng: np.random.Generator, width: int, sequences: int, steps: int) -> Float32:
-    """Smooth random paths (sequences, steps, width) from rest, by turns of unit and half the gyro's scale."""
+    """Draw smooth paths (sequences, steps, width) from rest, alternating unit and half the gyro's scale."""
     paths = np.zeros((sequences, steps, width))
     innovation = np.sqrt(1 - SMOOTHNESS**2)
     for step in range(1, steps):
@@ -76,7 +76,7 @@ def _singles(name: str, rows: NDArray[np.floating]) -> Inputs:
 
 
 def _grid(rng: np.random.Generator, width: int, count: int) -> Float32:
-    """Each axis alone across the gyro's range, then every pair of axes: as fine as `count` allows."""
+    """Move each axis alone across the gyro's range, then every pair of axes: as finely as `count` allows."""
     fine = np.linspace(-GYRO_RANGE, GYRO_RANGE, max(3, count // (2 * width) | 1), dtype=np.float32)
     rows = np.zeros((width, fine.size, width), np.float32)
     for axis in range(width):
@@ -93,7 +93,7 @@ def _grid(rng: np.random.Generator, width: int, count: int) -> Float32:
 
 
 def _adversarial(rng: np.random.Generator, width: int, count: int) -> Float32:
-    """Each odd number everywhere and in each place alone, then mixtures of them and any bits at all."""
+    """Put each odd number everywhere and in each place alone, then mixtures of them and random bits."""
     odd = _odd()
     everywhere = np.repeat(odd[:, None], width, axis=1)
     alone = rng.normal(size=(odd.size * width, width)).astype(np.float32)
@@ -107,7 +107,7 @@ def _adversarial(rng: np.random.Generator, width: int, count: int) -> Float32:
 
 
 def _with_faults(rng: np.random.Generator, paths: Float32) -> Float32:
-    """The same paths with some values of their first half replaced by odd ones, infinities and NaN."""
+    """Replace some values in the first half of the paths by odd ones, infinities and NaN."""
     odd = _odd()
     sequences, steps, width = paths.shape
     faulty = rng.random((sequences, steps)) < FAULT_SHARE

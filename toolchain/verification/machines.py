@@ -45,7 +45,7 @@ class MachineError(Exception):
     """A machine on which the policy fails before there is anything to compare."""
 
     def __init__(self, law: str, message: str) -> None:
-        """law: which of toolchain.verification.verify's laws is broken."""
+        """law: the law of toolchain.verification.verify that is broken."""
         super().__init__(message)
         self.law = law
 
@@ -61,7 +61,7 @@ class SelfTest:
 
 @dataclass(frozen=True, eq=False)
 class Machine:
-    """Something that runs the policy."""
+    """A program that runs the policy."""
 
     is_ours: bool  # runs the compiled network, and so is held to the evaluator's bits
     actions: Callable[[Float32], Float32]
@@ -69,7 +69,7 @@ class Machine:
 
 
 def open_onnxruntime(data: bytes) -> Machine:
-    """The policy's file; recurrent state is carried outside of it, through inputs and outputs added to it."""
+    """Open the policy's file in onnxruntime; recurrent state is carried through added inputs and outputs."""
     try:
         import onnx
         import onnxruntime
@@ -120,7 +120,7 @@ def _expose_state(model: onnx.ModelProto) -> list[tuple[str, str, int]]:
 
 
 def open_torch(checkpoint: Path, inputs: int, outputs: int) -> Machine:
-    """The actor as training had it, before anything was folded: scaling, layers, output map, clip."""
+    """Open the actor as it was trained, before anything was folded: scaling, layers, output map, clip."""
     from neuroflight.toolchain.verification.actor import read_actor
 
     actions = read_actor(checkpoint)
@@ -137,7 +137,7 @@ def open_torch(checkpoint: Path, inputs: int, outputs: int) -> Machine:
 
 
 def open_evaluator(network: Network) -> Machine:
-    """The compiled network in numpy, in the order of operations that the C has."""
+    """Open the compiled network in numpy, with the C's order of operations."""
 
     def actions(observation: Float32) -> Float32:
         if not network.recurrent:
@@ -156,7 +156,7 @@ def open_evaluator(network: Network) -> Machine:
 
 
 def open_host(policy: CompiledPolicy, directory: Path, compiler: str, *, sanitize: bool = False) -> Machine:
-    """policy.c compiled into a program of this machine; what a sanitizer reports is a MachineError."""
+    """Compile policy.c for this machine; a sanitizer's report becomes a MachineError."""
     if shutil.which(compiler) is None:
         raise NotRunError(f"{compiler} is not installed; run: sudo apt-get install {compiler}")
     write_text(directory / "policy.h", policy.emission.header)
@@ -209,7 +209,7 @@ def _run(program: Path, data: bytes) -> Float32:
 
 
 def _sanitizer_report(lines: Sequence[str]) -> str | None:
-    """What a sanitizer found and where, without addresses; None if `lines` hold no report."""
+    """Return a sanitizer's finding and place, without addresses; None if `lines` hold no report."""
     for line in lines:
         if UNDEFINED in line:
             return line
@@ -220,7 +220,7 @@ def _sanitizer_report(lines: Sequence[str]) -> str | None:
 
 
 def open_arm(policy: CompiledPolicy, directory: Path) -> Machine:
-    """policy.c with the firmware's flags, executed instruction by instruction on an emulated Cortex-M7."""
+    """Compile policy.c with the firmware's flags, to be executed on an emulated Cortex-M7."""
     try:
         from neuroflight.toolchain.cortex_m7.arm_policy import COMPILER, ArmPolicy, build_policy_elf
         from neuroflight.toolchain.cortex_m7.emulator import FaultError, load_program

@@ -23,7 +23,7 @@ DSHOT_STEP = 2.0**-11  # of a motor fraction; the ulp of a smaller action is tak
 
 @dataclass(frozen=True, eq=False)
 class Standard:
-    """What actions on one group of inputs are compared with."""
+    """The expected actions for one group of inputs."""
 
     inputs: Inputs
     reference: Float64  # (S, T, outputs)
@@ -34,7 +34,7 @@ class Standard:
 
 @dataclass(frozen=True)
 class Figures:
-    """How far a machine is from others on one group; None where no observation is compared."""
+    """The differences of one machine from others on one group; None if no observation is compared."""
 
     inputs: str
     count: int  # observations
@@ -47,9 +47,9 @@ class Figures:
 
 
 def standard(network: Network, inputs: Inputs, rng: np.random.Generator) -> Standard:
-    """What the policy's own `network`, not yet optimized, should give for `inputs`, and how nearly.
+    """Compute the expected actions of the policy's unoptimized `network` for `inputs`, and their tolerance.
 
-    TOLERANCE is allowed, or more where rounding must do more: the rounding errors of a sum are in proportion
+    TOLERANCE is allowed, or more if rounding demands it: the rounding errors of a sum are in proportion
     to its terms, and the layers after it magnify or swallow them. How much of that reaches an action is
     measured, not assumed: the network is disturbed in the last place of its constants and functions, and
     ROUNDING times the move of the action that this gives (root mean square of DISTURBANCES) is allowed.
@@ -69,7 +69,7 @@ def standard(network: Network, inputs: Inputs, rng: np.random.Generator) -> Stan
 
 
 def figures(actions: Float32, expected: Standard, peer: Float32 | None) -> Figures:
-    """How far `actions` (S, T, outputs) are from what is expected, and from onnxruntime's, `peer`."""
+    """Compare `actions` (S, T, outputs) with the expected ones, and with onnxruntime's, `peer`."""
     use = expected.comparable
     name, count, compared = expected.inputs.name, expected.inputs.count, int(use.sum())
     if not compared:
@@ -87,7 +87,7 @@ def figures(actions: Float32, expected: Standard, peer: Float32 | None) -> Figur
 
 
 def distance(actions: NDArray[np.floating], others: NDArray[np.floating]) -> Float64:
-    """|a - b|; a NaN is infinitely far."""
+    """Compute |a - b|; a NaN counts as infinite."""
     with np.errstate(invalid="ignore"):
         apart = np.abs(actions.astype(np.float64) - others)
     return np.where(np.isnan(apart), np.inf, apart)

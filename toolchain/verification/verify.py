@@ -62,7 +62,7 @@ class Finding:
 
 @dataclass(frozen=True)
 class MachineReport:
-    """What became of one machine."""
+    """The result of one machine."""
 
     name: str
     required: bool  # without it the verdict is incomplete
@@ -115,7 +115,7 @@ class Candidate:
 
 @dataclass
 class _Bench:
-    """What is known while machines run one after the other: actions by group."""
+    """The state of a verification while machines run one after the other: actions by group."""
 
     last: Clip
     network: Network
@@ -149,7 +149,7 @@ def verify(
 def all_candidates(
     compiled: CompiledPolicy, data: bytes, directory: Path, checkpoint: Path | None
 ) -> tuple[Candidate, ...]:
-    """Every machine there is for the policy whose file is `data`; programs are built in `directory`.
+    """Return every machine for the policy whose file is `data`; programs are built in `directory`.
 
     Later ones are compared with onnxruntime and the evaluator, so these come first.
     """
@@ -203,7 +203,7 @@ def _examine(
 def _broken(
     name: str, machine: Machine, actions: Float32, expected: Standard, bench: _Bench
 ) -> Iterator[Finding]:
-    """The laws that the machine's actions break, the first input for each."""
+    """Yield the laws that the machine's actions break, the first input for each."""
     group, observation = expected.inputs.name, expected.inputs.observation
     found = partial(_found, name, actions, expected)
     if machine.is_ours:
@@ -234,7 +234,7 @@ def _found(
     peer: NDArray[np.floating] | None,
     said: str,
 ) -> Iterator[Finding]:
-    """The first of the actions that are `wrong` (S, T, outputs), if any is; `peer` has what was expected."""
+    """Yield the first of the actions that are `wrong` (S, T, outputs), if any; `peer`: expected ones."""
     if not wrong.any():
         return
     sequence, step, motor = np.argwhere(wrong)[0].tolist()
@@ -269,7 +269,7 @@ def _selftest(machine_name: str, machine: Machine, network: Network) -> Finding 
 
 
 def _recovery(bench: _Bench) -> float | None:
-    """How far paths with faults end from the same paths without."""
+    """Return how far paths with faults end from the same paths without."""
     calm, faulty = (bench.evaluator.get(name) for name in ("paths", "paths with faults"))
     if calm is None or faulty is None:
         return None
@@ -281,6 +281,6 @@ def _words(observation: Float32) -> tuple[str, ...]:
 
 
 def _text(value: np.floating) -> str:
-    """Nine digits, which tell every float32 from every other; of a float32 its bits, too."""
+    """Format nine digits, which identify every float32, and for a float32 its bits."""
     bits = f" (0x{value.view(np.uint32):08X})" if isinstance(value, np.float32) else ""
     return f"{value:.9g}{bits}"

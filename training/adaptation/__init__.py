@@ -1,1 +1,1 @@
-"""A policy refined on what a flight told, and its proof."""
+"""Refinement of a policy by what a flight showed, and its proof."""

@@ -56,7 +56,7 @@ class Proof:
 
     @property
     def refusal(self) -> str | None:
-        """Why the new policy must not replace the old one; None: it may."""
+        """Reason against replacing the old policy by the new one; None: there is none."""
         old, new = float(self.old.mae.value), float(self.new.mae.value)
         if not float(self.gain.low) > 0.0:
             return (
@@ -87,10 +87,11 @@ class Proof:
 def warm_config(
     folder: Path, steps: int, seed: int, change_factor: float = 1.0
 ) -> tuple[TrainingConfig, Learned]:
-    """The configuration of a refinement of the policy in `folder`, and what its run had learned.
+    """Return the configuration that refines the policy in `folder`, and what its run had learned.
 
-    change_factor: what the limit of the motors' change is multiplied by.
-    Raises TrainingError on a folder that holds no run of the pathwise learner.
+    change_factor: multiplies the limit of the motors' change. Raises TrainingError for a folder without a run
+    of
+    the pathwise learner.
     """
     config = load_config(
         folder / RECORD,
@@ -161,7 +162,7 @@ def prove(old: Path, new: Path, original: Aircraft, adapted: Aircraft, commands:
 
 
 def bench(policy: Path, aircraft: Aircraft, commands: int, seed: int) -> Bench:
-    """A policy in unseen flights."""
+    """Fly a policy in unseen flights."""
     controller = load_controller(str(policy), aircraft)
     task, flights = FLIGHT.of_commands(commands)
     found = scores(Conditions(aircraft, task, flights, seed).fly(controller, HOVER_THROTTLE))

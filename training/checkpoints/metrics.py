@@ -20,7 +20,7 @@ class Spread:
 
     @staticmethod
     def of(values: ArrayLike) -> Spread:
-        """From one value per episode."""
+        """Compute it from one value per episode."""
         v = np.asarray(values, np.float64)
         return Spread(float(v.mean()), float(v.min()), float(v.max()))
 
@@ -37,12 +37,12 @@ class CheckpointMetrics:
     reward: Spread  # of the run, mean per control step
 
     def document(self) -> dict[str, Any]:
-        """As JSON data."""
+        """Return the metrics as JSON data."""
         return asdict(self)
 
     @staticmethod
     def of(document: Mapping[str, Any]) -> CheckpointMetrics:
-        """The metrics whose `document` this is. Raises KeyError, TypeError or ValueError if it is none."""
+        """Read the metrics from JSON data. Raises KeyError, TypeError or ValueError if it has none."""
         spreads = {
             field.name: Spread(**{key: float(value) for key, value in document[field.name].items()})
             for field in fields(CheckpointMetrics)

@@ -37,7 +37,8 @@ Weights = Mapping[str, NDArray[np.float32]]  # by the names that `toolchain.poli
 
 
 def flown(config: TrainingConfig) -> TrainingConfig:
-    """The configuration that the monitor flies: the run's task if it is one of OWN_TASKS, else FLIGHT.
+    """Return the configuration that the monitor flies: the run's task if it is one of OWN_TASKS, otherwise
+    FLIGHT.
 
     Continuous commands are the dissertation's: they fly pulses.
     The world is the run's with the gyro's noise, without randomization, and with a throttle that stays.
@@ -51,9 +52,9 @@ def flown(config: TrainingConfig) -> TrainingConfig:
 
 
 def fly(aircraft: Aircraft, config: TrainingConfig, steps: int, policy: Weights) -> CheckpointMetrics:
-    """The metrics of a policy of the run `config` that was trained for `steps`.
+    """Compute the metrics of a policy of the run `config` that was trained for `steps`.
 
-    Raises PolicyError on weights that make no policy, such as NaN.
+    Raises PolicyError for weights that make no policy, such as NaN.
     """
     model = parse_policy(to_onnx(config.document(aircraft), policy))
     network, _ = optimize(model.network)

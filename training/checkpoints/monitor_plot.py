@@ -24,7 +24,7 @@ STEPS = ((1_000_000, "million control steps"), (1_000, "thousand control steps")
 
 @dataclass(frozen=True)
 class Monitored:
-    """What the monitor recorded of one run."""
+    """The monitor's metrics of one run."""
 
     name: str  # "seed 1"
     history: tuple[CheckpointMetrics, ...]
@@ -34,7 +34,7 @@ class Monitored:
 
 
 def read_monitor(path: Path) -> Monitored:
-    """A run's monitor.json. Raises TrainingError if it is none."""
+    """Read a run's monitor.json. Raises TrainingError if it is none."""
     try:
         if (size := file_size(path)) > FILE_BYTES_MAX:
             raise TrainingError(f"{path}: {size} bytes, expected at most {FILE_BYTES_MAX}")
@@ -52,8 +52,8 @@ def read_monitor(path: Path) -> Monitored:
         raise TrainingError(f"{path} is no record of a monitor; --resume writes it anew") from error
 
 
-def draw(runs: Sequence[Monitored], best: str, title: str) -> Figure:
-    """Mean over the monitor's episodes with a band from least to greatest, one line a run.
+def draw_monitored(runs: Sequence[Monitored], best: str, title: str) -> Figure:
+    """Draw the mean over the monitor's episodes with a band from least to greatest, one line a run.
 
     best: the name of the run whose chosen checkpoint is policy.onnx. Runs without any metrics are left out;
     ValueError if there is no other.
@@ -121,7 +121,7 @@ def _colour(number: int) -> str:
 
 
 def _logarithmic(panel: Axes) -> None:
-    """A logarithmic axis with ticks at 1, 2 and 5 times powers of ten."""
+    """Draw a logarithmic axis with ticks at 1, 2 and 5 times powers of ten."""
     panel.set_yscale("log")
     panel.yaxis.set_major_locator(LogLocator(base=10, subs=(1, 2, 5)))
     panel.yaxis.set_minor_locator(NullLocator())

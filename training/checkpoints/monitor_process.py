@@ -26,13 +26,14 @@ if TYPE_CHECKING:
 
 
 class Monitor:
-    """Takes policies and gives their metrics in the same order. The metrics are the same either way.
+    """A monitor that takes policies and returns their metrics in the same order. The metrics are the same
+    either way.
 
     A context manager; leaving it ends the other process, if there is one.
     """
 
     def __init__(self, aircraft: Aircraft, config: TrainingConfig, *, apart: bool = False) -> None:
-        """apart: in a process of its own, started with the first policy; else `submit` flies the policy."""
+        """apart: in a process of its own, started with the first policy; otherwise in this one."""
         self._aircraft, self._config, self._apart = aircraft, config, apart
         self._process: multiprocessing.process.BaseProcess | None = None
         self._link: Connection | None = None
@@ -60,7 +61,7 @@ class Monitor:
         self._waiting += 1
 
     def collect(self, *, wait: bool = False) -> list[CheckpointMetrics]:
-        """Metrics that are new since the last call; wait: those of all submitted policies."""
+        """Return the metrics since the last call; wait: those of all submitted policies."""
         while self._link is not None and self._waiting and (wait or self._link.poll()):
             try:
                 answer = self._link.recv()

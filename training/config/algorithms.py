@@ -26,7 +26,7 @@ class Algorithm(Protocol):
 
     @property
     def aircraft(self) -> int:
-        """How many fly side by side in the twin."""
+        """Number of aircraft side by side in the twin."""
         ...
 
     @property
@@ -39,7 +39,7 @@ class Algorithm(Protocol):
         ...
 
     def errors(self, episode_steps: int) -> Iterator[str]:
-        """Errors of the values, one line each; episode_steps: control steps of an episode."""
+        """Yield errors of the values, one line each; episode_steps: control steps of an episode."""
         ...
 
 
@@ -55,16 +55,16 @@ class PpoConfig:
     name: ClassVar[str] = "ppo"
     aircraft: int = 256
     horizon: int = 128  # control steps of each aircraft between updates
-    minibatch: int = 4096
-    epochs: int = 3
+    minibatch: int = 4096  # divides the steps of a rollout
+    epochs: int = 3  # passes over a rollout
     learning_rate: float = 7e-4  # annealed linearly to a tenth
     discount: float = 0.99  # at 1 kHz: a horizon of 100 ms
     gae_lambda: float = 0.98  # rotors respond within 40 ms: credit must reach back that far
     clip: float = 0.2
     log_std: tuple[float, float] = (-1.0, -2.5)  # exploration, network output units, first to last step
     hold: int = 8  # control steps for which a draw of the exploration is held
-    distribution: str = "normal"  # or "beta", which needs `OutputMap.squash`
-    smoothness_spatial: float = 1.0  # weight of the mean output's change under gyro noise, see smooth_ppo
+    distribution: str = "normal"  # or "beta", which needs `output.squash`
+    smoothness_spatial: float = 1.0  # weight of the mean output's change under gyro noise
     smoothness_temporal: float = 0.0  # of its change from a control step to the next
     leg: int = 16  # rollouts
 
@@ -100,7 +100,7 @@ class Ppo1Config:
     aircraft: int = 16
     horizon: int = 128  # control steps of each aircraft between updates
     minibatch: int = 64  # samples of a rollout that do not fill one are left out of an epoch
-    epochs: int = 10
+    epochs: int = 10  # passes over a rollout
     learning_rate: float = 3e-4
     discount: float = 0.99
     gae_lambda: float = 0.95
@@ -174,7 +174,7 @@ class OffPolicyConfig:
     """
 
     aircraft: int = 64
-    gradient_steps: int = 16
+    gradient_steps: int = 16  # updates after each control step of all aircraft
     minibatch: int = 256
     buffer: int = 100_000  # control steps kept, all aircraft together; part of every checkpoint
     learning_starts: int = 8192  # control steps with uniformly drawn outputs, before the first update

@@ -39,16 +39,16 @@ RECORD_KEYS = (
 
 
 def recipes() -> tuple[str, ...]:
-    """Names of the configurations that come with the project."""
+    """List the configurations that come with the project by name."""
     return tuple(sorted(path.stem for path in FOLDER.glob("*.toml")))
 
 
 def load_config(source: str | Path | None, overrides: Sequence[str] = ()) -> TrainingConfig:
-    """The configuration of a recipe's name or a file's path, with overrides "key.path=value" applied to it.
+    """Load a recipe's or a file's configuration, with overrides "key.path=value" applied to it.
 
     source: None is `TrainingConfig()`. A value is TOML; bare words need no quotes. Another name for a task,
-    reward or algorithm replaces its whole table. Raises TrainingError, one line, on a file that is
-    missing, too large or malformed, and on any key, type or value that is invalid.
+    reward or algorithm replaces its whole table. Raises TrainingError, one line, for a file that is
+    missing, too large or malformed, and for any key, type or value that is invalid.
     """
     where, document = _read(source)
     record = {key: document.pop(key) for key in RECORD_KEYS if key in document and _is_json(source)}
@@ -71,13 +71,13 @@ def _is_json(source: str | Path | None) -> bool:
 
 
 def _order(override: str) -> tuple[int, bool]:
-    """Sort key: whole tables before their keys, a name before the other keys; else the user's order."""
+    """Return the sort key: whole tables before their keys, a name first, then the user's order."""
     key = override.partition("=")[0].strip()
     return key.count("."), not key.endswith(f".{NAME}")
 
 
 def _read(source: str | Path | None) -> tuple[str, dict[str, Any]]:
-    """The name of the source in messages, and its keys."""
+    """Return the name of the source in messages, and its keys."""
     if source is None:
         return "configuration", {}
     if str(source) in recipes():
@@ -117,7 +117,7 @@ def _parsed(data: bytes, suffix: str, where: str) -> dict[str, Any]:
 
 
 def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """A JSON object. Raises ValueError on a repeated key, as TOML does."""
+    """Build a JSON object. Raises ValueError for a repeated key, as TOML does."""
     values = dict(pairs)
     if len(values) != len(pairs):
         [(key, _)] = Counter(key for key, _ in pairs).most_common(1)

@@ -29,13 +29,13 @@ REGISTRIES: dict[object, Mapping[str, type[Any]]] = {Task: TASKS, Reward: REWARD
 
 @dataclass(frozen=True)
 class ConfigReader:
-    """Reads the tables of one configuration; its errors name the key."""
+    """A reader of one configuration's tables; its errors name the key."""
 
     where: str  # the file or recipe
     overrides: Mapping[str, str]  # key: the override that set it
 
     def table(self, kind: type[Kind], values: object, path: str = "") -> Kind:
-        """The dataclass `kind` with the values of a table; what the table leaves out is the default."""
+        """Build the dataclass `kind` from the values of a table; missing ones are the defaults."""
         if not isinstance(values, Mapping):
             raise self.error(path, f"got {shown(values)}, expected a table")
         hints, given = get_type_hints(kind), {}
@@ -60,7 +60,7 @@ class ConfigReader:
         return self._value(get_type_hints(kind)[name], value, name, getattr(kind(), name))
 
     def error(self, path: str, message: str) -> TrainingError:
-        """The exception about the key at `path`, for the caller to raise."""
+        """Return the error about the key at `path`, for the caller to raise."""
         origin, parts = self.where, path.partition("[")[0].split(".")
         for depth in range(len(parts), 0, -1):
             override = self.overrides.get(".".join(parts[:depth]))
@@ -92,9 +92,9 @@ class ConfigReader:
     def named(
         self, registry: Mapping[str, type[Any]], value: object, path: str, default: object = None
     ) -> Any:  # noqa: ANN401 - what the registry holds
-        """The registered dataclass that a table describes by its key `name`, or a name alone.
+        """Build the registered dataclass that a table describes by its key `name`, or a name alone.
 
-        default: gives the kind of a table without a name.
+        default: returns the kind of a table without a name.
         """
         values = {NAME: value} if isinstance(value, str) else value
         if not isinstance(values, Mapping):
@@ -162,6 +162,6 @@ def _joined(path: str, key: object) -> str:
 
 
 def _nearest(key: object, known: tuple[str, ...]) -> str:
-    """The known keys that are similar to a wrong one, or all of them."""
+    """Suggest the known keys similar to a wrong one, or list all of them."""
     near = difflib.get_close_matches(str(key)[:TEXT_MAX], known)
     return f"nearest: {', '.join(near)}" if near else f"known here: {', '.join(known)}"

@@ -19,23 +19,23 @@ SAME: Range = (1.0, 1.0)
 class Randomization:
     """Least and greatest value of each parameter, drawn for every episode; factors log-uniformly."""
 
-    mass: Range = SAME
-    inertia: Range = SAME
-    thrust: Range = SAME
-    torque: Range = SAME
-    speed: Range = SAME
-    lag: Range = SAME
-    noise: Range = SAME
-    delay_s: Range | None = None  # [s]; None: the aircraft's own
-    charge: Range | None = None  # 0..1; None: the bench supply
+    mass: Range = SAME  # factor of the whole aircraft's
+    inertia: Range = SAME  # likewise
+    thrust: Range = SAME  # factor of every rotor's
+    torque: Range = SAME  # factor of every rotor's drag torque at the same thrust
+    speed: Range = SAME  # factor of rotor speed at the same command
+    lag: Range = SAME  # factor of the rotors' time constant: 2 responds half as fast
+    noise: Range = SAME  # factor of the gyro's noise and bias
+    delay_s: Range | None = None  # [s] from command to rotor; none: the aircraft's own
+    charge: Range | None = None  # of the battery at the start, 0..1; none: the bench supply
 
     @property
     def active(self) -> bool:
-        """Whether any parameter varies."""
+        """True if any parameter varies."""
         return self != Randomization()
 
     def errors(self) -> Iterator[str]:
-        """Errors of the ranges, one line each."""
+        """Yield errors of the ranges, one line each."""
         for field in fields(self):
             value: Range | None = getattr(self, field.name)
             low_end, high_end = {"delay_s": (0.0, 0.1), "charge": (0.0, 1.0)}.get(field.name, (0.01, 100.0))

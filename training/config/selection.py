@@ -8,14 +8,14 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class SelectionLimits:
-    """What a checkpoint should not exceed on the monitor's episodes."""
+    """The limits that a checkpoint should keep on the monitor's episodes."""
 
     output: float = 0.12  # of the mean control output: what the dissertation's policy takes
     change: float = 0.012  # of the mean |change| of an output in 1 ms, as `tune-pid` keeps it
     fit: bool = False  # whether it must be fit to fly, as `neuroflight policy check` says
 
     def errors(self) -> Iterator[str]:
-        """Errors of the limits, one line each."""
+        """Yield errors of the limits, one line each."""
         for name, limit in (("output", self.output), ("change", self.change)):
             if not 0.0 < limit <= 1.0:
                 yield f"selection {name} {limit}, expected more than 0 to 1"

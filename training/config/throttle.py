@@ -13,9 +13,9 @@ CLOSED_SHARE = 0.2  # of the changes, which close the throttle
 def moving_throttle(
     start: NDArray[np.float32], highest: float, steps: int, rate_hz: int, rng: np.random.Generator
 ) -> NDArray[np.float32]:
-    """Throttle 0..1 at each control step (N, steps) that begins at `start` (N,).
+    """Draw the throttle 0..1 at each control step (N, steps) that begins at `start` (N,).
 
-    It stays for a random time, then goes to a random place between 0 and `highest` along a ramp, and so on.
+    It stays for a random time, then goes to a random value between 0 and `highest` along a ramp, and so on.
     """
     count = len(start)
     changes = 1 + int(steps / rate_hz / HOLD_LEAST_S)

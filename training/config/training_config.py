@@ -77,7 +77,7 @@ class OutputMap:
     squash: bool = False  # a is tanh of the last sum: bounded outputs with a gradient everywhere
 
     def errors(self) -> Iterator[str]:
-        """Errors of the values, one line each."""
+        """Yield errors of the values, one line each."""
         if not SCALE_MIN <= self.scale <= SCALE_MAX:
             yield f"output.scale {self.scale}, expected {SCALE_MIN:g} to {SCALE_MAX:g}"
         if not abs(self.offset) <= SCALE_MAX:
@@ -87,7 +87,7 @@ class OutputMap:
             yield f"output reaches from {low:g} to {high:g}, expected some of it within 0 to 1"
 
     def unclipped(self, output: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Motor fractions of network outputs before they are clipped to 0..1, float32, any shape."""
+        """Compute the motor fractions of outputs before they are clipped to 0..1, float32, any shape."""
         unclipped: NDArray[np.float32] = np.float32(self.scale) * output + np.float32(self.offset)
         return unclipped
 
@@ -96,10 +96,10 @@ class OutputMap:
 class WorldConfig:
     """The world that the episodes are flown in."""
 
-    mount: str = "centre"  # sim.physics.world.Mount: rotating about the centre of mass, on the rig, or free
-    gravity: bool | None = None  # None: in free flight only
+    mount: str = "centre"  # of mass; "rig": a ball joint at the centre of thrust; "free": flying
+    gravity: bool | None = None  # none: in free flight only
     noise: bool = True  # of gyro and accelerometer
-    wind_m_s: Vector = (0.0, 0.0, 0.0)  # world axes
+    wind_m_s: Vector = (0.0, 0.0, 0.0)  # world axes, each at most 30
     gust_m_s: float = 0.0  # of the wind 20 feet above the ground that sets the turbulence
     throttle_max: float = 0.0  # the pilot's thrust is drawn for each episode from 0 to this
     throttle_share: float = 1.0  # share of the episodes that have any
@@ -109,7 +109,7 @@ class WorldConfig:
     def draw_throttles(
         self, count: int, steps: int, rate_hz: int, rng: np.random.Generator
     ) -> NDArray[np.float32]:
-        """The pilot's thrust at each control step of `count` new episodes, (count, steps)."""
+        """Draw the pilot's thrust at each control step of `count` new episodes, (count, steps)."""
         throttle = np.repeat(self.draw_throttle(count, rng)[:, None], steps, axis=1)
         if self.throttle_steps > 0.0:
             moved = np.flatnonzero((rng.random(count) < self.throttle_steps) & (throttle[:, 0] > 0.0))
@@ -117,13 +117,13 @@ class WorldConfig:
         return throttle
 
     def draw_throttle(self, count: int, rng: np.random.Generator) -> NDArray[np.float32]:
-        """The pilot's thrust in each of `count` new episodes, (count,)."""
+        """Draw the pilot's thrust in each of `count` new episodes, (count,)."""
         throttle = rng.uniform(0.0, self.throttle_max, count)
         throttle[rng.random(count) >= self.throttle_share] = 0.0
         return throttle.astype(np.float32)
 
     def errors(self) -> Iterator[str]:
-        """Errors of the values, one line each."""
+        """Yield errors of the values, one line each."""
         mounts = [mount.value for mount in Mount]
         if self.mount not in mounts:
             yield f"mount {self.mount!r}, expected one of: {', '.join(mounts)}"
@@ -149,14 +149,14 @@ class TrainingConfig:
 
     steps: int = 8_000_000  # control steps, all aircraft together
     seed: int = 1
-    observation: str = "rate_error,rate_error_delta"
-    control_rate_hz: int = 1000
-    hidden: tuple[int, ...] = (64, 64)
-    activation: str = "tanh"
+    observation: str = "rate_error,rate_error_delta"  # terms NAME[~fHz][@k]
+    control_rate_hz: int = 1000  # or 2000, 4000; part of the policy
+    hidden: tuple[int, ...] = (64, 64)  # widths of the hidden layers
+    activation: str = "tanh"  # or "relu"
     recurrent: str = "none"  # or "gru", "lstm": the first of the hidden layers, with memory; pathwise only
     output: OutputMap = field(default_factory=OutputMap)
     idle: float = 0.0  # motor fraction of armed motors at no thrust; part of the policy, as the next two
-    mix: str = Mix.ATTITUDE_FIRST.text  # of outputs and throttle
+    mix: str = Mix.ATTITUDE_FIRST.text  # of outputs and throttle; or "centred"
     gyro_filter: str = "none"  # or "mean": of the gyro's samples of a control period
     task: Task = field(default_factory=PulseTask)
     reward: Reward = field(default_factory=TrackingReward)
@@ -172,7 +172,7 @@ class TrainingConfig:
         self.blocks()
 
     def _errors(self) -> Iterator[str]:
-        """Errors of the values, one line each."""
+        """Yield errors of the values, one line each."""
         if not 1 <= self.steps <= STEPS_MAX:
             yield f"{self.steps} steps asked for, expected at least 1 and at most {STEPS_MAX:g}"
         if self.checkpoint_steps < 1:
@@ -249,17 +249,17 @@ class TrainingConfig:
             )
 
     def _model(self, aircraft: Aircraft) -> ModelConstants | None:
-        """Constants of the model that the policy observes by; None: it observes by none."""
+        """Compute the constants of the model that the policy observes by; None without a model."""
         return model_constants(aircraft, self.control_rate_hz) if needs_model(self.blocks()) else None
 
     @property
     def mixing(self) -> Mix:
-        """How outputs and throttle become motor fractions."""
+        """Mix of outputs and throttle to motor fractions."""
         return Mix.of(self.mix)
 
     @property
     def drawn_bounded(self) -> bool:
-        """Whether the algorithm's own outputs lie in -1..1, after the tanh of `OutputMap.squash`."""
+        """True if the algorithm's own outputs lie in -1..1, after the tanh of `OutputMap.squash`."""
         match self.algorithm:
             case PpoConfig(distribution=distribution):
                 return distribution == "beta"
@@ -268,7 +268,7 @@ class TrainingConfig:
 
     @property
     def gyro_mean(self) -> bool:
-        """Whether the policy sees the mean of the gyro's samples of a control period."""
+        """True if the policy observes the mean of the gyro's samples of a control period."""
         return self.gyro_filter == POLICY_FILTER_MEAN
 
     @property
@@ -277,21 +277,22 @@ class TrainingConfig:
         return [[POLICY_FILTER_MEAN]] if self.gyro_mean else []
 
     def blocks(self) -> tuple[ObservationTerm, ...]:
-        """The observation's terms. Raises TrainingError naming one that is unknown or impossible."""
+        """Parse the observation's terms. Raises TrainingError naming one that is unknown or impossible."""
         try:
             terms = observation_blocks(self.observation)
             check_cutoffs(terms, self.control_rate_hz)
             return terms
         except ValueError as error:
-            own = "; for one of your own see docs/own-modules.md" if "unknown" in str(error) else ""
+            own = "; for one of your own see docs/guides/own-modules.md" if "unknown" in str(error) else ""
             raise TrainingError(f"observation {self.observation!r}: {error}{own}") from None
 
     def observation_scale(self, motors: int) -> list[float]:
-        """Factor for each raw observation value."""
+        """Return the factor for each raw observation value."""
         return [OBSERVATION_SCALES[b.name] for b in self.blocks() for _ in range(b.count(motors))]
 
     def document(self, aircraft: Aircraft) -> dict[str, Any]:
-        """The configuration as JSON data, with what `toolchain.policy.freeze` needs to rebuild the network.
+        """Return the configuration as JSON data, with what `toolchain.policy.freeze` needs to rebuild the
+        network.
 
         Raises TrainingError if the aircraft cannot be trained with this, see `check`.
         """
@@ -310,7 +311,7 @@ class TrainingConfig:
 
 
 def _plain(value: object) -> Any:  # noqa: ANN401
-    """JSON data of a field: tasks, rewards and algorithms with their name, derived fields left out."""
+    """Return JSON data of a field: tasks, rewards and algorithms with their name, without derived fields."""
     if not is_dataclass(value) or isinstance(value, type):
         return value
     kind = {"name": value.name} if hasattr(value, "name") else {}

@@ -28,7 +28,7 @@ class AttitudeBatch:
     def __init__(
         self, setup: Setup, count: int, rng: np.random.Generator, *, steps_max: int | None = None
     ) -> None:
-        """All random numbers come from `rng`; steps_max: of an episode, see `AttitudeSimulation`."""
+        """Create the aircraft. All random numbers come from `rng`; steps_max: the longest episode."""
         self.setup, self.count, self._steps_max = setup, count, steps_max
         config, motors = setup.config, setup.aircraft.motor_count
         self.scale = np.array(config.observation_scale(motors), np.float32)  # of each observation, (n,)
@@ -47,7 +47,7 @@ class AttitudeBatch:
 
     @property
     def closed(self) -> bool:
-        """Whether the physics client was left."""
+        """True after the physics client was closed."""
         return self._simulation is None
 
     def close(self) -> None:

@@ -138,7 +138,7 @@ class LearnerVecEnv(BatchVecEnv):
     def __init__(
         self, aircraft: Aircraft, config: TrainingConfig, count: int, *, reward_scale: float = 1.0
     ) -> None:
-        """`count` aircraft; the first episodes use the configuration's seed; rewards are scaled."""
+        """Create `count` aircraft; the first episodes use the configuration's seed; rewards are scaled."""
         rng = np.random.default_rng(config.seed)
         batch = AttitudeBatch(Setup(aircraft, config, reward_scale), count, rng)
         bounded = config.drawn_bounded

@@ -1,4 +1,4 @@
-"""What an environment flies: an aircraft and a configuration, from the arguments that a user gives."""
+"""The set-up of an environment: an aircraft and a configuration, from the arguments that a user gives."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ READER = ConfigReader("environment", {})
 
 @dataclass(frozen=True)
 class Setup:
-    """What is flown, and how large the rewards are."""
+    """The aircraft, configuration and scale of rewards."""
 
     aircraft: Aircraft
     config: TrainingConfig

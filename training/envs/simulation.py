@@ -46,7 +46,7 @@ class AttitudeSimulation:
         rng: np.random.Generator,
         steps_max: int | None = None,
     ) -> None:
-        """All random numbers come from `rng`; steps_max: episodes end after so many at the latest."""
+        """Create the aircraft. All random numbers come from `rng`; steps_max: the longest episode."""
         self.count = count
         self.motor_count = aircraft.motor_count
         terms = config.blocks()
@@ -91,7 +91,7 @@ class AttitudeSimulation:
         self._fractions = np.zeros((count, self.motor_count))  # of the motors, behind mix and idle
 
     def close(self) -> None:
-        """Leave the physics client."""
+        """Close the physics client."""
         self._twin.close()
 
     def reset(self, *, stagger: bool = False) -> NDArray[np.float32]:
@@ -191,7 +191,7 @@ class AttitudeSimulation:
             self._throttle = self._moving[self._everyone, np.minimum(self._step, self.steps - 1)]
 
     def _drawn(self, count: int) -> Variation | None:
-        """The aircraft of new episodes; None: as in the file."""
+        """Draw the aircraft of new episodes; None: as in the file."""
         if not self._randomization.active:
             return None
         return self._randomization.draw(count, self._rng, self._delay_s)
@@ -207,7 +207,7 @@ class AttitudeSimulation:
         )
 
     def _sensed(self, which: NDArray[np.intp] | slice) -> dict[str, NDArray[np.float32]]:
-        """Observed values from the twin's own state, float32."""
+        """Return observed values from the twin's own state, float32."""
         twin, names = self._twin, self._observer.names
         sensed = {}
         if "rotor_speed" in names:

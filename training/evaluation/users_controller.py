@@ -1,7 +1,7 @@
 """Controllers of a user's own file, as he names them: FILE.py:CLASS, or FILE.py:CLASS:VALUES.toml.
 
 The class is made for a number of aircraft that fly side by side, and stepped at its control rate; what may be
-tuned of it are its `parameters`. docs/own-modules.md has an example.
+tuned of it are its `parameters`. docs/guides/own-modules.md has an example.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The bars of a check: what a policy must not exceed, why, and what exceeding it is like in flight.
+"""The bars of a check: limits that a policy must not exceed, why, and how exceeding them shows in flight.
 
 No bar knows an aircraft. Where physics gives a figure it is that; else it is a ratio to, or a distance from,
 the better of the references, its PID and Betaflight, which fly the same commands in the same aircraft.
@@ -39,7 +39,7 @@ GROUND_LIFT = 4.0 / 3.0
 
 @dataclass(frozen=True)
 class Case:
-    """A figure that was seen beside its limit."""
+    """A measured figure and its limit."""
 
     where: str  # such as "hover"; empty where there is one case only
     seen: float
@@ -48,7 +48,7 @@ class Case:
 
     @property
     def met(self) -> bool:
-        """Whether the figure is within the limit; NaN is not."""
+        """True if the figure is within the limit; NaN is not."""
         return self.seen <= self.limit
 
     @property
@@ -73,12 +73,12 @@ class Bar:
 
     @property
     def met(self) -> bool:
-        """Whether every case is."""
+        """True if every case is within its limit."""
         return all(case.met for case in self.cases)
 
 
 def bars(policy: Flown, references: Sequence[Flown], lift: float) -> tuple[Bar, ...]:
-    """Every bar that has a case. references: at least one; lift: of the aircraft, of its weight."""
+    """Return every bar that has a case. references: at least one; lift: of the aircraft, of its weight."""
     flown = _Beside(policy, tuple(references))
     better = f"the better of {' and '.join(each.label for each in references)}"
     rougher = f"{ROUGHER:g} x the rougher of {' and '.join(each.label for each in references)}"
@@ -255,7 +255,7 @@ class _Beside:
         yield Case("", seen, limit, f"tips by {seen:.0f} deg on the ground with the throttle closed")
 
     def _fraction(self, lift: float) -> float:
-        """Motor fraction of a transparent controller that lifts so much of the weight."""
+        """Return the motor fraction of a transparent controller that lifts this share of the weight."""
         for (low, before), (high, after) in pairwise(self.references[0].lift):
             if before <= lift <= after:
                 throttle = low + (high - low) * (lift - before) / (after - before)
@@ -263,7 +263,7 @@ class _Beside:
         return 1.0
 
     def _flew(self, leg: Leg) -> list[Flown]:
-        """The references that flew it."""
+        """Return the references that flew the segment."""
         return [each for each in self.references if leg in each.legs]
 
     def _axes(self) -> Iterator[tuple[Leg, int, LegFigures]]:
@@ -277,7 +277,7 @@ class _Beside:
         limit_of: Callable[[Turn, Sequence[float]], float],
         told: Callable[[Turn, float, float], str],
     ) -> Iterator[Case]:
-        """One case for each full turn; limit_of: gets the references' figures."""
+        """Yield one case for each full turn; limit_of: called with the references' figures."""
         for turn, own in self.policy.turns.items():
             seen = figure(own)
             others = [figure(each.turns[turn]) for each in self.references if turn in each.turns]

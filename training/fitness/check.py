@@ -1,4 +1,4 @@
-"""Whether a policy is fit to fly an aircraft: flies it and its references, and holds the bars."""
+"""The check that a policy is fit to fly an aircraft: flies it and its references, and applies the bars."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ WORDS_MAX = 3  # reasons that one bar gives, the worst first
 
 @dataclass(frozen=True)
 class Verdict:
-    """The end of a check."""
+    """The result of a check."""
 
     policy_sha256: str
     aircraft: Aircraft
@@ -32,7 +32,7 @@ class Verdict:
 
     @property
     def above_least(self) -> list[tuple[str, float, float]]:
-        """Where it flew, and by which part its MAE and its MSE are above the least any motors could leave."""
+        """Segments, with the relative excess of their MAE and MSE over the least that motors allow."""
         return [
             (leg.name, own.mae / own.mae_least - 1.0, own.mse / own.mse_least - 1.0)
             for leg, own in self.legs.items()
@@ -41,12 +41,12 @@ class Verdict:
 
     @property
     def fit(self) -> bool:
-        """Whether every bar is met."""
+        """True if every bar is met."""
         return all(bar.met for bar in self.bars)
 
     @property
     def reasons(self) -> list[str]:
-        """What is wrong, a sentence each, the worst cases of each bar that is not met."""
+        """Reasons against flying, a sentence each, the worst cases of each bar that is not met."""
         told = []
         for bar in self.bars:
             failed = sorted((case for case in bar.cases if not case.met), key=lambda c: -c.share)
@@ -56,7 +56,7 @@ class Verdict:
         return told
 
     def document(self) -> dict[str, Any]:
-        """As JSON data, sealed: the stamp."""
+        """Return the sealed stamp as JSON data."""
         return stamp_document(
             policy_sha256=self.policy_sha256,
             aircraft=self.aircraft.name,
@@ -76,7 +76,7 @@ class Verdict:
         )
 
     def cases(self) -> dict[str, list[dict[str, Any]]]:
-        """Every figure beside its limit, by bar, as JSON data."""
+        """Return every figure with its limit, by bar, as JSON data."""
         return {
             bar.name: [
                 {
@@ -127,5 +127,5 @@ def _bar_document(bar: Bar) -> dict[str, Any]:
 
 
 def _number(value: float) -> float | None:
-    """With the digits that mean something; None for NaN, which JSON does not have."""
+    """Round to significant digits; None for NaN, which JSON does not have."""
     return float(f"{value:.4g}") if value == value and abs(value) != float("inf") else None

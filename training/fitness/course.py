@@ -1,8 +1,8 @@
-"""What a controller flies in its check: flights of ten commands and a hover, full turns, and the ground.
+"""The course of a check: flights of ten commands and a hover, full turns, and the ground.
 
 All controllers fly the same commands, noise and bias, each at the throttle at which it gives the thrust of a
 flight. Times are as short as showed every fault of the policies in tests/training/fitness: a drift grows
-within the first ten commands, a swing within half a second of a turn.
+within the first ten commands, an oscillation within half a second of a turn.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ class Leg:
 
     @property
     def where(self) -> str:
-        """In a sentence."""
+        """Condition of the flight, within a sentence."""
         return f"at {self.name}" if self.condition is None else f"with {self.name}"
 
 
@@ -77,7 +77,7 @@ class Turn:
 
     @property
     def name(self) -> str:
-        """In a sentence."""
+        """Name of the turn, within a sentence."""
         words = (
             ("roll to the right", "roll to the left"),
             ("forward flip", "backward flip"),
@@ -120,7 +120,7 @@ class Course:
     turns: tuple[Turn, ...]
 
     def nominal(self) -> Course:
-        """The part of it in the file's own aircraft, and turns at the lower thrust only.
+        """Return the part of the course in the file's own aircraft, and turns at the lower thrust only.
 
         Betaflight, whose every copy is a process, flies no more than this beside a PID.
         """
@@ -132,7 +132,7 @@ class Course:
         )
 
     def variation(self) -> Variation:
-        """How the aircraft of the legs differ from the file."""
+        """Return the differences of the flights' aircraft from the file."""
         delay = self.aircraft.propulsion.delay
         nominal = Variation.nominal(len(self.legs), delay)
         known = [leg.condition or Condition("") for leg in self.legs]
@@ -145,7 +145,7 @@ class Course:
 
 
 def course(aircraft: Aircraft, lift: float | None = None) -> Course:
-    """The course for an aircraft that lifts at most `lift` times its weight; None: as its figures say."""
+    """Lay out the course for an aircraft that lifts at most `lift` times its weight; None: by its figures."""
     figures = aircraft_figures(aircraft)
     most = LIFT_SHARE * (figures.thrust_to_weight if lift is None else lift)
     thrusts = [thrust for thrust in THRUSTS if thrust < most] or [most]
@@ -164,9 +164,9 @@ def course(aircraft: Aircraft, lift: float | None = None) -> Course:
 
 
 def _batteries(aircraft: Aircraft, endurance: Endurance | None) -> tuple[Condition, ...]:
-    """A battery that is about empty at the end of a flight, and a full one.
+    """Return a battery that is almost empty at the end of a flight, and a full one.
 
-    None where the aircraft has none that affects its thrust. Begun at 0 it would collapse on the way, and no
+    None if the aircraft has none that affects its thrust. Begun at 0 it would collapse on the way, and no
     controller flies then.
     """
     battery = aircraft.battery

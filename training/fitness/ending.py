@@ -42,7 +42,7 @@ class Ending:
     rejected: tuple[Rejected, ...]
 
     def document(self) -> dict[str, Any]:
-        """As JSON data."""
+        """Return the result as JSON data."""
         return {
             "fit": self.verdict.fit,
             "checkpoint": self.name,
@@ -96,7 +96,7 @@ def choose_fit(
 
 
 def _candidates(aircraft: Aircraft, runs: Sequence[Planned]) -> Iterator[_Candidate]:
-    """The kept checkpoints of all runs."""
+    """Yield the kept checkpoints of all runs."""
     for run in runs:
         _, state = load_run(run.out / CHECKPOINT, run.config.document(aircraft))
         kept = [*([state.chosen] if state.chosen else []), *state.others]

@@ -39,7 +39,7 @@ REST_AIRCRAFT = 1  # at each throttle: thrusts need to be known to a few parts i
 
 @dataclass(frozen=True)
 class LegFigures:
-    """Of a flight of ten commands and a hover."""
+    """The figures of a flight of ten commands and a hover."""
 
     mae: float  # [deg/s], mean of the axes, before the hover
     mse: float  # [(deg/s)^2], likewise
@@ -53,7 +53,7 @@ class LegFigures:
 
 @dataclass(frozen=True)
 class TurnFigures:
-    """Of a full turn."""
+    """The figures of a full turn."""
 
     swing: float  # motor fraction, amplitude of what its motors do between 20 and 200 Hz while it is held
     swing_hz: float  # where that is largest
@@ -128,7 +128,7 @@ def fly_course(controller: Contender, course: Course, progress: Progress | None 
 
 
 def leg_figures(flights: Flights) -> tuple[LegFigures, ...]:
-    """Figures of each flight of ten commands."""
+    """Compute the figures of each flight of ten commands."""
     held = holding(
         flights.setpoint,
         flights.rate,
@@ -154,7 +154,7 @@ def leg_figures(flights: Flights) -> tuple[LegFigures, ...]:
 def with_least(
     figures: Sequence[LegFigures], course: Course, flights: Flights, idle: float
 ) -> tuple[LegFigures, ...]:
-    """The figures with the least errors that motors could leave, of legs in an aircraft as its file says."""
+    """Add the least errors that motors could leave, for flights of the aircraft as its file says."""
     found = list(figures)
     as_filed = [number for number, leg in enumerate(course.legs) if leg.condition is None]
     assert flights.lift is not None
@@ -169,7 +169,7 @@ def with_least(
 
 
 def turn_figures(flights: Flights, task: TurnTask) -> tuple[TurnFigures, ...]:
-    """Figures of each full turn."""
+    """Compute the figures of each full turn."""
     assert flights.motors is not None
     step_s = flights.step_s
     end = round((task.idle_s + task.command_s) / step_s)

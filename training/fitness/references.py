@@ -24,14 +24,15 @@ if TYPE_CHECKING:
 
 
 class References:
-    """Flies the references of one aircraft; a context manager, whose end stops what still flies."""
+    """The references of one aircraft, flown in another process; leaving the `with` block stops it."""
 
     def __init__(
         self, aircraft: Aircraft, named: str, betaflight: Betaflight | None, missing: str = ""
     ) -> None:
-        """named: the aircraft, as a command takes it; betaflight: None: it does not fly, as `missing` says.
+        """named: the aircraft, as a command takes it; betaflight: None: it does not fly, for the reason
+        `missing`.
 
-        Raises AircraftError where there is no reference at all.
+        Raises AircraftError without any reference.
         """
         self.aircraft, self._betaflight = aircraft, betaflight
         self.course: Course = course(aircraft)
@@ -67,7 +68,7 @@ class References:
         theirs.close()
 
     def flown(self) -> tuple[tuple[Flown, ...], tuple[str, ...]]:
-        """Figures of the references, and why one of them is missing. Waits for them."""
+        """Wait for the references; return their figures, and why one of them is missing."""
         self.begin()
         if self._flown is None:
             assert self._link is not None
@@ -109,7 +110,7 @@ def _work(link: Connection, aircraft: Aircraft, betaflight: Betaflight | None, w
 def fly_references(
     aircraft: Aircraft, betaflight: Betaflight | None, way: Course
 ) -> tuple[tuple[Flown, ...], list[str]]:
-    """Figures of the PID, where the aircraft has one, and of Betaflight; and why that is missing."""
+    """Fly the PID, if the aircraft has one, and Betaflight; return their figures and why that is missing."""
     from neuroflight.sim.ports.betaflight.fleet import ArmedBetaflight
     from neuroflight.training.evaluation.betaflight import BetaflightSpec
     from neuroflight.training.evaluation.controllers import PID, load_controller

@@ -24,22 +24,22 @@ class Exploration(Protocol):
     """A distribution around the deterministic policy's outputs, with one width for all of them."""
 
     def drawn(self, centre: Outputs, noise: Outputs, log_std: float) -> Outputs:
-        """Outputs drawn around `centre` from standard normal `noise`, all (..., M)."""
+        """Draw outputs around `centre` from standard normal `noise`, all (..., M)."""
         ...
 
     def log_prob_drawn(
         self, drawn: torch.Tensor, centre: torch.Tensor, noise: torch.Tensor, log_std: float
     ) -> torch.Tensor:
-        """Log density (...) of outputs as `drawn` gave them, summed over the last axis."""
+        """Compute the log density (...) of outputs as `drawn` gave them, summed over the last axis."""
         ...
 
     def log_prob(self, drawn: torch.Tensor, centre: torch.Tensor, log_std: torch.Tensor) -> torch.Tensor:
-        """Log density (...) of outputs around another centre, with its derivative."""
+        """Compute the log density (...) of outputs around another centre, with its derivative."""
         ...
 
 
 class NormalExploration:
-    """See Exploration. Outputs have no bound; the deterministic policy is the mean."""
+    """A normal distribution. Outputs have no bound; the deterministic policy is the mean."""
 
     def drawn(self, centre: Outputs, noise: Outputs, log_std: float) -> Outputs:
         """See Exploration."""
@@ -58,7 +58,7 @@ class NormalExploration:
 
 
 class BetaExploration:
-    """See Exploration. Outputs lie in -1..1; the deterministic policy, tanh of the last sum, is the mode.
+    """A beta distribution. Outputs lie in -1..1; the deterministic policy, tanh of the last sum, is the mode.
 
     Chou et al. 2017, whose networks give alpha and beta of the share x = (output + 1) / 2. Here the network
     gives the mode m of x, and the schedule of exploration a concentration k:
@@ -94,7 +94,7 @@ class BetaExploration:
 
 
 def concentration(log_std: float) -> float:
-    """k of BetaExploration for the log of a standard deviation of an output in the middle of -1..1.
+    """Compute k of BetaExploration for the log of a standard deviation of an output in the middle of -1..1.
 
     With alpha = beta = 1 + k/2 the variance of 2 x - 1 is 1 / (3 + k). Wider than uniform gives 0.
     """

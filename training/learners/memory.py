@@ -1,4 +1,4 @@
-"""What a replay buffer adds to a checkpoint, checked before a step is flown."""
+"""The size of a replay buffer in a checkpoint, checked before a step is flown."""
 
 from __future__ import annotations
 

@@ -24,7 +24,7 @@ REMEMBERED = ("observations", "next_observations", "actions", "rewards", "dones"
 
 
 class OffPolicyLearner(Sb3Learner):
-    """See Learner. The replay buffer is part of the state."""
+    """A learner by an off-policy algorithm. The replay buffer is part of the state."""
 
     _model: OffPolicyAlgorithm
 
@@ -113,7 +113,7 @@ class OffPolicyLearner(Sb3Learner):
         return memory
 
     def _temperature(self) -> torch.Tensor | None:
-        """Logarithm of the weight of the entropy; SAC only."""
+        """Return the logarithm of the weight of the entropy; SAC only."""
         model = self._model
         return model.log_ent_coef if isinstance(model, SAC) else None
 
@@ -142,14 +142,14 @@ class _FadingNoise(VectorizedActionNoise):
         self._step = 0  # since the segment began
 
     def restart(self) -> None:
-        """A new segment: the next call draws anew."""
+        """Start a new segment: the next call draws anew."""
         self._step = 0
 
     def reset(self, indices: Iterable[int] | None = None) -> None:
-        """Nothing: a draw is held across the end of an episode."""
+        """Do nothing: a draw is held across the end of an episode."""
 
     def __call__(self) -> NDArray[np.float32]:
-        """Noise of all aircraft (N, M), from numpy's global generator, which Stable-Baselines3 uses too."""
+        """Return noise of all aircraft (N, M), from numpy's global generator as Stable-Baselines3's."""
         if self._step % self._hold == 0:
             first, last = self._deviation
             deviation = first + (last - first) * self._learner.part

@@ -15,7 +15,7 @@ from neuroflight.training.learners.smooth_ppo import Smoothness, SmoothPpo
 
 
 class PpoLearner(Sb3Learner):
-    """See Learner."""
+    """The learner PPO."""
 
     _model: SmoothPpo
 
@@ -52,7 +52,7 @@ class PpoLearner(Sb3Learner):
 
 
 def observation_noise(aircraft: Aircraft, config: TrainingConfig) -> NDArray[np.float32]:
-    """Standard deviation of each scaled observation under the gyro's noise alone, (n,)."""
+    """Compute the standard deviation of each scaled observation under the gyro's noise alone, (n,)."""
     gyro = np.array(aircraft.gyro.noise)
     noise = []
     for term in config.blocks():

@@ -22,7 +22,7 @@ class Report:
 
 
 def named_layers(layers: Sequence[Tensors]) -> dict[str, torch.Tensor]:
-    """Weights and biases of a network's layers by the names that `toolchain.policy.freeze` knows."""
+    """Name weights and biases of a network's layers as `toolchain.policy.freeze` knows them."""
     names = [f"mlp_extractor.policy_net.{2 * i}" for i in range(len(layers) - 1)] + ["action_net"]
     return {
         f"{name}.{part}": tensor
@@ -44,11 +44,11 @@ class Learner(Protocol):
         ...
 
     def policy(self) -> dict[str, torch.Tensor]:
-        """The deterministic policy's weights by the names that `toolchain.policy.freeze` knows."""
+        """Return the deterministic policy's weights by the names that `toolchain.policy.freeze` knows."""
         ...
 
     def state(self) -> dict[str, Any]:
-        """All that the next segment builds on: plain containers, numbers, text and tensors."""
+        """Return all that the next segment needs: plain containers, numbers, text and tensors."""
         ...
 
     def restore(self, state: dict[str, Any]) -> None:
@@ -56,5 +56,5 @@ class Learner(Protocol):
         ...
 
     def close(self) -> None:
-        """Leave the physics client."""
+        """Close the physics client."""
         ...

@@ -23,7 +23,7 @@ REPORT_STEPS = 4096  # control steps, all aircraft together, between reports at 
 
 
 class Sb3Learner:
-    """See Learner. A subclass builds `_model` and names its optimizers."""
+    """A learner of Stable-Baselines3. A subclass builds `_model` and names its optimizers."""
 
     _model: BaseAlgorithm
 
@@ -88,16 +88,16 @@ class Sb3Learner:
         self._env.close()
 
     def _optimizers(self) -> list[torch.optim.Optimizer]:
-        """The optimizers whose state is kept."""
+        """Return the optimizers whose state is kept."""
         raise NotImplementedError
 
     def _annealed(self, rate: float) -> Callable[[float], float]:
-        """A learning rate that falls linearly to a tenth over the run, however it is cut into segments."""
+        """Return a learning rate that falls linearly to a tenth over the run, across segments."""
         return lambda _: rate * (1.0 - 0.9 * self.part)
 
 
 class _Reporter(BaseCallback):
-    """Reports after rollouts, with the mean reward per control step since the last report."""
+    """A callback that reports after rollouts, with the mean reward per control step since the last report."""
 
     def __init__(self, report: Callable[[Report], None], reward_scale: float) -> None:
         super().__init__()

@@ -78,7 +78,7 @@ class SmoothPpo(PPO):
         If PPO learns it, it stays so large that the mean output drifts: the reward hardly depends on it.
         hold: control steps for which a draw is held. Rotors hardly respond to a change of one millisecond;
         they respond to a held one, and each of its steps is credited with the rewards of the others.
-        exploration: what outputs are drawn from; None: a normal distribution.
+        exploration: the distribution of outputs; None: a normal one.
         """
         super().__init__(*args, **kwargs)
         self._log_std, self._hold = log_std, hold
@@ -218,7 +218,7 @@ class SmoothPpo(PPO):
         return torch.min(advantages * ratio, advantages * clipped).mean()
 
     def _change(self, rollout: Rollout, batch: torch.Tensor, mean: torch.Tensor) -> torch.Tensor:
-        """Both smoothness terms, weighted; of a quarter of the shuffled batch, as a sample."""
+        """Compute both smoothness terms, weighted, from a quarter of the shuffled batch, as a sample."""
         some = batch[: (len(batch) + 3) // 4]
         mean, loss = mean[: len(some)], torch.zeros(())
         if self._smoothness.spatial:
@@ -240,7 +240,7 @@ class SmoothPpo(PPO):
         optimizer.step()
 
     def _values(self, observations: NDArray[np.float32]) -> NDArray[np.float32]:
-        """The critic's values (...) of observations (..., n)."""
+        """Compute the critic's values (...) of observations (..., n)."""
         with torch.no_grad():
             values = self.critic(torch.from_numpy(observations))[..., 0]
             found: NDArray[np.float32] = (values * self._value_spread + self._value_mean).numpy()

@@ -12,7 +12,7 @@ from neuroflight.training.learners.sb3 import MODULES, Sb3Learner
 
 
 class TrpoLearner(Sb3Learner):
-    """See Learner."""
+    """The learner TRPO."""
 
     _model: TRPO
 

@@ -135,7 +135,8 @@ def tune_betaflight(
     progress: Progress,
     tuner: MakeTuner = CmaEs,
 ) -> Tuning:
-    """Settings of least cost after about `budget` candidates (whole generations) of COMMANDS pulses each.
+    """Search settings of least cost with about `budget` candidates (whole generations) of COMMANDS pulses
+    each.
 
     change: the most that a motor value may change in 1 ms on average, fraction; tuner: what
     searches. The same arguments give the same settings. An interruption (KeyboardInterrupt) ends the search
@@ -158,14 +159,14 @@ def tune_betaflight(
 
 
 def start() -> Array:
-    """The point of Betaflight's defaults."""
+    """Return the point of Betaflight's defaults."""
     return np.array(
         [math.log(knob.default) if knob.logarithmic else knob.default / HUNDRED for knob in KNOBS.values()]
     )
 
 
 def decoded(point: Array) -> dict[str, int]:
-    """The settings at a point of the search."""
+    """Return the settings at a point of the search."""
     values = {
         name: min(max(math.exp(x) if knob.logarithmic else HUNDRED * x, knob.low), knob.high)
         for (name, knob), x in zip(KNOBS.items(), point.tolist(), strict=True)
@@ -191,7 +192,7 @@ class _Flights:
     large: Array  # (m, 3) [rad/s], held
 
     def fly(self, candidates: Sequence[Settings]) -> list[Trial]:
-        """Figures of each of the candidates. Large commands are flown at half of the greatest throttle."""
+        """Fly each of the candidates. Large commands are flown at half of the greatest throttle."""
         half = np.full(len(self.large), THROTTLE_MAX / 2, np.float32)
         throttle = np.concatenate([self.throttle, half])
         with self._armed(candidates) as armed:
@@ -211,7 +212,7 @@ class _Flights:
 
     @contextmanager
     def _armed(self, candidates: Sequence[Settings]) -> Iterator[list[ArmedBetaflight]]:
-        """A Betaflight with each of the settings. They boot side by side: each waits more than it works."""
+        """Arm a Betaflight with each of the settings, all at the same time: each mostly waits."""
         with ExitStack() as ends, ThreadPoolExecutor(len(candidates)) as pool:
             booting = [pool.submit(self._arm, settings) for settings in candidates]
             for future in booting:
@@ -235,7 +236,7 @@ class _Flights:
 
 @dataclass(frozen=True, eq=False)
 class _Commands:
-    """Pulses, and large commands that are held meanwhile, again for each candidate: they fly at a time."""
+    """Pulses, and large commands that are held meanwhile, repeated for each candidate: all fly at a time."""
 
     name: ClassVar[str] = "pulses and large commands"
     commands: Array  # (n, 3) [rad/s], of the pulses
@@ -254,7 +255,7 @@ class _Commands:
 
 
 def _rows(flown: Flights, first: int, count: int) -> Flights:
-    """These episodes of `flown`."""
+    """Return these episodes of `flown`."""
     rows = slice(first, first + count)
     assert flown.motors is not None
     return Flights(
@@ -263,7 +264,7 @@ def _rows(flown: Flights, first: int, count: int) -> Flights:
 
 
 def as_tune(settings: Settings, name: str = "candidate") -> Tune:
-    """Settings as a pilot's file would hold them."""
+    """Return settings as a pilot's file would hold them."""
     return Tune(
         name,
         tuple((key, str(value)) for key, value in settings.items()),

@@ -41,7 +41,7 @@ class CmaEs:
         self._generation = 0
 
     def ask(self) -> Array:
-        """Candidates to try, (population, d)."""
+        """Draw candidates to try, (population, d)."""
         self._variances, self._axes = np.linalg.eigh(self._covariance)
         self._variances = np.maximum(self._variances, 1e-20)
         drawn = self._rng.standard_normal((self._population, len(self._mean)))

@@ -63,7 +63,7 @@ class DissertationTrials:
     def of(
         aircraft: Aircraft, limits: Limits, seed: int, rng: np.random.Generator, commands: int = COMMANDS
     ) -> DissertationTrials:
-        """The trials of a seed; rng: of the commands."""
+        """Make the trials of a seed; rng: of the commands."""
         unbiased = replace(aircraft, gyro=replace(aircraft.gyro, bias=0.0))
         return DissertationTrials(unbiased, limits, seed, training_commands(commands, rng))
 
@@ -76,7 +76,7 @@ class DissertationTrials:
     def _flown(
         self, candidates: Sequence[PidSettings], commands: Array, task: Callable[[Array], Task]
     ) -> list[Flights]:
-        """The flights of each candidate, with the controllers' outputs; all fly `commands` (m, 3)."""
+        """Fly each candidate through `commands` (m, 3); return the flights with the controllers' outputs."""
         count, each = len(candidates), len(commands)
         crowd = [settings for settings in candidates for _ in commands]
         pid = Pid(mixer(self.aircraft), crowd, len(crowd), RATE_HZ)

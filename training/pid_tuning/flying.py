@@ -58,7 +58,7 @@ OFF_CENTRE = 0.02  # of the rotors' mean distance: how far from the centre of ma
 
 @dataclass(frozen=True)
 class Flight:
-    """What differs from one flight to another."""
+    """The differences between flights."""
 
     level: float  # thrust at rest, of the weight
     late_s: float = 0.0

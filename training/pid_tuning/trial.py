@@ -1,4 +1,4 @@
-"""Trials of a PID tuning: what a candidate flies, within which limits, and its figures."""
+"""Trials of a PID tuning: a candidate's flights, limits and figures."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ MARGIN = 0.97  # of each limit, kept by the search: unseen commands differ by a 
 
 @dataclass(frozen=True)
 class Limits:
-    """Limits of a candidate."""
+    """The limits of a candidate."""
 
     output: float  # mean output, fraction, before throttle mix and idle; 1: none
     change: float  # mean |change| in 1 ms, fraction: of an output, or of a motor value
@@ -53,7 +53,7 @@ class Trials(Protocol):
 
     @property
     def aircraft(self) -> Aircraft:
-        """What is flown."""
+        """Aircraft that is flown."""
         ...
 
     @property

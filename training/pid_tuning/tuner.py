@@ -1,4 +1,4 @@
-"""What searches: CMA-ES, or a tuner of a user's own file, FILE.py:CLASS, with the same ask and tell."""
+"""Search methods: CMA-ES, or a tuner of a user's own file, FILE.py:CLASS, with the same ask and tell."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class Costed(Protocol):
 
     @property
     def cost(self) -> float:
-        """Return what is to be least."""
+        """Cost to be minimised."""
         ...
 
 

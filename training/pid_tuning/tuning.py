@@ -98,7 +98,7 @@ def tune(
 
 
 def idle_limit(aircraft: Aircraft) -> float:
-    """Largest idle, in whole percent, at which all rotors together lift IDLE_WEIGHT_MAX of the weight."""
+    """Return the largest idle, in percent, at which the rotors lift IDLE_WEIGHT_MAX of the weight."""
     idles = np.arange(0.0, IDLE_MAX + 1e-9, 0.01)
     thrust, _ = thrust_and_torque(target_speed(idles, aircraft.propulsion), aircraft.propulsion)
     weight = aircraft.mass_properties.mass * GRAVITY
@@ -114,13 +114,13 @@ class _Space:
     cutoff_max_hz: float
 
     def rule(self, found: Sequence[UltimateGain], rule: str, part: float, integral: float) -> PidSettings:
-        """The gains by `rule` times `part`, and K_I times `integral` too."""
+        """Return the gains by `rule` times `part`, and K_I times `integral` too."""
         gains = [item.gains(rule) for item in found]
         roll, pitch, yaw = ((part * p, part * integral * i, part * d) for p, i, d in gains)
         return self._rounded((roll, pitch, yaw), CUTOFF_START_HZ, IDLE_START)
 
     def encoded(self, settings: PidSettings) -> Array:
-        """Settings as logarithms: K_P of the axes, K_I, K_D, cutoff, and idle where it is searched."""
+        """Return settings as logarithms: K_P of the axes, K_I, K_D, cutoff, and idle if it is searched."""
         values = [
             *np.maximum(settings.gains, NOTHING).T.ravel(),
             settings.derivative_cutoff_hz or CUTOFF_START_HZ,
@@ -130,7 +130,7 @@ class _Space:
         return np.log(values)
 
     def decoded(self, point: Array) -> PidSettings:
-        """The settings nearest to those that `encoded` gives as `point`."""
+        """Return the settings nearest to those that `encoded` gives as `point`."""
         *values, cutoff, idle = np.exp(point if self.trials.idle is None else [*point, 0.0]).tolist()
         gains = np.minimum(np.reshape(values, (3, 3)).T, self.most)
         roll, pitch, yaw = np.where(gains < NOTHING, 0.0, gains).tolist()
@@ -150,7 +150,7 @@ class _Space:
 
 
 def significant(value: float) -> float:
-    """`value` with DIGITS significant digits."""
+    """Round `value` to DIGITS significant digits."""
     if value == 0.0 or not math.isfinite(value):
         return value
     return round(value, DIGITS - 1 - math.floor(math.log10(abs(value))))

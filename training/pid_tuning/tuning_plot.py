@@ -24,9 +24,8 @@ START_COLOUR, BEST_COLOUR = FLIGHT_COLOURS[1], FLIGHT_COLOURS[0]
 OUTSIDE = "#b3bac4"  # candidates that exceed a limit
 
 
-def draw(tuning: Tuning, aircraft: Aircraft, limits: Limits, throttle: float, title: str) -> Figure:
-    """A step on each axis with the gains of the start and the best at `throttle`; below, every candidate
-    of the search."""
+def draw_tuning(tuning: Tuning, aircraft: Aircraft, limits: Limits, throttle: float, title: str) -> Figure:
+    """Draw steps with the gains of the start and the best at `throttle`; below, all candidates."""
     figure = titled_figure((12, 7.5), title)
     grid = figure.add_gridspec(2, 3)
     panels = [figure.add_subplot(grid[0, axis]) for axis in range(3)]
@@ -53,7 +52,7 @@ def draw(tuning: Tuning, aircraft: Aircraft, limits: Limits, throttle: float, ti
 def _responses(
     aircraft: Aircraft, settings: PidSettings, throttle: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Time since the step [ms] (T,) and the stepped axis' rate [deg/s] (3, T), with the gyro's noise."""
+    """Fly the steps; return time [ms] (T,) and rate [deg/s] (3, T), with the gyro's noise."""
     task = PulseTask(command_s=SHOWN_S, rest_s=0.0)
     flights = record(
         Pid(mixer(aircraft), settings, 3, RATE_HZ),
@@ -74,7 +73,7 @@ def _responses(
 
 
 def _draw_search(panel: Axes, tuning: Tuning, limits: Limits) -> None:
-    """MAE of every candidate, and the least so far among those within the limits."""
+    """Draw the MAE of every candidate, and the least so far among those within the limits."""
     mae = np.array([trial.mae for trial in tuning.trials])
     kept = np.array([_keeps(trial, limits) for trial in tuning.trials], bool)
     number = np.arange(1, len(mae) + 1)
@@ -94,7 +93,7 @@ def _draw_search(panel: Axes, tuning: Tuning, limits: Limits) -> None:
 
 
 def _draw_limit(panel: Axes, tuning: Tuning, limits: Limits) -> None:
-    """MAE of the candidates against the change of their outputs."""
+    """Draw the MAE of the candidates against the change of their outputs."""
     kept = [trial for trial in tuning.trials if _keeps(trial, limits)]
     outside = [trial for trial in tuning.trials if not _keeps(trial, limits)]
     for trials, colour in ((outside, OUTSIDE), (kept, BEST_COLOUR)):
@@ -113,7 +112,7 @@ def _draw_limit(panel: Axes, tuning: Tuning, limits: Limits) -> None:
 
 
 def _plain(panel: Axes) -> None:
-    """Numbers like 2 and 5 on a logarithmic axis."""
+    """Label a logarithmic axis with numbers like 2 and 5."""
     low, high = panel.get_ylim()
     panel.set_yticks([tick for tick in (0.5, 1, 2, 3, 5, 10, 20, 30, 50, 100) if low <= tick <= high])
     panel.yaxis.set_major_formatter(ScalarFormatter())

@@ -44,11 +44,11 @@ class UltimateGain:
     period: float  # T_u [s]
 
     def gains(self, rule: str) -> Vector:
-        """K_P, K_I, K_D by a rule of `RULES`."""
+        """Compute K_P, K_I, K_D by a rule of `RULES`."""
         return self.scaled(RULES[rule])
 
     def scaled(self, parts: Vector) -> Vector:
-        """K_P, K_I, K_D: `parts` times K_u, K_u / T_u and K_u T_u."""
+        """Compute K_P, K_I, K_D: `parts` times K_u, K_u / T_u and K_u T_u."""
         p, i, d = parts
         return p * self.gain, i * self.gain / self.period, d * self.gain * self.period
 
@@ -69,7 +69,7 @@ class Steps:
 def ultimate_gains(
     aircraft: Aircraft, idle: float, control_rate_hz: int
 ) -> tuple[UltimateGain, UltimateGain, UltimateGain]:
-    """K_u and T_u of roll, pitch and yaw, each alone, without noise. Raises TrainingError without one."""
+    """Find K_u and T_u of each axis alone, without noise. Raises TrainingError without one."""
     roll, pitch, yaw = (_of_axis(aircraft, axis, idle, control_rate_hz) for axis in range(3))
     return roll, pitch, yaw
 
@@ -99,7 +99,7 @@ def _of_axis(aircraft: Aircraft, axis: int, idle: float, control_rate_hz: int) -
 def _oscillations(
     aircraft: Aircraft, axis: int, gains: Array, steps: Array, idle: float, control_rate_hz: int
 ) -> Array:
-    """Rate of `axis` [deg/s] over time for each gain and its step [deg/s], (G, T)."""
+    """Fly each gain and its step; return the rate of `axis` [deg/s] over time, (G, T)."""
     nothing: Vector = (0.0, 0.0, 0.0)
     settings = []
     for gain in gains.tolist():
@@ -122,6 +122,6 @@ def _oscillations(
 
 
 def _crossings(rate: Array) -> NDArray[np.intp]:
-    """Indices at which `rate` (T,) crosses its mean upwards."""
+    """Return the indices at which `rate` (T,) crosses its mean upwards."""
     above = rate > rate.mean()
     return np.flatnonzero(~above[:-1] & above[1:])

@@ -67,9 +67,9 @@ def tune_users(
     progress: Callable[[int, Trial], None],
     tuner: MakeTuner = CmaEs,
 ) -> Tuning:
-    """Values of least cost of the parameters `names` after about `budget` candidates.
+    """Search values of least cost of the parameters `names` with about `budget` candidates.
 
-    change: the most that a motor value may change in 1 ms on average, fraction; tuner: what searches. The
+    change: the most that a motor value may change in 1 ms on average, fraction; tuner: of the search. The
     same arguments give the same values. names: see `check_names`.
     """
     check_names(controller, names)
@@ -93,7 +93,7 @@ def tune_users(
 
 
 def check_names(controller: UsersController, names: Sequence[str]) -> None:
-    """Raise TrainingError where there is nothing to tune, or a name is none of a parameter."""
+    """Raise TrainingError if there is nothing to tune, or a name is no parameter."""
     has = ", ".join(controller.parameters) or "none"
     for name in names:
         if name not in controller.parameters:

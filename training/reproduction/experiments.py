@@ -33,6 +33,8 @@ BY_BUDGET = re.compile(r"<([^<>|]*)\|([^<>|]*)>")
 ROWS_MAX, FIGURES_MAX, STEPS_MAX = 400, 60, 200
 AIMS = ("lower", "higher", "near")  # or "to NUMBER"
 YES = {"yes": True, "no": False}
+OF_A_ROW = ("title", "picture", "input", "unlike", "hardware", "why")  # keys; all others are figures
+OF_AN_INTERVAL = ("value", "mean")  # keys that have one beside them
 TARGET = re.compile(r"to (-?\d+(?:\.\d+)?)")
 
 
@@ -74,6 +76,13 @@ class Source:
 
     step: str
     path: str  # in the JSON that the step's command prints, see `lookup`
+
+    @property
+    def margin(self) -> Source:
+        """Where half the width of its 95 % interval stands."""
+        stem, dot, last = self.path.rpartition(".")
+        beside = "margin" if last in OF_AN_INTERVAL else f"margin_95.{last}"
+        return Source(self.step, f"{stem}{dot}{beside}")
 
 
 @dataclass(frozen=True)
@@ -186,12 +195,11 @@ def parse(text: str, where: str) -> Experiments:
     table = StrictTable(document, where, ReproduceError)
     steps = _steps(table.table("steps"))
     _check_order(steps, where)
-    rows = tuple(_row(row, steps) for row in table.tables("rows", 1, ROWS_MAX))
+    of_rows = table.table("rows")
+    if not 1 <= len(of_rows.names()) <= ROWS_MAX:
+        raise ReproduceError(f"{where}: {len(of_rows.names())} rows, expected 1 to {ROWS_MAX}")
+    rows = tuple(_row(name, of_rows.table(name), steps) for name in of_rows.names())
     table.finish()
-    names = [row.name for row in rows]
-    for name in names:
-        if names.count(name) > 1:
-            raise ReproduceError(f"{where}: row {name} for a second time, expected each once")
     used = {name for row in rows for name in row.steps}
     used |= {needed for step in steps.values() for needed in step.needs}
     for name in steps:
@@ -243,46 +251,46 @@ def _check_order(steps: Mapping[str, Step], where: str) -> None:
         follow(name, ())
 
 
-def _row(table: StrictTable, steps: Mapping[str, Step]) -> Row:
-    hardware = table.text("hardware", "")
-    figures = () if hardware else tuple(_figures(table, steps))
+def _row(name: str, table: StrictTable, steps: Mapping[str, Step]) -> Row:
+    place, parted, title = table.text("title").partition(": ")
+    if not parted:
+        raise table.error("title", f"got {place!r}, expected PLACE: TITLE")
+    if not re.fullmatch(r"[2-6]\.[\w.]+(-[\w.-]+)?", name):
+        raise table.error("", f"got {name!r}, expected such as 3.9 or 3.9-ppo")
     picture = table.text("picture", "") or None
     if picture is not None and (picture not in steps or not steps[picture].draws):
         raise table.error("picture", f"got {picture!r}, expected a step whose command has {{plot}}")
-    row = Row(
-        name=table.text("name"),
-        place=table.text("place"),
-        title=table.text("title"),
-        figures=figures,
-        picture=picture,
-        hardware=hardware,
-        why=" ".join(table.lines("why")) if table.has("why") else "",
-    )
-    if not re.fullmatch(r"[2-6]\.[\w.]+(-[\w.-]+)?", row.name):
-        raise table.error("name", f"got {row.name!r}, expected such as 3.9 or 3.9-ppo")
-    table.finish()
-    return row
+    hardware = table.text("hardware", "")
+    why = " ".join(table.lines("why")) if table.has("why") else ""
+    return Row(name, place, title, tuple(_figures(table, steps)), picture, hardware, why)
 
 
 def _figures(table: StrictTable, steps: Mapping[str, Step]) -> Iterator[Figure]:
-    fewest = 0 if table.has("picture") else 1
     given, unlike = table.choice("input", YES, "no"), table.text("unlike", "")
-    if not table.has("figures") and not fewest:
-        return
-    for entry in table.tables("figures", fewest, FIGURES_MAX):
+    names = [name for name in table.names() if name not in OF_A_ROW]
+    fewest = 0 if table.has("picture") or table.has("hardware") else 1
+    most = 0 if table.has("hardware") else FIGURES_MAX
+    if not fewest <= len(names) <= most:
+        raise table.error("title", f"{len(names)} figures below it, expected {fewest} to {most}")
+    for name in names:
+        entry = table.table(name)
         quote = _quote(entry)
         aim = entry.text("aim", "")
         if aim and aim not in AIMS and not TARGET.fullmatch(aim):
             raise entry.error("aim", f"got {aim!r}, expected one of: {', '.join(AIMS)}, or 'to NUMBER'")
+        ours = _source(entry, "ours", steps)
+        against, times, per = (
+            _source(entry, key, steps) if entry.has(key) else None for key in ("against", "times", "per")
+        )
         figure = Figure(
-            what=entry.text("what"),
+            what=entry.text("what", name),
             quote=quote,
             beside=entry.text("beside", ""),
-            ours=_source(entry, "ours", steps),
-            margin=_source(entry, "margin", steps) if entry.has("margin") else None,
-            against=_source(entry, "against", steps) if entry.has("against") else None,
-            times=_source(entry, "times", steps) if entry.has("times") else None,
-            per=_source(entry, "per", steps) if entry.has("per") else None,
+            ours=ours,
+            margin=ours.margin if entry.choice("margin", YES, "no") else None,
+            against=against,
+            times=times,
+            per=per,
             scale=entry.number("scale", -1e12, 1e12, 1.0),
             mean=entry.choice("mean", YES, "no"),
             aim=aim,

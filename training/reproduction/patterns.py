@@ -1,8 +1,7 @@
 """Patterns of `experiments.toml`: an entry that stands for several which differ in a word.
 
 `[each.NAME]` has a key for each value of `<NAME>`, with the words of that value: `<NAME.WORD>`. What has
-`<NAME>` in its name is there once for each value; of a list in it, entries with a `<NAME>` that its name
-lacks are.
+`<NAME>` in its name is there once for each value; so is a key of it with a `<NAME>` that its name lacks.
 """
 
 from __future__ import annotations
@@ -21,36 +20,35 @@ class PatternError(ValueError):
 
 
 def expanded(document: Mapping[str, Any]) -> Mapping[str, Any]:
-    """The file with what its patterns stand for. Raises PatternError naming what no value has."""
+    """Return the file with what its patterns stand for. Raises PatternError naming what no value has."""
     each: Words = document.get("each", {})
-    patterns = document.get("steps", {}).items()
+    patterns, rows_of = document.get("steps", {}).items(), document.get("rows", {}).items()
     steps = dict(pair for name, text in patterns for pair in _each_of(text, name, each))
-    rows = [row for pattern in document.get("rows", []) for row in _rows(pattern, each)]
+    rows = dict(pair for name, row in rows_of for pair in _rows(row, name, each))
     return {**{key: value for key, value in document.items() if key != "each"}, "steps": steps, "rows": rows}
 
 
-def _rows(pattern: Mapping[str, Any], each: Words) -> Iterator[Mapping[str, Any]]:
-    """The rows that a pattern stands for; its table of whys has them by the rows' names."""
-    names = dict(_each_of(pattern, pattern.get("name", ""), each))
-    whys = pattern.get("why")
-    if isinstance(whys, dict) and (unknown := sorted(set(whys) - set(names))):
-        raise PatternError(f"why {unknown[0]}: no such row, expected one of: {', '.join(names)}")
-    for name, row in names.items():
-        if isinstance(whys, dict):
+def _rows(pattern: Any, name: str, each: Words) -> Iterator[tuple[str, Any]]:  # noqa: ANN401 - any TOML value
+    """Yield the rows that a pattern stands for; its table of whys has them by the rows' names."""
+    rows = dict(_each_of(pattern, name, each))
+    whys = pattern.get("why") if isinstance(pattern, dict) else None
+    if isinstance(whys, dict):
+        if unknown := sorted(set(whys) - set(rows)):
+            raise PatternError(f"why {unknown[0]}: no such row, expected one of: {', '.join(rows)}")
+        for own, row in rows.items():
             row.pop("why")
-            yield {**row, "why": whys[name]} if name in whys else row
-        else:
-            yield row
+            row |= {"why": whys[own]} if own in whys else {}
+    yield from rows.items()
 
 
 def _each_of(pattern: Any, name: str, each: Words) -> Iterator[tuple[str, Any]]:  # noqa: ANN401 - any TOML value
-    """The names that `name` stands for, each with its entry."""
+    """Yield the names that `name` stands for, each with its entry."""
     for values in _values(name, each, {}):
         yield _filled(name, values, each), _entry(pattern, values, each)
 
 
 def _filled(text: str, values: Mapping[str, str], each: Words) -> str:
-    """A text with the words of `values`."""
+    """Return a text with the words of `values`."""
 
     def word(found: re.Match[str]) -> str:
         name, word = found.groups()
@@ -69,15 +67,17 @@ def _filled(text: str, values: Mapping[str, str], each: Words) -> str:
 def _entry(entry: Any, values: Mapping[str, str], each: Words) -> Any:  # noqa: ANN401 - any TOML value
     if isinstance(entry, str):
         return _filled(entry, values, each)
-    if isinstance(entry, dict):
-        return {key: _entry(item, values, each) for key, item in entry.items()}
-    if isinstance(entry, list):
-        return [_entry(item, more, each) for item in entry for more in _values(str(item), each, values)]
-    return entry
+    if not isinstance(entry, dict):
+        return entry
+    return {
+        _filled(key, more, each): _entry(item, more, each)
+        for key, item in entry.items()
+        for more in _values(key, each, values)
+    }
 
 
 def _values(text: str, each: Words, given: Mapping[str, str]) -> Iterator[Mapping[str, str]]:
-    """The values of all names that `text` uses beside those `given`, in every combination."""
+    """Yield the values of all names that `text` uses beside those `given`, in every combination."""
     open_names = dict.fromkeys(name for name, _ in USED.findall(text) if name in each and name not in given)
     for chosen in product(*(each[name] for name in open_names)):
         yield {**given, **dict(zip(open_names, chosen, strict=True))}

@@ -16,6 +16,7 @@ from neuroflight.training.reproduction.experiments import BUDGETS, Budget, Figur
 from neuroflight.training.reproduction.lookup import Value, find, ours, scaled
 from neuroflight.training.reproduction.steps import Done
 from neuroflight.training.reproduction.verdict import Judged, Verdict, judge
+from neuroflight.training.results_page.stored_results import compact
 
 FILE_BYTES_MAX = 1 << 20
 WORST_FIRST = (Verdict.NOT_REACHED, Verdict.REACHED, Verdict.SURPASSED, Verdict.UNLIKE, Verdict.INPUT)
@@ -125,7 +126,7 @@ def store(kept: Kept, folder: Path, picture: Path | None, pictures: Path) -> Non
         "seconds": round(kept.seconds, 1),
         "figures": {path: _plain(value) for path, value in kept.figures.items()},
     }
-    write_text(folder / f"{kept.step}.json", json.dumps(document, indent=1) + "\n")
+    write_text(folder / f"{kept.step}.json", compact(document) + "\n")
     if picture is not None:
         pictures.mkdir(parents=True, exist_ok=True)
         with replacing(pictures / f"{kept.step}.png") as aside:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from collections import ChainMap
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -38,11 +39,10 @@ SHIPPED = "training/policies/"
 
 def compared_rows(stored: Stored) -> list[Row]:
     """Rows of `compare --json`: one for each controller and throttle."""
-    shared = {key: value for key, value in stored.document.items() if key != "comparison"}
     rows: list[Row] = []
     for entry in stored.entries("comparison"):
         first = rows[-1].against or rows[-1].label if rows and entry.has("difference") else ""
-        rows.append(evaluated_row(Stored(entry.name, shared | dict(entry.document)), first))
+        rows.append(evaluated_row(Stored(entry.name, ChainMap(entry.document, stored.document)), first))
     return rows
 
 

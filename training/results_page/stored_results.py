@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import shlex
-from collections.abc import Mapping
+from collections.abc import Mapping, MutableMapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,6 +16,7 @@ from neuroflight.training.dissertation.quotes import Axes
 
 FILE_BYTES_MAX = 4 << 20
 FILES_MAX = 200
+WIDTH = 160  # characters of a line of a stored file
 COMMANDS = "commands.txt"  # in a folder of results: a line NAME.json neuroflight COMMAND... for each
 
 
@@ -28,7 +29,7 @@ class Stored:
     """A file of results, or an object in it."""
 
     name: str
-    document: Mapping[str, Any]
+    document: MutableMapping[str, Any]
 
     def error(self, key: str, got: object, expected: str) -> ResultsError:
         """The exception about `key`, for the caller to raise."""
@@ -41,7 +42,7 @@ class Stored:
         """The value at a path of keys. Raises ResultsError naming the path if there is none."""
         value: Any = self.document
         for depth, key in enumerate(path, start=1):
-            if not isinstance(value, dict) or key not in value:
+            if not isinstance(value, Mapping) or key not in value:
                 raise self.error(".".join(path[:depth]), "nothing", "a value")
             value = value[key]
         return value
@@ -50,7 +51,7 @@ class Stored:
         """Whether there is a value at a path of keys."""
         value: Any = self.document
         for key in path:
-            if not isinstance(value, dict) or key not in value:
+            if not isinstance(value, Mapping) or key not in value:
                 return False
             value = value[key]
         return True
@@ -137,3 +138,22 @@ def read_commands(folder: Path) -> dict[str, list[str]]:
             raise ResultsError(f"{where}: {name} for a second time, expected each file once")
         found[name] = words
     return found
+
+
+def compact(value: Any, margin: str = "") -> str:  # noqa: ANN401 - any JSON value
+    """Return JSON of as few lines as WIDTH allows: what fits stands on one, beside its neighbours."""
+    line = json.dumps(value)
+    if not isinstance(value, dict | list) or len(margin) + len(line) <= WIDTH:
+        return line
+    inner = f"{margin} "
+    names = [f"{json.dumps(key)}: " for key in value] if isinstance(value, dict) else [""] * len(value)
+    entries = value.values() if isinstance(value, dict) else value
+    lines: list[str] = []
+    for name, entry in zip(names, entries, strict=True):
+        text = name + compact(entry, inner)
+        beside = f"{lines[-1]}, {text}" if lines else ""
+        if beside and "\n" not in beside and len(inner) + len(beside) <= WIDTH:
+            lines[-1] = beside
+        else:
+            lines.append(text)
+    return f"{line[0]}\n{inner}" + f",\n{inner}".join(lines) + f"\n{margin}{line[-1]}"

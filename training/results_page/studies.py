@@ -2,12 +2,27 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 from neuroflight.training.results_page.markdown import number, table
 from neuroflight.training.results_page.stored_results import Stored
 
 VARIANT = "variant"
 SIZES = "sizes"  # the study that is drawn too
 PLOT = "sizes.png"  # its plot, in the folder of results
+
+
+@dataclass(frozen=True)
+class Point:
+    """A network of the study."""
+
+    name: str
+    instructions: float
+    fits: bool
+    mae: float  # [deg/s]
+    margin: float
+    change: float  # |Δu| of the motors in 1 ms
+    change_margin: float
 
 
 def study_section(stored: Stored) -> str:
@@ -32,6 +47,26 @@ def study_section(stored: Stored) -> str:
     if large := [f"{run.text('varied', VARIANT)}: {run.text('unfit')}" for run in runs if run.get("unfit")]:
         parts.append(f"Too large for the board: {'; '.join(large)}.")
     return "\n\n".join(parts)
+
+
+def drawn_points(stored: Stored) -> list[Point]:
+    """Return the networks of a study of sizes whose instructions are known, by these; none of others."""
+    if not stored.has("sweep") or stored.text("sweep") != SIZES:
+        return []
+    found = [
+        Point(
+            name=run.text("varied", VARIANT),
+            instructions=run.number("outcome", "instructions"),
+            fits=run.get("unfit") is None,
+            mae=run.number("outcome", "mae", "mean"),
+            margin=run.number("outcome", "mae", "margin"),
+            change=run.number("outcome", "change", "mean"),
+            change_margin=run.number("outcome", "change", "margin"),
+        )
+        for run in stored.entries("runs")
+        if run.get("outcome", "instructions") is not None
+    ]
+    return sorted(found, key=lambda point: point.instructions)
 
 
 def _conditions(stored: Stored) -> str:

@@ -3,50 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, NullLocator
 
 from neuroflight.sim.plotting import GRID, INK, MOTOR_COLOURS, MUTED, dress, titled_figure
-from neuroflight.training.results_page.stored_results import Stored
-from neuroflight.training.results_page.studies import VARIANT
+from neuroflight.training.results_page.studies import Point
 
 UNFIT = "#d55e00"  # rim of what is too large for the board
 TICKS = [mark * 10.0**power for power in range(1, 6) for mark in (1, 2, 5)]
 ROOM = 0.1  # beside the outermost points, of an axis' span
-
-
-@dataclass(frozen=True)
-class Point:
-    """A network of the study."""
-
-    name: str
-    instructions: float
-    fits: bool
-    mae: float  # [deg/s]
-    margin: float
-    change: float  # |Δu| of the motors in 1 ms
-    change_margin: float
-
-
-def points(stored: Stored) -> list[Point]:
-    """The networks whose instructions are known, by these."""
-    found = [
-        Point(
-            name=run.text("varied", VARIANT),
-            instructions=run.number("outcome", "instructions"),
-            fits=run.get("unfit") is None,
-            mae=run.number("outcome", "mae", "mean"),
-            margin=run.number("outcome", "mae", "margin"),
-            change=run.number("outcome", "change", "mean"),
-            change_margin=run.number("outcome", "change", "margin"),
-        )
-        for run in stored.entries("runs")
-        if run.get("outcome", "instructions") is not None
-    ]
-    return sorted(found, key=lambda point: point.instructions)
 
 
 def draw_sizes(drawn: Sequence[Point], title: str) -> Figure:

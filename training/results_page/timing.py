@@ -76,4 +76,4 @@ times, 22 cycles of entering and leaving the interrupt, and the interrupt before
 read, of {edge} instructions at most. No board has confirmed the cycles yet. The dissertation's figures were
 measured on a MATEKF722 at 216 MHz, with another firmware and a smaller network."""
 ABOUT_CYCLES = """Cycles are predicted by {model}'s model of the Cortex-M7, with {device} more for each
-access to a peripheral's register and for each barrier ([timing.md](timing.md))."""
+access to a peripheral's register and for each barrier ([timing.md](explanation/timing.md))."""

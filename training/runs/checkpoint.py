@@ -33,7 +33,7 @@ Policy = dict[str, torch.Tensor]  # weights by the names that `toolchain.policy.
 
 @dataclass(frozen=True, eq=False)
 class MonitorState:
-    """What the monitor has flown in a run, and what it still has to fly."""
+    """The monitor's results of a run, and the policies it still has to fly."""
 
     history: tuple[CheckpointMetrics, ...] = ()  # by steps
     pending: tuple[tuple[int, Policy], ...] = ()  # by steps: submitted policies without metrics
@@ -52,11 +52,11 @@ class MonitorState:
         return self.chosen[0] if self.chosen else None
 
     def submitted(self, steps: int, policy: Policy) -> MonitorState:
-        """With one more policy that waits for its metrics."""
+        """Add one more policy that waits for its metrics."""
         return replace(self, pending=(*self.pending, (steps, policy)))
 
     def collected(self, metrics: CheckpointMetrics, limits: SelectionLimits) -> MonitorState:
-        """With the metrics of the policy that has waited longest."""
+        """Add the metrics of the policy that has waited longest."""
         (steps, policy), *others = self.pending
         assert steps == metrics.steps
         this = (metrics, policy)
@@ -71,7 +71,7 @@ class MonitorState:
         )
 
     def going_back(self, steps: int) -> MonitorState:
-        """With the kept checkpoint of that many steps as the chosen one. Raises KeyError if none is kept."""
+        """Choose the kept checkpoint of that many steps. Raises KeyError if none is kept."""
         known = {each[0].steps: each for each in (*([self.chosen] if self.chosen else []), *self.others)}
         chosen = known.pop(steps)
         return replace(self, chosen=chosen, others=tuple(known.values()))
@@ -120,7 +120,7 @@ def save_checkpoint(path: Path, document: dict[str, Any], run: Run, monitor_stat
 
 
 def load_run(path: Path, document: dict[str, Any]) -> tuple[Run, MonitorState]:
-    """The run to resume. Raises TrainingError if there is none, or it has another configuration."""
+    """Load the run to resume. Raises TrainingError if there is none, or it has another configuration."""
     if not path.is_file():
         raise TrainingError(f"nothing to resume: {path} does not exist; start without --resume")
     try:
@@ -166,10 +166,10 @@ def load_run(path: Path, document: dict[str, Any]) -> tuple[Run, MonitorState]:
 
 
 def snapshot(value: Any) -> Any:  # noqa: ANN401 - plain containers, numbers, text and tensors
-    """A copy that shares nothing with `value`, and whose pickle depends on the values alone.
+    """Copy `value` so that nothing is shared and the pickle depends on the values alone.
 
     Pickle stores which equal strings and containers are one object, and that changes when a run is resumed.
-    Raises TypeError on objects of other types.
+    Raises TypeError for objects of other types.
     """
     match value:
         case torch.Tensor():
@@ -191,14 +191,14 @@ def snapshot(value: Any) -> Any:  # noqa: ANN401 - plain containers, numbers, te
 
 @dataclass(frozen=True, eq=False)
 class Learned:
-    """What a run had learned, to start another one from."""
+    """The results of a run, from which another one can start."""
 
     policy: Policy  # the chosen one
     learner: dict[str, Any]  # Learner.state of the latest
 
 
 def load_learned(path: Path) -> Learned:
-    """The policy and the learner's state in a checkpoint. Raises TrainingError if it is none."""
+    """Load the policy and the learner's state of a checkpoint. Raises TrainingError if it is none."""
     if not path.is_file():
         raise TrainingError(f"nothing to start from: {path} does not exist; give the folder of a run")
     try:

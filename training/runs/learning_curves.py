@@ -56,11 +56,11 @@ class SeedRewards:
         return float(self.steps[lowest + int((rise >= REACHED * rise[-1]).argmax())])
 
     def at(self, steps: Array) -> Array:
-        """The reward at these steps, between points by line."""
+        """Return the reward at these steps, interpolated."""
         return np.asarray(np.interp(steps, self.steps, self.reward), np.float64)
 
     def _smooth(self) -> Array:
-        """Each point averaged with those of the LAST part of the run before it, weighted with their steps."""
+        """Average each point with those of the LAST part of the run before it, weighted with their steps."""
         width = np.diff(self.steps, prepend=0.0)
         summed = np.concatenate([[0.0], np.cumsum(self.reward * width)])
         ends = np.concatenate([[0.0], np.cumsum(width)])
@@ -117,13 +117,13 @@ class Curve:
 
 
 def run_folders(folder: Path) -> list[Path]:
-    """The runs in a folder of `neuroflight train`: those of its seeds, or itself."""
+    """List the runs in a folder of `neuroflight train`: those of its seeds, or itself."""
     seeds = sorted(path.parent for path in folder.glob(f"seed-*/{RECORD}"))
     return seeds or [folder]
 
 
 def read_run(folder: Path) -> SeedRewards:
-    """The rewards of one run. Raises TrainingError if it has none, or too few to draw."""
+    """Read the rewards of one run. Raises TrainingError if it has none, or too few to draw."""
     from neuroflight.training.config.config_file import load_config
 
     record = read_record(folder)
@@ -144,7 +144,7 @@ def read_run(folder: Path) -> SeedRewards:
 
 
 def curves(folders: Sequence[Path], labels: Sequence[str]) -> list[Curve]:
-    """A curve for each different label, in their order; labels: one for each folder.
+    """Make a curve for each different label, in their order; labels: one for each folder.
 
     Folders with the same label are runs of one configuration. Raises TrainingError if they are not, or have
     a seed twice.

@@ -23,8 +23,8 @@ BEGIN = 20  # the first of so many parts of a run
 FAR = 3.0  # spans of the rest: a beginning that far below it leaves the picture
 
 
-def draw(found: Sequence[Curve], title: str, *, episodes: bool = False, seeds: bool = False) -> Figure:
-    """Mean over seeds, 95 % confidence and trend; the seeds as thin lines, or, with `seeds`, alone.
+def draw_curves(found: Sequence[Curve], title: str, *, episodes: bool = False, seeds: bool = False) -> Figure:
+    """Draw mean over seeds, 95 % confidence and trend; the seeds as thin lines, or, with `seeds`, alone.
 
     episodes: the reward of a whole episode instead of that of a control step.
     """
@@ -80,7 +80,7 @@ def draw(found: Sequence[Curve], title: str, *, episodes: bool = False, seeds: b
 
 
 def _lowest(rewards: NDArray[np.float64]) -> float:
-    """The lowest reward that the picture shows: where a run begins far below the rest, that of the rest."""
+    """Return the lowest reward to be drawn, without a begin that lies far below the rest."""
     rest = rewards[-(-len(rewards) // BEGIN) :]
     if len(rest) and rewards.min() < rest.min() - FAR * (rest.max() - rest.min()):
         return float(rest.min())

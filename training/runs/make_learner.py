@@ -17,7 +17,7 @@ from neuroflight.training.learners.protocol import Learner
 
 
 def make_learner(aircraft: Aircraft, config: TrainingConfig) -> Learner:
-    """A fresh learner; `close()` when done."""
+    """Make a fresh learner; `close()` when done."""
     match config.algorithm:
         case PpoConfig() as ppo:
             from neuroflight.training.learners.ppo import PpoLearner

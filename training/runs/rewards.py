@@ -29,7 +29,7 @@ class Rewards:
     points: tuple[Point, ...] = ()
 
     def reported(self, steps: int, reward: float, steps_wanted: int) -> Rewards:
-        """With one more report: the mean `reward` of the control steps since the last report, up to `steps`.
+        """Add one more report: the mean `reward` of the control steps since the last report, up to `steps`.
 
         steps_wanted: of the whole run. A reward that is no finite number is left out.
         """
@@ -50,7 +50,7 @@ class Rewards:
 
 
 def read_rewards(path: Path) -> Rewards:
-    """A run's rewards.csv. Raises TrainingError if it is none."""
+    """Read a run's rewards.csv. Raises TrainingError if it is none."""
     try:
         if (size := file_size(path)) > FILE_BYTES_MAX:
             raise TrainingError(f"{path}: {size} bytes, expected at most {FILE_BYTES_MAX}")
@@ -73,5 +73,5 @@ def read_rewards(path: Path) -> Rewards:
 
 
 def _part(steps: int, steps_wanted: int) -> int:
-    """The part of the run, from 0 on, whose last step is `steps` or comes after it."""
+    """Return the part of the run, from 0 on, that contains `steps`."""
     return (steps - 1) * POINTS_MAX // steps_wanted

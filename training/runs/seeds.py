@@ -30,14 +30,15 @@ class Planned:
 
     @property
     def finished(self) -> bool:
-        """Whether all steps are done."""
+        """True if all steps are done."""
         return self.done is not None and self.done >= self.config.steps
 
 
 def plan(
     aircraft: Aircraft, config: TrainingConfig, out: Path, seeds: int, *, resume: bool, force: bool
 ) -> tuple[Planned, ...]:
-    """One run for each seed from the configuration's on, in `out` itself or, if several, in a folder each.
+    """Plan one run for each seed from the configuration's on, in `out` itself or, if several, in a folder
+    each.
 
     Raises TrainingError if a folder holds results already, has none to resume, or those of another
     configuration. Nothing is written.
@@ -71,7 +72,7 @@ def plan(
 
 
 def best_seed(chosen: Mapping[int, CheckpointMetrics], limits: SelectionLimits) -> int:
-    """The seed whose chosen checkpoint is the best by the rule that chose it; of equals the first."""
+    """Return the seed with the best chosen checkpoint by the rule that chose it; of equals the first."""
     best = next(iter(chosen))
     for seed, metrics in chosen.items():
         if better(metrics, chosen[best], limits):

@@ -12,7 +12,7 @@ from neuroflight.training.runs.train import Callback, Progress
 
 
 class TensorBoard(Callback):
-    """Writes event files; a step in them is a control step."""
+    """A writer of event files; a step in them is a control step."""
 
     def __init__(self, folder: Path, resumed: int | None = None) -> None:
         """resumed: steps of the checkpoint that the run resumes from; later events are discarded."""

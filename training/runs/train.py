@@ -61,17 +61,17 @@ class Callback:
     """Called while a run goes on; a subclass overrides what it needs."""
 
     def progressed(self, progress: Progress) -> None:
-        """After every update."""
+        """Take the progress after an update."""
 
     def checkpointed(self, progress: Progress, policy: Policy) -> None:
-        """After a checkpoint was written; `policy`: the latest weights, by the names that freeze knows."""
+        """Take a written checkpoint; `policy`: the latest weights, by the names that freeze knows."""
 
     def monitored(self, metrics: CheckpointMetrics) -> None:
-        """After the monitor has flown the policy of a checkpoint."""
+        """Take the metrics after the monitor has flown the policy of a checkpoint."""
 
 
 class Callbacks(Callback):
-    """Calls several callbacks in turn."""
+    """Several callbacks, called in turn."""
 
     def __init__(self, callbacks: Sequence[Callback]) -> None:
         self._callbacks = callbacks
@@ -207,7 +207,7 @@ def _tidy(out: Path) -> None:
 
 
 def _due(steps: int, marked: int, config: TrainingConfig) -> bool:
-    """Whether the end of a segment at `steps` is a checkpoint; the last one before it was at `marked`."""
+    """Return True if the end of a segment at `steps` is a checkpoint, after one at `marked`."""
     every = config.checkpoint_steps
     if config.selection.fit:
         every = min(every, -(-config.steps // CHECKPOINTS_MIN))
@@ -226,7 +226,7 @@ class _Results:
     monitored: bool
 
     def write(self, run: Run, monitor_state: MonitorState, seconds: float) -> None:
-        """All files; the checkpoint first, because `--resume` can make the others from it."""
+        """Write all files; the checkpoint first, because `--resume` can make the others from it."""
         save_checkpoint(self.out / CHECKPOINT, self.document, run, monitor_state)
         freeze(self.out / CHECKPOINT, self.out / POLICY)
         self.write_monitor(monitor_state)
@@ -234,12 +234,12 @@ class _Results:
         run.rewards.write(self.out / REWARDS)
 
     def write_monitor(self, monitor_state: MonitorState) -> None:
-        """monitor.json, if there is a monitor."""
+        """Write monitor.json, if there is a monitor."""
         if self.monitored:
             write_text(self.out / MONITOR, _text(self._monitor(monitor_state)))
 
     def _monitor(self, monitor_state: MonitorState) -> dict[str, Any]:
-        """The content of monitor.json."""
+        """Return the content of monitor.json."""
         limits = self.config.selection
         return {
             "aircraft": self.document["aircraft"],
@@ -255,7 +255,7 @@ class _Results:
         }
 
     def _record(self, run: Run, monitor_state: MonitorState, seconds: float) -> dict[str, Any]:
-        """The content of training.json: configuration, results and versions of the tools."""
+        """Return the content of training.json: configuration, results and versions of the tools."""
         best, seconds = monitor_state.best, round(seconds, 1)
         return {
             "config": self.document,
@@ -277,7 +277,7 @@ def _text(document: dict[str, Any]) -> str:
 
 
 def _seconds(out: Path) -> float:
-    """Seconds that a run has taken so far, by its training.json; 0 if that cannot be read."""
+    """Read the seconds that a run has taken so far from its training.json; 0 if it cannot be read."""
     try:
         return float(read_record(out)["seconds"])
     except (TrainingError, ValueError, KeyError, TypeError):
@@ -285,7 +285,7 @@ def _seconds(out: Path) -> float:
 
 
 def read_record(folder: Path) -> dict[str, Any]:
-    """The training.json of a run. Raises TrainingError if there is none."""
+    """Read the training.json of a run. Raises TrainingError if there is none."""
     path = folder / RECORD
     try:
         if (size := file_size(path)) > RECORD_BYTES_MAX:

@@ -1,4 +1,4 @@
-"""What varies in a sweep: grid axes, ranges to draw from, and variants that are listed one by one."""
+"""The variations of a sweep: grid axes, ranges to draw from, and variants that are listed one by one."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class Range:
 
 
 def read_axes(vary: Mapping[str, Any], where: str) -> dict[str, list[Any] | Range]:
-    """Grid axes and ranges of [vary], by dotted key."""
+    """Read grid axes and ranges of [vary], by dotted key."""
     table = StrictTable(vary, where, TrainingError, "vary.")
     axes: dict[str, list[Any] | Range] = {}
     for key, value in flat(vary).items():
@@ -76,9 +76,9 @@ def _range(values: dict[str, Any], where: str, path: str) -> Range:
 
 
 def read_variants(table: StrictTable, document: Mapping[str, Any]) -> dict[str, Varied]:
-    """The values that each [[variant]] of a sweep file sets, by its name, in the file's order.
+    """Read the values that each [[variant]] of a sweep file sets, by its name, in the file's order.
 
-    table: of the file's content, `document`. Raises TrainingError on a name that is given twice.
+    table: of the file's content, `document`. Raises TrainingError for a name that is given twice.
     """
     if not table.has(VARIANT):
         return {}
@@ -93,7 +93,7 @@ def read_variants(table: StrictTable, document: Mapping[str, Any]) -> dict[str, 
 
 
 def flat(values: Mapping[str, Any], path: str = "") -> dict[str, Any]:
-    """Dotted keys and their values; a table with the key `low` is a range, and so a value."""
+    """Return dotted keys and their values; a table with the key `low` is a range, and so a value."""
     found: dict[str, Any] = {}
     for key, value in values.items():
         if isinstance(value, dict) and "low" not in value:
@@ -106,7 +106,7 @@ def flat(values: Mapping[str, Any], path: str = "") -> dict[str, Any]:
 def combinations(
     axes: Mapping[str, list[Any] | Range], samples: int, rng: np.random.Generator
 ) -> Iterator[Varied]:
-    """Every point of the grid with each draw of all ranges, in the file's order, the last axis fastest."""
+    """Yield every point of the grid with each draw of the ranges, the last axis fastest."""
     for _ in range(samples):
         drawn = {key: [axis.draw(rng)] if isinstance(axis, Range) else axis for key, axis in axes.items()}
         for values in itertools.product(*drawn.values()):

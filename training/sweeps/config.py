@@ -117,9 +117,9 @@ class Sweep:
 
 
 def load_sweep(path: Path) -> Sweep:
-    """The sweep of a file.
+    """Load the sweep of a file.
 
-    Raises TrainingError, one line, on an error of the file or of the first invalid run.
+    Raises TrainingError, one line, for an error of the file or of the first invalid run.
     """
     where = f"sweep {path.name}"
     document = _read(path, where)
@@ -168,12 +168,12 @@ def load_sweep(path: Path) -> Sweep:
 
 
 def described(varied: Varied) -> str:
-    """Varied values on one line: "hidden [64, 64], seed 2"."""
+    """Format varied values on one line: "hidden [64, 64], seed 2"."""
     return ", ".join(f"{key} {shown(value)}" for key, value in varied.items())
 
 
 def shown(value: object) -> str:
-    """A varied value as text for tables."""
+    """Format a varied value for tables."""
     if isinstance(value, dict):
         return described(value)
     return f"{value:g}" if isinstance(value, float) else str(value)
@@ -193,7 +193,7 @@ def _read(path: Path, where: str) -> dict[str, Any]:
 
 
 def _beside(path: Path, name: str, known: Sequence[str]) -> str:
-    """A known name as it is; any other as a path relative to the sweep file's folder."""
+    """Return a known name as it is; any other as a path relative to the sweep file's folder."""
     return name if name.removesuffix(SUFFIX) in known else str(path.parent / name)
 
 
@@ -216,7 +216,7 @@ def _validation(table: StrictTable) -> Validation:
 
 
 def _baseline(table: StrictTable, variants: tuple[str, ...]) -> str | None:
-    """The variant that the others are compared with: the first, unless the file names one."""
+    """Return the variant that the others are compared with: the first, unless the file names one."""
     if not variants:
         return None
     return table.choice("baseline", {name: name for name in variants}, variants[0])
@@ -233,7 +233,7 @@ def _complete(task: type[Task]) -> bool:
 
 
 def _folder(number: int, total: int, varied: Varied) -> str:
-    """Name of a run's folder: "07-hidden-64-64-seed-2"."""
+    """Return the name of a run's folder: "07-hidden-64-64-seed-2"."""
     words: list[str] = []
     for key, value in varied.items():
         words += [key.rpartition(".")[2]] if key != VARIANT else []
@@ -244,7 +244,7 @@ def _folder(number: int, total: int, varied: Varied) -> str:
 
 
 def _toml(value: object) -> str:
-    """A value of a TOML file as TOML."""
+    """Format a value of a TOML file as TOML."""
     if isinstance(value, list):
         return f"[{', '.join(_toml(item) for item in value)}]"
     if isinstance(value, dict):

@@ -1,4 +1,4 @@
-"""What workers of every kind do: a run in its folder, progress to whom it concerns, the end on request."""
+"""The work of any kind of worker: a run in its folder, progress to the callback, a stop on request."""
 
 from __future__ import annotations
 
@@ -27,16 +27,16 @@ class SweepCallback:
     """Called while a sweep goes on; a subclass overrides what it needs."""
 
     def progressed(self, number: int, steps: int, reward: float, pid: int) -> None:
-        """Run `number` has trained `steps` in the process `pid`; about once in REPORT_S."""
+        """Take the steps that run `number` has trained in the process `pid`; about once in REPORT_S."""
 
     def finished(self, number: int) -> None:
-        """Run `number` has its result."""
+        """Take the result of run `number`."""
 
     def restarted(self, number: int) -> None:
-        """The worker of run `number` died; another worker resumes it from its last checkpoint."""
+        """Note that the worker of run `number` died; another worker resumes it from its last checkpoint."""
 
     def failed(self, number: int, reason: str) -> None:
-        """Run `number` was given up."""
+        """Note that run `number` was given up."""
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ class Job:
 
 @dataclass(frozen=True)
 class End:
-    """How a worker left a run."""
+    """The end of a worker's run."""
 
     finished: bool = False
     reason: str = ""  # why it failed; empty if it was stopped
@@ -71,7 +71,7 @@ def clear_stop(out: Path) -> None:
 def do(job: Job, out: Path, report: Report) -> End:
     """Do a run, or the rest of it, unless the sweep in `out` is to stop.
 
-    NeuroflightErrors are the run's End; any other exception is raised.
+    NeuroflightErrors are returned in the run's End; any other exception is raised.
     """
     if (out / STOP).exists():
         return End()
@@ -86,7 +86,7 @@ def do(job: Job, out: Path, report: Report) -> End:
 
 
 class _Reporter(Callback):
-    """Reports progress, checkpoints without delay, and ends the run on request."""
+    """A callback that reports progress, checkpoints without delay, and ends the run on request."""
 
     def __init__(self, stop: Path, report: Report) -> None:
         self._stop, self._report = stop, report

@@ -25,8 +25,8 @@ LINE_MAX = 44  # characters of it
 WIDE = 6.0  # an axis is logarithmic if its greatest value is more than this times its least
 
 
-def draw(found: Sequence[Configuration], title: str, validation: Validation) -> Figure:
-    """A large dot for each configuration, joined with small ones for its seeds; colour: cycles."""
+def draw_sweep(found: Sequence[Configuration], title: str, validation: Validation) -> Figure:
+    """Draw a large dot for each configuration, joined with small ones for its seeds; colour: cycles."""
     figure = titled_figure((12, 6.8), title, (0.1, 0.1))
     panel, listing = figure.subplots(1, 2, width_ratios=(2.0, 1.0))
     cycles = [c.predicted_cycles for c in found if c.predicted_cycles is not None]
@@ -62,7 +62,7 @@ def _colour(found: Configuration, scale: ScalarMappable) -> str:
 
 
 def _draw_front(panel: Axes, found: Sequence[Configuration]) -> None:
-    """The Pareto front of error and change, as a step line."""
+    """Draw the Pareto front of error and change, as a step line."""
     points = np.array([(1e2 * c.change.mean, c.mae.mean) for c in found])
     front = points[pareto(points)]
     front = front[np.argsort(front[:, 0])]
@@ -105,7 +105,7 @@ def _legend(panel: Axes, found: Sequence[Configuration]) -> None:
 def _list(
     panel: Axes, found: Sequence[Configuration], names: dict[int, str], colours: dict[int, str]
 ) -> None:
-    """The list of configurations by number."""
+    """Write the list of configurations by number."""
     panel.set_axis_off()
     panel.set_xlim(0, 1)
     chosen = sorted(found, key=lambda c: not c.front)[:LISTED_MAX]
@@ -126,13 +126,13 @@ def _list(
 
 
 def _seen(found: Sequence[Configuration], name: str) -> list[float]:
-    """All values of a figure that are drawn."""
+    """Return all drawn values of a figure."""
     runs = [getattr(run.outcome, name).mean for c in found for run in c.runs]
     return [*runs, *(getattr(c, name).mean for c in found)]
 
 
 def _scale(panel: Axes, name: str, values: Sequence[float]) -> None:
-    """Limits with room for the dots; logarithmic with plain numbers where the span is wide."""
+    """Set limits with room for the dots; logarithmic with plain numbers where the span is wide."""
     low, high = min(values), max(values)
     if low > 0 and high / low > WIDE:
         room = (high / low) ** 0.08

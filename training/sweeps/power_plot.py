@@ -18,7 +18,7 @@ LISTED_MAX = 26  # runs with a line of text
 
 
 def draw_power(runs: Sequence[Run], title: str, validation: Validation) -> Picture | None:
-    """MAE over mean current, a point for each run and thrust, numbered as the runs; None if none is known."""
+    """Draw MAE over mean current, a point for each run and thrust; None if no current is known."""
     levels: list[list[tuple[int, AtThrust, Figure]]] = []
     for run in runs:
         for place, each in enumerate(run.outcome.thrusts if run.outcome else ()):

@@ -89,7 +89,7 @@ def _close(worker: _Worker) -> None:
 
 @contextmanager
 def _one_thread() -> Iterator[None]:
-    """Processes that start meanwhile compute small matrices on one thread: more fight for the cores."""
+    """Let processes started meanwhile compute on one thread: small matrices gain nothing from more."""
     before = {name: os.environ.get(name) for name in THREADS}
     os.environ.update(THREADS)
     try:
@@ -103,6 +103,6 @@ def _one_thread() -> Iterator[None]:
 
 
 def _work(job: Job, out: Path, link: Connection) -> None:
-    """The work of a process. Ctrl-C is for the process that started it, which asks it to stop."""
+    """Do a job in a process, which ignores Ctrl-C: the process that started it asks it to stop."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     link.send(do(job, out, lambda steps, reward: link.send((steps, reward))))

@@ -52,7 +52,7 @@ def check_ray() -> None:
 
 @contextmanager
 def ray_session(address: str, cpus: int) -> Iterator[None]:
-    """A Ray session on `cpus` cores of this machine, not reachable from others, or that at `address`.
+    """Open a Ray session on `cpus` cores of this machine, not reachable from others, or that at `address`.
 
     address: LOCAL for this machine, else HOST:PORT, ray://HOST:PORT or auto.
 
@@ -148,7 +148,7 @@ def run_jobs(jobs: Sequence[Job], out: Path, cpus: int, callback: SweepCallback)
 
 
 def _work(config: dict[str, Any], jobs: Sequence[Job], out: Path) -> None:
-    """The work for one run. Errors of ours are reported; any other exception makes Ray try again."""
+    """Do one run. Errors of ours are reported; any other exception makes Ray try again."""
     from ray import tune
 
     def report(steps: int, reward: float) -> None:
@@ -199,7 +199,7 @@ def _callback(jobs: Sequence[Job], callback: SweepCallback) -> ray.tune.Callback
 
 
 def _last_line(trial: RayTrial) -> str:
-    """The last line of Ray's error for a run."""
+    """Return the last line of Ray's error for a run."""
     error = trial.get_error()
     text = str(error).strip() if error else ""
     return text.splitlines()[-1] if text else "no reason is known"

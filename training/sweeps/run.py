@@ -14,7 +14,7 @@ from neuroflight.training.plugins import Plugin
 from neuroflight.training.sweeps import process_workers, ray_workers
 from neuroflight.training.sweeps.config import Sweep
 from neuroflight.training.sweeps.jobs import STOP, Job, SweepCallback, clear_stop
-from neuroflight.training.sweeps.plot import draw
+from neuroflight.training.sweeps.plot import draw_sweep
 from neuroflight.training.sweeps.power_plot import draw_power
 from neuroflight.training.sweeps.summary import Run, configurations, document
 from neuroflight.training.sweeps.trial import read_outcome
@@ -42,7 +42,7 @@ def run_sweep(
     cpus: runs at a time. address: of a Ray cluster, whose nodes all see `out`, or `ray_workers.LOCAL` for a
     Ray session of this machine; None: processes of this machine, without Ray. force: remove the runs that
     `out` holds. plugins: the users' files that the sweep was read with.
-    Raises TrainingError if `out` holds a sweep already and neither `resume` nor `force` is asked for, or
+    Raises TrainingError if `out` holds a sweep already and neither `resume` nor `force` is given, or
     holds another; KeyboardInterrupt if it was stopped, see `jobs.request_stop`.
     """
     if address is not None:
@@ -85,14 +85,14 @@ def run_sweep(
 
 
 class Keeper(SweepCallback):
-    """Keeps the record of a sweep, and passes calls on to another callback."""
+    """A callback that keeps the record of a sweep, and passes calls on to another callback."""
 
     def __init__(self, sweep: Sweep, out: Path, command: str, callback: SweepCallback) -> None:
         self.runs = [Run(trial) for trial in sweep.trials]
         self._sweep, self._out, self._command, self._callback = sweep, out, command, callback
 
     def folder(self, run: Run) -> Path:
-        """Where a run's results are."""
+        """Return the folder of a run's results."""
         return self._out / TRIALS / run.trial.folder
 
     def read(self) -> None:
@@ -109,7 +109,7 @@ class Keeper(SweepCallback):
         """Write sweep.png, if a run is finished, and power.png, if one was flown at equal thrust."""
         if found := configurations(self.runs):
             title = f"Sweep {self._sweep.name} on {self._sweep.aircraft.name}"
-            save_png(self._out / PLOT, draw(found, title, self._sweep.validation))
+            save_png(self._out / PLOT, draw_sweep(found, title, self._sweep.validation))
             if power := draw_power(self.runs, title, self._sweep.validation):
                 save_png(self._out / POWER, power)
 

@@ -51,7 +51,7 @@ class Configuration:
 
 
 def unfit(outcome: Outcome, board: Board | None) -> str | None:
-    """Why the board cannot fly a policy; None if it can, as far as is known."""
+    """Return why the board cannot fly a policy; None if it can, as far as is known."""
     if outcome.weights > POLICY_WEIGHT_COUNT_MAX:
         return f"{outcome.weights:,} weights of {POLICY_WEIGHT_COUNT_MAX:,}"
     if board is None or outcome.predicted_cycles is None:
@@ -63,7 +63,7 @@ def unfit(outcome: Outcome, board: Board | None) -> str | None:
 
 
 def configurations(runs: Sequence[Run]) -> tuple[Configuration, ...]:
-    """The finished runs by configuration, in their order."""
+    """Return the finished runs by configuration, in their order."""
     groups: list[list[Run]] = []
     for run in runs:
         if run.outcome is None:
@@ -83,14 +83,14 @@ def configurations(runs: Sequence[Run]) -> tuple[Configuration, ...]:
 
 
 def pareto(points: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Which of the points (P, objectives) no other point dominates, less being better, (P,)."""
+    """Return True for points (P, objectives) that no other point dominates, less being better, (P,)."""
     no_worse = (points[:, None] <= points[None, :]).all(axis=2)
     better = (points[:, None] < points[None, :]).any(axis=2)
     return np.logical_not(np.asarray((no_worse & better).any(axis=0)))
 
 
 def document(sweep: Sweep, runs: Sequence[Run], command: str) -> dict[str, Any]:
-    """The content of sweep.json."""
+    """Return the content of sweep.json."""
     return {
         "command": command,
         "sweep": sweep.name,

@@ -50,7 +50,7 @@ class Figure:
 
     @staticmethod
     def of(values: ArrayLike) -> Figure:
-        """The mean of (N,) values."""
+        """Compute the mean of (N,) values."""
         mean = mean_over(np.asarray(values, np.float64))
         return Figure(float(mean.value), float(mean.high - mean.value))
 
@@ -122,7 +122,7 @@ def run_trial(
 
 
 def read_outcome(folder: Path, trial: Trial, aircraft: Aircraft, validation: Validation) -> Outcome | None:
-    """The outcome of a finished run, None if it is not finished.
+    """Read the outcome of a finished run, None if it is not finished.
 
     Raises TrainingError if the result is damaged or of another run.
     """
@@ -156,7 +156,7 @@ def _outcome(values: Mapping[str, Any]) -> Outcome:
 
 
 def _trained(folder: Path, document: dict[str, Any]) -> bool:
-    """Whether the record says that this configuration is fully trained."""
+    """Return True if the record says that this configuration is fully trained."""
     try:
         record = read_record(folder)
         return bool(record["complete"]) and record["config"] == json.loads(json.dumps(document))
@@ -165,7 +165,7 @@ def _trained(folder: Path, document: dict[str, Any]) -> bool:
 
 
 def _flown(path: Path, aircraft: Aircraft, validation: Validation) -> dict[str, Any]:
-    """The figures of the policy on the validation's commands, by their names in Outcome."""
+    """Fly the validation's commands; return the policy's figures by their names in Outcome."""
     controller = load_controller(str(path), aircraft)
     task, episodes = TASKS[validation.task](), validation.episodes
     if isinstance(task, FlightTask):
@@ -185,14 +185,14 @@ def _flown(path: Path, aircraft: Aircraft, validation: Validation) -> dict[str, 
 
 
 def _drift(flown: Scores) -> Figure | None:
-    """The size of the drift in the hover, mean of the axes [deg]; None where there was none."""
+    """Return the size of the drift in the hover, mean of the axes [deg]; None without a hover."""
     return None if flown.holding is None else Figure.of(np.abs(flown.holding.drift).mean(axis=1))
 
 
 def _at_thrusts(
     controller: ControllerSpec, conditions: Conditions, thrusts: Sequence[float]
 ) -> dict[str, Any]:
-    """Likewise, of its motors at equal thrust; every gyro as fast as the board's."""
+    """Fly at equal thrust, with gyros as fast as the board's; return figures as in Outcome."""
     fast = replace(conditions, gyro_rate_hz=GYRO_RATE_DEFAULT_HZ)
     flown = equal_thrust((controller,), fast, (CLOSED, *thrusts), lambda _: lambda done, total: None)
     found: list[AtThrust] = []
@@ -224,7 +224,7 @@ def _at_thrusts(
 
 
 def _counted(path: Path) -> dict[str, Any]:
-    """Greatest instructions and predicted cycles of a step, and the weights, by their names in Outcome."""
+    """Count greatest instructions and cycles of a step, and weights, by their names in Outcome."""
     compiled = compile_policy(read_policy(path))
     observations = mixed_observations(TIMED_OBSERVATIONS, compiled.network.inputs)
     found: dict[str, Any] = {

@@ -28,7 +28,7 @@ HOVER_THROTTLE = 0.3  # flown where nobody says: about a hover of the shipped ai
 
 @dataclass(frozen=True)
 class Course:
-    """How a flight's time is divided."""
+    """The division of a flight's time."""
 
     commands: int  # equal parts of the time before the hover
     hover_s: float  # centred sticks at its end
@@ -69,16 +69,16 @@ class FlightTask(RandomCommands):
 
     @property
     def course(self) -> Course:
-        """How its time is divided."""
+        """Division of its time."""
         return Course(self.pulses, self.hover_s)
 
     def of_length(self, length_s: float) -> FlightTask:
-        """The same for a flight of that length: as many pulses as fit, and the rest of it to the hover."""
+        """Return the task for a flight of that length: as many pulses as fit, and the rest as hover."""
         pulses = int((length_s - self.hover_s) / self._pulse.duration_s * (1 + 1e-9))
         return replace(self, pulses=pulses, hover_s=length_s - pulses * self._pulse.duration_s)
 
     def of_commands(self, count: int) -> tuple[FlightTask, int]:
-        """Flights for that many commands, and their number; one that they do not fill is shorter."""
+        """Return the task for that many commands, and its flights; one left over is shorter."""
         task = replace(self, pulses=min(self.pulses, count))
         return task, -(-count // task.pulses)
 
@@ -130,7 +130,7 @@ class PilotTask:
 
     @property
     def course(self) -> Course:
-        """How its time is divided: errors are told by fifths of the minute."""
+        """Division of its time: errors are told by fifths of the minute."""
         return Course(FIFTHS, self.hover_s)
 
     def episodes(self, count: int, rng: np.random.Generator, rate_hz: int) -> Setpoints:
@@ -148,6 +148,6 @@ class PilotTask:
 
 
 def course_of(task: Task) -> Course | None:
-    """How the time of the task's flights is divided; None where its episodes are no such flights."""
+    """Return the division of the task's flights; None if its episodes are no such flights."""
     inner = task.task if isinstance(task, OnSticks) else task
     return inner.course if isinstance(inner, (FlightTask, PilotTask)) else None

@@ -12,7 +12,7 @@ from neuroflight.training.tasks.task import EpisodicTask, PulseTask, Setpoints, 
 
 @dataclass(frozen=True)
 class NamedCommand:
-    """See Task. Every episode commands the same; episodes differ in the noise alone."""
+    """A task with the same command in every episode; episodes differ in the noise alone."""
 
     name: ClassVar[str] = "command"
     task: PulseTask | EpisodicTask  # when the command begins, and how long it holds

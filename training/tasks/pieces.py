@@ -27,7 +27,7 @@ class RecordedPieces:
 
     @staticmethod
     def cut(scenario: Scenario, piece_s: float | None) -> RecordedPieces:
-        """As many pieces of at least `piece_s` seconds as there are in the flight; None: the whole as one."""
+        """Cut the flight into as many pieces of at least `piece_s` seconds as fit; None: one piece."""
         return RecordedPieces(
             scenario, 1 if piece_s is None else max(1, int(scenario.duration_s / piece_s * (1 + 1e-9)))
         )
@@ -43,7 +43,7 @@ class RecordedPieces:
         return setpoints
 
     def throttle(self, count: int, rate_hz: int) -> NDArray[np.float32]:
-        """The recorded throttle of each control step, (count, T), 0..1."""
+        """Return the recorded throttle of each control step, (count, T), 0..1."""
         thrust: NDArray[np.float32] = self._cut(sticks.throttle(self._channels(rate_hz)), count)
         return thrust
 
@@ -51,7 +51,10 @@ class RecordedPieces:
         return self.scenario.timeline(rate_hz)[0]
 
     def _cut(self, rows: NDArray[np.float32], count: int) -> NDArray[np.float32]:
-        """(steps, ...) as (count, steps // count, ...); up to count - 1 steps of the end are left out."""
+        """Cut (steps, ...) into (count, steps
+
+        count, ...); up to count - 1 steps of the end are left out.
+        """
         if count != self.count:
             raise ValueError(f"{count} episodes of a recording in {self.count} pieces")
         steps = len(rows) // count

@@ -25,7 +25,7 @@ class StepWeights:
 
     @staticmethod
     def equal(count: int, steps: int) -> StepWeights:
-        """The same weight for every step of `count` episodes."""
+        """Return the same weight for every step of `count` episodes."""
         one = np.ones((count, steps))
         return StepWeights(one, one, one)
 
@@ -86,7 +86,7 @@ class RandomStepsTask:
         return self._steps(count, rng, rate_hz, exact=False)[0]
 
     def batch(self, count: int, rng: np.random.Generator, rate_hz: int) -> tuple[Setpoints, StepWeights]:
-        """Setpoints as `episodes`, and the weight of each control step.
+        """Draw setpoints as `episodes`, and the weight of each control step.
 
         The commands are scaled so that their deviation is sigma exactly: errors of batches vary less.
         """
@@ -111,7 +111,7 @@ class RandomStepsTask:
     def _steps(
         self, count: int, rng: np.random.Generator, rate_hz: int, *, exact: bool
     ) -> tuple[Setpoints, NDArray[np.bool_]]:
-        """Setpoints, and which episodes are wide, (count,)."""
+        """Draw setpoints; return them and True for wide episodes, (count,)."""
         steps = round(self.length_s * rate_hz)
         holds = self.hold_least_s + rng.exponential(
             self.hold_mean_s - self.hold_least_s, (count, 1 + int(self.length_s / self.hold_least_s))

@@ -66,7 +66,7 @@ class RecordedTask:
 
 
 def _read(path: Path) -> tuple[Commands, str]:
-    """The recording and its file's SHA-256."""
+    """Load the recording; return it and its file's SHA-256."""
     try:
         recording = load_commands(path)
         sha256 = hashlib.sha256(path.read_bytes()).hexdigest()

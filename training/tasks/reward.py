@@ -40,7 +40,7 @@ class Reward(Protocol):
     name: ClassVar[str]
 
     def __call__(self, step: Transition) -> Rewards:
-        """Reward of the step, (N,)."""
+        """Return the reward of the step, (N,)."""
         ...
 
 
@@ -215,6 +215,6 @@ REWARDS: dict[str, type[Reward]] = {
 
 
 def in_band(step: Transition, share: float, floor_deg_s: float) -> NDArray[np.bool_]:
-    """Whether each axis' error is at most `share` of its command or the floor, whichever is more, (N,)."""
+    """Return True if each axis' error is at most `share` of its command, or the floor, (N,)."""
     band = np.maximum(share * np.abs(step.setpoint), np.deg2rad(floor_deg_s))
     return np.asarray((np.abs(step.error) <= band).all(axis=1))

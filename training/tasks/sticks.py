@@ -1,4 +1,4 @@
-"""A task as a pilot's sticks say it: commands rounded to what a receiver's channels hold."""
+"""A task in the steps of a pilot's sticks: commands rounded to a receiver's channels."""
 
 from __future__ import annotations
 

@@ -32,13 +32,13 @@ class Task(Protocol):
         ...
 
     def episodes(self, count: int, rng: np.random.Generator, rate_hz: int) -> Setpoints:
-        """Setpoints [rad/s] of `count` new episodes, (count, round(duration_s * rate_hz), 3)."""
+        """Draw setpoints [rad/s] of `count` new episodes, (count, round(duration_s * rate_hz), 3)."""
         ...
 
 
 @dataclass(frozen=True)
 class RandomCommands:
-    """How the tasks below draw their commands, each axis by itself."""
+    """The distribution of the commands of the tasks below, each axis by itself."""
 
     name: ClassVar[str]
     distribution: Distribution = "normal"
@@ -56,7 +56,7 @@ class RandomCommands:
             )
 
     def commands(self, count: int, rng: np.random.Generator) -> Array:
-        """Random commands [rad/s], (count, 3)."""
+        """Draw random commands [rad/s], (count, 3)."""
         if self.distribution == "normal":
             return normal_commands(self.sigma_deg_s, count, rng, self.limit_deg_s)
         return np.deg2rad(rng.uniform(-self.limit_deg_s, self.limit_deg_s, (count, 3)))
@@ -87,7 +87,7 @@ class PulseTask(RandomCommands):
         return self.of(self.commands(count, rng), rate_hz)
 
     def of(self, commands: Array, rate_hz: int) -> Setpoints:
-        """Setpoints of the episodes with these commands (count, 3) [rad/s]."""
+        """Return setpoints of the episodes with these commands (count, 3) [rad/s]."""
         start, end = round(self.idle_s * rate_hz), round((self.idle_s + self.command_s) * rate_hz)
         setpoints = np.zeros((len(commands), round(self.duration_s * rate_hz), 3), np.float32)
         setpoints[:, start:end] = commands[:, None]
@@ -96,7 +96,7 @@ class PulseTask(RandomCommands):
 
 @dataclass(frozen=True)
 class EpisodicTask(RandomCommands):
-    """From rest, one random command on all axes held for the whole episode (Koch 2019, chapter 3)."""
+    """One random command on all axes from rest, held for the whole episode (Koch 2019, chapter 3)."""
 
     name: ClassVar[str] = "episodic"
     distribution: Distribution = "uniform"
@@ -120,7 +120,7 @@ class EpisodicTask(RandomCommands):
 
 @dataclass(frozen=True)
 class EnvelopeTask(EpisodicTask):
-    """From rest, one wide random command on all axes held (Koch 2019, chapter 5: the flight envelope)."""
+    """One wide random command on all axes from rest, held (Koch 2019, chapter 5: the flight envelope)."""
 
     name: ClassVar[str] = "envelope"
     distribution: Distribution = "normal"
@@ -178,12 +178,12 @@ class ContinuousTask(RandomCommands):
 
 
 def held(commands: Array, seconds: float, rate_hz: int) -> Setpoints:
-    """Setpoints of episodes that hold `commands` (count, 3) [rad/s] from the first step on."""
+    """Return setpoints of episodes that hold `commands` (count, 3) [rad/s] from the first step on."""
     return np.repeat(commands[:, None].astype(np.float32), round(seconds * rate_hz), axis=1)
 
 
 def normal_commands(
     sigma_deg_s: float, count: int, rng: np.random.Generator, limit_deg_s: float = FULL_STICK_DEG_S
 ) -> Array:
-    """Commands N(0, sigma) [rad/s], (count, 3), clipped to the limit."""
+    """Draw commands N(0, sigma) [rad/s], (count, 3), clipped to the limit."""
     return np.deg2rad(np.clip(rng.normal(0.0, sigma_deg_s, (count, 3)), -limit_deg_s, limit_deg_s))

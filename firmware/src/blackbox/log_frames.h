@@ -1,5 +1,5 @@
 /* A log's frames: what each field is, how it is predicted and written, in one table from which the header's lines and the
- * frames are made. docs/blackbox-format.md tells the fields. */
+ * frames are made. docs/reference/blackbox-format.md tells the fields. */
 #ifndef NF_LOG_FRAMES_H
 #define NF_LOG_FRAMES_H
 

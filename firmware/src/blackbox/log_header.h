@@ -1,5 +1,5 @@
 /* The lines that a log begins with: its fields, what the ecosystem's tools want to know, and (nf_) what it takes to fly its
- * inputs again. docs/blackbox-format.md tells each. */
+ * inputs again. docs/reference/blackbox-format.md tells each. */
 #ifndef NF_LOG_HEADER_H
 #define NF_LOG_HEADER_H
 

@@ -1,4 +1,4 @@
-/* Policy blob: checks whether this image can fly the bytes of a policy slot. docs/policy-blob.md has the layout. */
+/* Policy blob: checks whether this image can fly the bytes of a policy slot. Layout: docs/reference/policy-blob.md. */
 #ifndef NF_POLICY_BLOB_H
 #define NF_POLICY_BLOB_H
 

@@ -1,6 +1,6 @@
 /* Policy slots: which policy this boot flies, and how a slot gets a new one.
  *
- * Two slots of flash hold blobs (docs/policy-blob.md); the image itself has no weights. At boot the blob with the newest
+ * Two slots of flash hold blobs (docs/reference/policy-blob.md); the image itself has no weights. At boot the blob with the newest
  * sequence number that is whole, made for this image and passes its own self-test is taken; without one no policy flies.
  * Numbers wrap (common/serial_number.h): whatever number a policy has, another one can follow. A slot's first word is
  * written last, so that one half written is none. A blob may name the build that it came with: no other image flies it.

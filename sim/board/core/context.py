@@ -27,7 +27,7 @@ TIME_HZ = 216_000_000  # of `Context.cycle`
 
 
 class BoardError(LinkError):
-    """The image did something that the chip does not do, does not allow or does not forgive.
+    """An action of the image that the chip does not support, allow or tolerate.
 
     The message ends in the place: program counter, function, file and line. Behind a port it is what every
     failure of the other side is, a LinkError.
@@ -35,26 +35,26 @@ class BoardError(LinkError):
 
 
 class Peripheral(Protocol):
-    """Registers behind a window of addresses.
+    """A peripheral: registers behind a window of addresses.
 
     Offsets count bytes from the window's base, sizes are 1, 2 or 4 bytes, values are unsigned. An access is
     never unaligned (the engine has refused it). Each access happens once, at its exact cycle.
     """
 
     def read(self, offset: int, size: int) -> int:
-        """What the program reads; side effects of reading included."""
+        """Return the value that the program reads, with the side effects of reading."""
         ...
 
     def write(self, offset: int, size: int, value: int) -> None:
-        """What the program writes."""
+        """Take the value that the program writes."""
         ...
 
     def reset(self) -> None:
-        """As after a system reset. Alarms are cancelled and interrupt lines lowered by the engine before."""
+        """Return to the state after a system reset. Alarms and interrupt lines are cleared already."""
         ...
 
     def state(self) -> Any:  # noqa: ANN401 - each peripheral's own
-        """All that changes, as plain picklable values; alarms and interrupt lines are the engine's."""
+        """Return all that changes, as picklable values, except the engine's alarms and interrupt lines."""
         ...
 
     def restore(self, state: Any) -> None:  # noqa: ANN401
@@ -63,7 +63,7 @@ class Peripheral(Protocol):
 
 
 class Alarm(Protocol):
-    """Something that happens once at a stated time. Snapshots keep it by its name."""
+    """A callback at a set time. Snapshots keep it by its name."""
 
     @property
     def number(self) -> int:
@@ -72,7 +72,7 @@ class Alarm(Protocol):
 
     @property
     def due(self) -> int | None:
-        """The cycle it is set for; None: not set."""
+        """Cycle of the callback; None: not set."""
         ...
 
     def set(self, cycle: int) -> None:
@@ -80,46 +80,47 @@ class Alarm(Protocol):
         ...
 
     def cancel(self) -> None:
-        """Do not call back."""
+        """Cancel the callback."""
         ...
 
 
 class Context(Protocol):
-    """What the engine offers to peripherals. Valid from a peripheral's constructor on."""
+    """The engine's services for peripherals, valid from a peripheral's constructor on."""
 
     @property
     def cycle(self) -> int:
-        """The time now, in cycles of 216 MHz; inside an access: the time of that access."""
+        """Present time, in cycles of 216 MHz; inside an access: the time of that access."""
         ...
 
     def alarm(self, name: str, callback: Callable[[], None]) -> Alarm:
-        """An alarm, not yet set. `name` is unique on the board ("usart1.tx"). Make it in the constructor.
+        """Create an alarm, not yet set. `name` is unique on the board ("usart1.tx"). Call this in the
+        constructor.
 
-        At one cycle alarms go off in the order in which they were made.
+        At one cycle alarms go off in the order of their creation.
         """
         ...
 
     def irq(self, number: int, asserted: bool) -> None:
-        """The level of interrupt line `number` (0..103, as in the vendor's table) is now `asserted`.
+        """Set the level of interrupt line `number` (0..103, as in the vendor's table).
 
         Keep it asserted as long as flag and enable are; the handler runs again if it leaves them so.
         """
         ...
 
     def nmi(self) -> None:
-        """The non-maskable interrupt (clock security system)."""
+        """Raise the non-maskable interrupt (clock security system)."""
         ...
 
     def load(self, address: int, size: int) -> int:
-        """What a bus master (DMA) reads at `address`: memory or, of 1, 2 or 4 bytes, a peripheral."""
+        """Read as a bus master (DMA) from `address`: memory or, of 1, 2 or 4 bytes, a peripheral."""
         ...
 
     def store(self, address: int, size: int, value: int) -> None:
-        """What a bus master writes: RAM or a peripheral. Fails on flash and where nothing is."""
+        """Write as a bus master: to RAM or a peripheral. Fails for flash and unused addresses."""
         ...
 
     def memory(self, address: int, size: int) -> bytes:
-        """Bytes of flash, RAM or system memory, without side effect."""
+        """Return bytes of flash, RAM or system memory, without side effect."""
         ...
 
     def set_memory(self, address: int, data: bytes) -> None:
@@ -127,38 +128,38 @@ class Context(Protocol):
         ...
 
     def is_cached(self, address: int) -> bool:
-        """Whether the data cache is on and holds what lies at `address`, as the MPU says: DMA keeps out."""
+        """Return True if the data cache is on and the MPU lets it hold `address`: DMA must not use it."""
         ...
 
     def data_cache_on(self) -> bool:
-        """Whether SCB_CCR.DC is set."""
+        """Return True if SCB_CCR.DC is set."""
         ...
 
     def core_clock(self, hz: int) -> None:
-        """The core (and DWT, SysTick) runs at `hz` from now on. After reset: 16 MHz."""
+        """Run the core (and DWT, SysTick) at `hz` from now on. After reset: 16 MHz."""
         ...
 
     def flash_busy(self, until: int | None) -> None:
-        """The flash bank is busy until cycle `until` (None: no longer): fetches from it stall."""
+        """Mark the flash bank as busy until cycle `until` (None: no longer): fetches from it stall."""
         ...
 
     def system_reset(self, cause: str) -> None:
-        """The chip resets after this instruction. `cause`: "software", "iwdg", "pin", "power"."""
+        """Reset the chip after this instruction. `cause`: "software", "iwdg", "pin", "power"."""
         ...
 
     def on_system_reset(self, callback: Callable[[str], None]) -> None:
-        """`callback(cause)` runs at every reset before peripherals reset; RCC notes the cause for its CSR."""
+        """Call `callback(cause)` at every reset before peripherals reset; RCC keeps the cause for its CSR."""
         ...
 
     def on_flash_store(self, callback: Callable[[int, int, int], None]) -> None:
-        """`callback(address, size, value)` takes what the program stores into flash (0x08000000 on).
+        """Call `callback(address, size, value)` for what the program stores into flash (0x08000000 on).
 
         It changes flash by `set_memory` or not at all. Without a callback such a store is a fault.
         """
         ...
 
     def note(self, message: str) -> None:
-        """For the report, with cycle and place; the program goes on. Equal messages are counted."""
+        """Add to the report, with cycle and place; the program continues. Equal messages are counted."""
         ...
 
     def fail(self, message: str) -> NoReturn:
@@ -167,11 +168,11 @@ class Context(Protocol):
 
 
 class Bus(Protocol):
-    """Where peripherals are attached; the engine is one."""
+    """The bus that peripherals are attached to; the engine is one."""
 
     def attach(self, base: int, size: int, peripheral: Peripheral, name: str) -> None:
-        """`peripheral` answers at `base` to `base + size - 1`, both 1 KiB aligned. `name`: "USART1".
+        """Attach `peripheral` at `base` to `base + size - 1`, both 1 KiB aligned. `name`: "USART1".
 
-        Raises ValueError where another one answers already.
+        Raises ValueError if the place is taken.
         """
         ...

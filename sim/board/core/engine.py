@@ -22,7 +22,7 @@ from neuroflight.sim.board.core.source_places import Places
 from neuroflight.sim.compiled import Library
 from neuroflight.toolchain.contract import FLASH_BASE, FLASH_BYTES
 
-CPI = Fraction(163, 100)  # of the shipped policy as llvm-mca prices it: docs/timing.md
+CPI = Fraction(163, 100)  # of the shipped policy as llvm-mca prices it: docs/explanation/timing.md
 FLASH_ALIAS = 0x00200000  # BOOT_ADD0's default: the core fetches its vectors here (RM0431 2.4)
 NEVER = 2**64 - 1
 FRACTION = 16  # bits of the engine's time below a cycle
@@ -46,7 +46,7 @@ _SPSEL, _FPCA, _SFPA = 2, 4, 8  # of CONTROL; SFPA is ARMv8-M's, which unicorn's
 
 
 class Outcome(IntEnum):
-    """Why the core came to a stop: `enum outcome` of api.h."""
+    """Reasons for which the core stopped: `enum outcome` of api.h."""
 
     REACHED = 0  # the cycle asked for
     LIMIT = 1  # the instructions asked for
@@ -72,7 +72,7 @@ class Watchpoint:
 
 @dataclass(frozen=True)
 class Note:
-    """Something for the report."""
+    """A note for the report."""
 
     message: str
     cycle: int  # the first time
@@ -93,7 +93,7 @@ class Alarm:
 
     @property
     def due(self) -> int | None:
-        """The cycle it is set for; None: not set."""
+        """Cycle of the callback; None: not set."""
         due = int(self._engine.library.engine_due(self._engine.handle, self._number))
         return None if due == NEVER else due
 
@@ -102,7 +102,7 @@ class Alarm:
         self._engine.library.engine_set_alarm(self._engine.handle, self._number, max(cycle, 0))
 
     def cancel(self) -> None:
-        """Do not call back."""
+        """Cancel the callback."""
         self._engine.library.engine_set_alarm(self._engine.handle, self._number, NEVER)
 
 
@@ -167,7 +167,7 @@ class Engine:
         self.close()
 
     def close(self) -> None:
-        """Give the memory back; the engine is of no use after it."""
+        """Free the memory; the engine cannot be used afterwards."""
         if not getattr(self, "_closed", True):
             self._closed = True
             self._free(self.handle)
@@ -193,7 +193,7 @@ class Engine:
         return outcome
 
     def power_cycle(self) -> None:
-        """The supply goes and comes back: RAM is lost, flash stays."""
+        """Switch the supply off and on: RAM is lost, flash stays."""
         self._reset("power")
 
     def pull_reset(self) -> None:
@@ -213,7 +213,7 @@ class Engine:
             peripheral.reset()
 
     def forget_failure(self) -> None:
-        """After everything has been put back to a state in which there was none."""
+        """Clear a failure, after the state before it has been restored."""
         self._error, self._cause = None, ""
 
     def _raise(self) -> NoReturn:
@@ -225,7 +225,7 @@ class Engine:
         return f"{message}; {self.place()}"
 
     def place(self, address: int | None = None) -> str:
-        """Where `address`, or the program, is, as people read it."""
+        """Describe `address`, or the program's place."""
         pc = self.pc if address is None else address
         if self.places is None:
             return f"pc 0x{pc:08X}"
@@ -256,7 +256,7 @@ class Engine:
         return value
 
     def set_register(self, number: int, value: int) -> None:
-        """Likewise."""
+        """Set a register by the same numbers."""
         if number == 15:
             self.pc = value
             return
@@ -281,16 +281,16 @@ class Engine:
 
     @property
     def trace_hash(self) -> int:
-        """Of all jumps, exceptions and their times so far: equal runs have equal ones."""
+        """Hash of all jumps, exceptions and their times so far: equal runs have equal hashes."""
         return int(self.library.engine_hash(self.handle))
 
     @property
     def sleeping(self) -> bool:
-        """In WFI."""
+        """True in WFI."""
         return bool(self.library.engine_sleeping(self.handle))
 
     def clock(self, on: bool = True) -> None:
-        """From now on measure where this machine's time goes; or no longer."""
+        """Begin or stop measuring how this computer's time is spent."""
         self.library.engine_clock(self.handle, on)
 
     @property
@@ -327,10 +327,10 @@ class Engine:
         return int(hit.number), int(hit.address)
 
     def bound_entry(self, irq: int, cycles: int, name: str = "", *, urgent: bool = False) -> None:
-        """From now on it is an error when `irq` waits more than `cycles` for its handler; 0: none.
+        """Fail from now on if `irq` waits more than `cycles` for its handler; 0: no limit.
 
-        Unless code outside flash holds it back while flash is erased or programmed. name: what raises it.
-        urgent: it is one too when another interrupt is enabled that `irq` cannot interrupt.
+        Waiting for code outside flash while flash is erased or programmed is allowed. name: of the source.
+        urgent: fail as well if another enabled interrupt cannot be interrupted by `irq`.
         """
         self._bound[irq] = self.ffi.new("char[]", (name or f"interrupt {irq}").encode())
         self.library.engine_bound_entry(self.handle, 16 + irq, cycles, self._bound[irq], urgent)
@@ -342,7 +342,7 @@ class Engine:
     # ---- Bus ----
 
     def attach(self, base: int, size: int, peripheral: Peripheral, name: str) -> None:
-        """`peripheral` answers at `base` to `base + size - 1`, both 1 KiB aligned."""
+        """Attach `peripheral` at `base` to `base + size - 1`, both 1 KiB aligned."""
         number = self.library.engine_attach(self.handle, base, size)
         if number < 0:
             raise ValueError(
@@ -361,7 +361,7 @@ class Engine:
         return int(self.library.engine_cycle(self.handle))
 
     def alarm(self, name: str, callback: Callable[[], None]) -> Alarm:
-        """An alarm, not yet set."""
+        """Create an alarm, not yet set."""
         if name in self.alarms:
             raise ValueError(f"two alarms named {name}")
         number = self.library.engine_new_alarm(self.handle)
@@ -372,27 +372,27 @@ class Engine:
         return self.alarms[name]
 
     def irq(self, number: int, asserted: bool) -> None:
-        """The level of an interrupt line."""
+        """Set the level of an interrupt line."""
         self.library.engine_irq(self.handle, number, asserted)
 
     def nmi(self) -> None:
-        """The non-maskable interrupt."""
+        """Raise the non-maskable interrupt."""
         self.library.engine_nmi(self.handle)
 
     def load(self, address: int, size: int) -> int:
-        """What a bus master reads."""
+        """Read as a bus master."""
         return int(self.library.engine_load(self.handle, address, size))
 
     def store(self, address: int, size: int, value: int) -> None:
-        """What a bus master writes."""
+        """Write as a bus master."""
         self.library.engine_store(self.handle, address, size, value)
 
     def memory(self, address: int, size: int) -> bytes:
-        """Bytes of flash, RAM or system memory. Raises ValueError where nothing is."""
+        """Return bytes of flash, RAM or system memory. Raises ValueError for unused addresses."""
         return bytes(self.view(address, size))
 
     def view(self, address: int, size: int) -> memoryview:
-        """The same bytes as the engine has them: they change as it runs, and die with it."""
+        """Return a view of the engine's bytes: they change as it runs, and are freed with it."""
         found = self.library.engine_memory(self.handle, address, size)
         if not found:
             raise ValueError(f"{size} bytes at 0x{address:08X}: no memory")
@@ -403,30 +403,30 @@ class Engine:
         self.poke(address, data)
 
     def poke(self, address: int, data: bytes) -> None:
-        """The same."""
+        """Change memory as `set_memory` does."""
         if self.library.engine_poke(self.handle, address, bytes(data), len(data)):
             raise ValueError(f"{len(data)} bytes at 0x{address:08X}: no memory")
 
     def is_cached(self, address: int) -> bool:
-        """Whether the data cache holds what lies at `address`."""
+        """Return True if the data cache covers `address`."""
         return bool(self.library.engine_cached(self.handle, address))
 
     def data_cache_on(self) -> bool:
-        """Whether SCB_CCR.DC is set."""
+        """Return True if SCB_CCR.DC is set."""
         return bool(self.load(0xE000ED14, 4) >> 16 & 1)
 
     def core_clock(self, hz: int) -> None:
-        """The core runs at `hz` from now on."""
+        """Run the core at `hz` from now on."""
         if not 0 < hz <= 432_000_000:
             raise ValueError(f"a core clock of {hz} Hz, expected up to 432 MHz")
         self.library.engine_core_clock(self.handle, hz)
 
     def flash_busy(self, until: int | None) -> None:
-        """Fetches from flash wait until then."""
+        """Let fetches from flash wait until then."""
         self.library.engine_flash_busy(self.handle, 0 if until is None else until)
 
     def system_reset(self, cause: str) -> None:
-        """The chip resets after this instruction."""
+        """Reset the chip after this instruction."""
         self._cause = self._cause or cause
         self.library.engine_want_reset(self.handle)
 
@@ -435,11 +435,11 @@ class Engine:
         self._reset_listeners.append(callback)
 
     def on_flash_store(self, callback: Callable[[int, int, int], None]) -> None:
-        """Who takes what the program stores into flash."""
+        """Set the callback for the program's stores into flash."""
         self._flash_store = callback
 
     def note(self, message: str) -> None:
-        """For the report."""
+        """Add a note to the report."""
         old = self.notes.get(message)
         if old is None:
             self.notes[message] = Note(message, self.cycle, self.place(), 1)
@@ -467,7 +467,7 @@ class Engine:
     # ---- what C calls ----
 
     def _make_callbacks(self) -> Any:  # noqa: ANN401 - struct callbacks
-        """What C calls; the engine keeps them alive, and they never unwind into C."""
+        """Create the callbacks for C; the engine keeps them alive, and they never unwind into C."""
         reads, writes, rings = self._reads, self._writes, self._rings
 
         def read(user: object, window: int, offset: int, size: int) -> int:
@@ -508,7 +508,7 @@ class Engine:
         return self.ffi.new("struct callbacks *", self._kept)
 
     def _function_table(self) -> Any:  # noqa: ANN401 - an array of C
-        """For each halfword of code the number of its function in `places.functions` plus one; 0: none."""
+        """Return for each halfword of code its function's number in `places.functions` plus one, or 0."""
         table = self.ffi.new(f"uint16_t[{CODE_HALFWORDS}]")
         for number, symbol in enumerate(self.places.functions if self.places else (), 1):
             row = code_row(symbol.address)
@@ -519,12 +519,12 @@ class Engine:
 
 
 def code_address(pc: int) -> int:
-    """`pc` as the linker knows it: the alias of flash seen at flash."""
+    """Return `pc` as the linker knows it, with the alias of flash mapped to flash."""
     return pc - FLASH_ALIAS + FLASH_BASE if 0 <= pc - FLASH_ALIAS < FLASH_BYTES else pc
 
 
 def code_row(address: int) -> int | None:
-    """Row of the counts that the halfword at `address` has; None: no code can be there."""
+    """Return the row of counts for the halfword at `address`; None: no code can be there."""
     address = code_address(address)
     if 0 <= address < ITCM_BYTES:
         return address // 2
@@ -534,5 +534,5 @@ def code_row(address: int) -> int | None:
 
 
 def row_address(row: int) -> int:
-    """The inverse of `code_row`."""
+    """Return the address of a row: the inverse of `code_row`."""
     return 2 * row if row < ITCM_BYTES // 2 else FLASH_BASE + 2 * row - ITCM_BYTES

@@ -17,7 +17,7 @@ CORE = Path(__file__).parent / "c"
 
 @cache
 def load_library(*parts: Path, folder: Path = CACHE) -> Library:
-    """The library of the core and of further parts, each a folder of C sources with an api.h.
+    """Load the library of the core and of further parts, each a folder of C sources with an api.h.
 
     Built into `folder` unless it is there. Raises BuildError, one line.
     """
@@ -25,12 +25,12 @@ def load_library(*parts: Path, folder: Path = CACHE) -> Library:
 
 
 def build_library(parts: tuple[Path, ...], folder: Path) -> Path:
-    """Where the library is, built if need be. Raises BuildError: no compiler, or what it says."""
+    """Build the library if it is missing; return its path. Raises BuildError."""
     return compiled.build(_source(parts), folder)
 
 
 def _source(parts: tuple[Path, ...]) -> compiled.Source:
-    """The library of `parts`. Raises BuildError if unicorn's headers or library are missing."""
+    """Return the sources of `parts`. Raises BuildError if unicorn's headers or library are missing."""
     package = Path(unicorn.__file__).parent
     shared = next(_shared(package / "lib"), None)
     header = package / "include" / "unicorn" / "unicorn.h"

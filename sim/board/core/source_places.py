@@ -18,7 +18,7 @@ class Places:
     """Symbols and lines of one ELF file; the lines are read when first asked for."""
 
     def __init__(self, elf: Path) -> None:
-        """Raises BuildError when `elf` is no ARM program with symbols."""
+        """Read the symbols. Raises BuildError if `elf` is no ARM program with symbols."""
         self.path = elf
         self.symbols = dict(load_program(elf).symbols)
         functions = sorted(
@@ -30,7 +30,7 @@ class Places:
         self._rows: dict[int, list[tuple[int, str]]] = {}
 
     def function(self, address: int) -> Symbol | None:
-        """The function that `address` lies in."""
+        """Return the function at `address`, or None."""
         found = bisect_right(self._starts, address) - 1
         if found < 0:
             return None
@@ -38,20 +38,20 @@ class Places:
         return symbol if address < symbol.address + max(symbol.size, 2) else None
 
     def line(self, address: int) -> str:
-        """file:line of the instruction at `address`, or "?"."""
+        """Return file:line of the instruction at `address`, or "?"."""
         rows = self._unit_rows(address)
         found = bisect_right(rows, address, key=lambda row: row[0]) - 1
         return rows[found][1] if found >= 0 else NOWHERE
 
     def describe(self, address: int) -> str:
-        """pc 0x08020304, in gyro_edge_handler+0x1a (gyro_chip.c:120)."""
+        """Format an address: pc 0x08020304, in gyro_edge_handler+0x1a (gyro_chip.c:120)."""
         symbol = self.function(address)
         if symbol is None:
             return f"pc 0x{address:08X}, in no function"
         return f"pc 0x{address:08X}, in {symbol.name}+0x{address - symbol.address:x} ({self.line(address)})"
 
     def _unit_rows(self, address: int) -> list[tuple[int, str]]:
-        """Addresses and lines of the source that the code at `address` comes from, ascending."""
+        """Return addresses and lines of the source file whose code is at `address`, ascending."""
         if address not in self._rows:
             with self.path.open("rb") as file:
                 elf = ELFFile(file)
@@ -82,7 +82,7 @@ def _rows(elf: ELFFile, address: int) -> Iterator[tuple[int, str]]:
 
 
 def _unit_offset(dwarf: Any, address: int) -> int | None:  # noqa: ANN401
-    """Where in the tables the source of the code at `address` is told of."""
+    """Return the offset of the debug information for the code at `address`."""
     ranges = dwarf.get_aranges()
     offset: int | None = None if ranges is None else ranges.cu_offset_at_addr(address)
     return offset

@@ -1,4 +1,4 @@
-"""What control tasks take on the emulated board while it flies: each run of them, to the instruction.
+"""The cost of control tasks on the emulated board in flight: each run, to the instruction.
 
 The core is stopped where the handler of the gyro's samples begins and ends, and where the controller in it
 does. What it executed in between is the difference of the engine's counts of executed code, without what
@@ -36,7 +36,7 @@ Counts = NDArray[np.int64]
 
 
 class Work(Enum):
-    """Which piece of work."""
+    """Pieces of work that are measured."""
 
     ALGORITHM = "control algorithm"  # the controller's own function
     TASK = "control task"  # the handler's run that is a control step
@@ -54,7 +54,7 @@ class Kind:
 
 @dataclass(frozen=True)
 class Run:
-    """What one run executed, as many times as it was the same."""
+    """The code executed by one run, with the number of equal runs."""
 
     route: Route
     accesses: int  # to registers of peripherals
@@ -63,7 +63,7 @@ class Run:
 
 @dataclass(frozen=True)
 class TaskCost:
-    """What all runs of one kind took."""
+    """The cost of all runs of one kind."""
 
     kind: Kind
     times: int
@@ -84,7 +84,7 @@ class TaskCost:
 
 @dataclass(frozen=True)
 class Metered:
-    """What a meter has seen of a flight."""
+    """The results of a meter in a flight."""
 
     runs: Mapping[Kind, tuple[Run, ...]]
     interruptions: int  # of what is measured, by other handlers
@@ -109,7 +109,7 @@ class _Call:
 
 @dataclass(frozen=True)
 class _Key:
-    """What tells two runs apart."""
+    """The properties that distinguish two runs."""
 
     places: bytes  # in `_Code.rows` at which the number of executions changes
     changes: bytes
@@ -118,7 +118,7 @@ class _Key:
 
 
 class ControlMeter:
-    """Runs a board and keeps what the control tasks execute on it."""
+    """A meter that runs a board and records what its control tasks execute."""
 
     def __init__(self, board: Board, elf: Path, code: Mapping[int, Instruction]) -> None:
         """elf: of the image on `board`. code: its disassembly.
@@ -153,7 +153,7 @@ class ControlMeter:
             self._watch()
 
     def metered(self) -> Metered:
-        """All of it. Raises BuildError as `runs`, and where EDGE_HANDLER never ran."""
+        """Return all results. Raises BuildError as `runs` does, and if EDGE_HANDLER never ran."""
         for task in task_counts(self._engine):
             if task.handler == EDGE_HANDLER:
                 edge = (task.least, task.most)
@@ -162,7 +162,7 @@ class ControlMeter:
         raise BuildError(f"the image never ran {EDGE_HANDLER}")
 
     def runs(self) -> dict[Kind, tuple[Run, ...]]:
-        """All that was measured so far. Raises BuildError where code ran that is not the ELF's."""
+        """Return all runs measured so far. Raises BuildError if code ran that is not in the ELF."""
         return {
             kind: tuple(Run(self._route(key), key.accesses, times) for key, times in counted.items())
             for kind, counted in self._runs.items()
@@ -196,7 +196,7 @@ class ControlMeter:
         return frozenset((vectors[vectors != 0] & ~np.uint32(1)).tolist())
 
     def _watch(self) -> None:
-        """Where to stop next: where what runs may end, and where what interests may begin."""
+        """Set the next stops: where open calls may end, and where measured ones may begin."""
         stops = {self._handler}
         if self._open:
             stops |= {*self._handlers, self._open[-1].return_to}
@@ -233,7 +233,7 @@ class ControlMeter:
         self._runs.setdefault(kind, Counter())[key] += 1
 
     def _now(self) -> tuple[Counts, int, int]:
-        """Changes of the number of executions along the code, instructions and accesses to devices so far."""
+        """Return changes of execution counts along the code, instructions and accesses to devices so far."""
         self._engine.library.engine_enters(self._engine.handle)  # adds the counts of blocks in use
         counts = self._code.pick(self._enters, self._leaves)
         return counts, self._engine.instructions, self._engine.accesses
@@ -253,7 +253,7 @@ class ControlMeter:
 
 
 class _Code:
-    """Where the image's instructions lie in the engine's rows of counts."""
+    """The places of the image's instructions in the engine's rows of counts."""
 
     def __init__(self, instructions: Mapping[int, Instruction]) -> None:
         self._starts = np.zeros(CODE_HALFWORDS + 2, np.int64)
@@ -274,17 +274,17 @@ class _Code:
         self.rows = np.concatenate([np.arange(piece.start, piece.stop) for piece in self._pieces])
 
     def pick(self, enters: Counts, leaves: Counts) -> Counts:
-        """Begins less ends of executed code, of the rows that hold any."""
+        """Subtract ends from begins of executed code, in the rows with instructions."""
         return np.concatenate([enters[piece] - leaves[piece] for piece in self._pieces])
 
     def instructions(self, start: int, size: int) -> int:
-        """How many there are in `size` bytes at `start`."""
+        """Count the instructions in `size` bytes at `start`."""
         row = code_row(start)
         assert row is not None
         return int(self._starts[row + size // 2] - self._starts[row])
 
     def route(self, places: NDArray[np.int64], changes: Counts) -> Route:
-        """Runs of code and how often each was executed."""
+        """Return runs of code and how often each was executed."""
         return frozenset(self._runs(places, changes))
 
     def _runs(self, places: NDArray[np.int64], changes: Counts) -> Iterator[tuple[tuple[int, int], int]]:
@@ -297,7 +297,8 @@ class _Code:
 
 
 def missed_deadlines(board: Board, elf: Path) -> int:
-    """Control steps since boot that ended after the next one was due, as the firmware of `elf` counts them.
+    """Read the number of control steps since boot that missed their deadline, as the firmware of `elf` counts
+    them.
 
     A step whose gyro samples were lost counts too. Raises BuildError where the ELF has no such count.
     """
@@ -309,7 +310,7 @@ def missed_deadlines(board: Board, elf: Path) -> int:
 def task_costs(
     runs: Mapping[Kind, Sequence[Run]], code: Mapping[int, Instruction]
 ) -> tuple[tuple[TaskCost, ...], Priced]:
-    """What each kind of run took, and the prices behind it. code: the image's disassembly."""
+    """Compute the cost of each kind of run, and the prices behind it. code: the image's disassembly."""
     routes = list(dict.fromkeys(run.route for found in runs.values() for run in found))
     priced = price_routes(routes, code)
     costs = dict(zip(routes, priced.costs, strict=True))

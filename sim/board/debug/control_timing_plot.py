@@ -24,8 +24,8 @@ PANELS = (  # in the order of the dissertation's tables 4.4 and 4.5
 )
 
 
-def draw(costs: Sequence[TaskCost], title: str) -> Figure:
-    """A panel for each kind of work, disarmed and armed; one colour a controller."""
+def draw_task_costs(costs: Sequence[TaskCost], title: str) -> Figure:
+    """Draw a panel for each kind of work, disarmed and armed; one colour a controller."""
     figure = titled_figure((12, 7), title)
     for panel, (work, armed, name) in zip(figure.subplots(2, 2).flat, PANELS, strict=True):
         found = [cost for cost in costs if cost.kind.work is work and cost.kind.armed is armed]

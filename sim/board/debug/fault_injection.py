@@ -1,7 +1,7 @@
-"""Faults that a flight on the emulated board may be given: what, how much, and when.
+"""Faults for a flight on the emulated board: kind, value and time.
 
 A fault is written NAME[=VALUE]@SECONDS, seconds of the flight from its first armed control step on, or
-NAME[=VALUE]@boot, when the board gets its power. docs/emulated-board.md says what the firmware makes of each.
+NAME[=VALUE]@boot, at power-up. What the firmware makes of each: docs/explanation/emulated-board.md.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ NOWHERE = 0x60000000  # external memory, which this board has none of
 
 @dataclass(frozen=True)
 class FaultKind:
-    """One of the things that may go wrong."""
+    """A kind of fault."""
 
     meaning: str
     value: str = ""  # what VALUE is; "": there is none
@@ -54,7 +54,8 @@ def _cut(board: Board, number: float) -> None:
 
 
 def _overload(board: Board, seconds: float) -> None:
-    """Lead the program's call of `trace_write`, one a control step, through a loop behind its code in ITCM.
+    """Redirect the program's call of `trace_write`, one a control step, through a loop behind its code in
+    ITCM.
 
     The table of such calls lies in RAM, so that a reset ends it.
     """
@@ -70,7 +71,7 @@ def _overload(board: Board, seconds: float) -> None:
 
 
 def _stop_timer(board: Board) -> None:
-    """TIM8 stops: it asks DMA for nothing more, so that the stream of motors 1 to 4 never ends."""
+    """Stop TIM8: it sends DMA no more requests, so that the stream of motors 1 to 4 never ends."""
     block = load_table().blocks["TIM8"]
     address = block.base + block.registers["CR1"].offset
     board.engine.store(address, 4, board.engine.load(address, 4) & ~1)  # CEN
@@ -81,14 +82,14 @@ def _card(fault: CardFault) -> Callable[[Board, float], None]:
 
 
 def _hang(board: Board) -> None:
-    """The core comes to a loop with interrupts masked, behind the code in ITCM."""
+    """Let the core loop with interrupts masked, behind the code in ITCM."""
     stub = board.symbols["itcm_end"] + 3 & ~3
     board.engine.poke(stub, struct.pack("<2H", 0xB672, 0xE7FE))  # cpsid i; b .
     board.engine.pc = stub
 
 
 def _fault(board: Board) -> None:
-    """The core comes to where no memory is."""
+    """Let the core jump to an address without memory."""
     board.engine.pc = NOWHERE
 
 
@@ -213,7 +214,7 @@ class Fault:
 
     @property
     def kind(self) -> FaultKind:
-        """What it is."""
+        """Its kind."""
         return FAULTS[self.name]
 
     def __str__(self) -> str:
@@ -238,10 +239,10 @@ def parse_fault(text: str) -> Fault:
 
 
 class FaultPlan:
-    """When the faults of one flight come and go, in gyro samples from the first one on. Copied as it is."""
+    """The begins and ends of a flight's faults, in gyro samples from the first one on. Snapshots copy it."""
 
     def __init__(self, faults: Sequence[Fault], rate_hz: int) -> None:
-        """rate_hz: of the gyro samples. Those of the boot are due at once."""
+        """rate_hz: of the gyro samples. Faults of the boot are due at once."""
         self.begun = False  # one has come that nothing need keep step after
         self._rate_hz = rate_hz
         # What is to come: sample, fault, whether it ends then.
@@ -256,14 +257,14 @@ class FaultPlan:
         return (*(fault for _, fault, ends in self.due if not ends), *self._later)
 
     def start(self, sample: int) -> None:
-        """The flight begins with gyro sample number `sample`."""
+        """Start the flight with gyro sample number `sample`."""
         for fault in self._later:
             assert fault.at_s is not None
             self._add(sample + max(1, round(fault.at_s * self._rate_hz)), fault, ends=False)
         self._later = []
 
     def inject(self, board: Board, sample: int) -> list[str]:
-        """Let what is due before `sample` happen to `board`; what that was, in words."""
+        """Inject into `board` the faults due before `sample`; return them in words."""
         words = []
         while self.due and self.due[0][0] <= sample:
             _, fault, ends = self.due.pop(0)
@@ -282,7 +283,7 @@ class FaultPlan:
         return words
 
     def damaged(self, frame: bytes, sent: Format) -> tuple[bytes, tuple[int, ...]]:
-        """A receiver frame as it arrives, and which of its bytes have a wrong parity bit."""
+        """Return a receiver frame as it arrives, and the indices of its bytes with a wrong parity bit."""
         if not self._broken or self._random.random() >= self._broken:
             return frame, ()
         place, bit = self._random.randrange(len(frame)), self._random.randrange(8)

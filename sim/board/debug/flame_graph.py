@@ -26,7 +26,7 @@ class _Box:
 
 
 def flame_graph(stacks: Sequence[str], title: str) -> str:
-    """SVG of lines "caller;callee;leaf instructions"; a box tells its numbers when pointed at."""
+    """Render stacks "caller;callee;leaf instructions" as SVG; a box shows its numbers under the pointer."""
     root = _tree(stacks)
     depth = _depth(root, root.total * LEAST / WIDTH)
     height = TITLE + ROW * depth + MARGIN
@@ -54,7 +54,7 @@ def _tree(stacks: Sequence[str]) -> _Box:
 
 
 def _depth(box: _Box, least: float) -> int:
-    """Rows that it takes, without boxes of fewer instructions than `least`."""
+    """Return the number of rows, without boxes of fewer instructions than `least`."""
     return 1 + max((_depth(one, least) for one in box.above.values() if one.total >= least), default=0)
 
 
@@ -79,7 +79,7 @@ def _boxes(name: str, box: _Box, whole: int, x: float, y: float) -> Iterator[str
 
 
 def _colour(name: str) -> str:
-    """The same for the same function, warm and light enough for dark letters."""
+    """Return the colour of a function: always the same, warm and light enough for dark letters."""
     number = zlib.crc32(name.encode())
     hue, saturation, lightness = 8 + number % 47, 70 + number // 47 % 25, 66 + number // 1175 % 14
     rgb = colorsys.hls_to_rgb(hue / 360, lightness / 100, saturation / 100)

@@ -27,7 +27,7 @@ class GdbServer:
     """One debugger at a time, on 127.0.0.1 only."""
 
     def __init__(self, engine: Engine, port: int, *, on_flashed: Callable[[], None] = lambda: None) -> None:
-        """Listen; port 0: any free one. Raises LinkError when the port is taken.
+        """Listen; port 0: any free one. Raises LinkError if the port is taken.
 
         on_flashed: called when the debugger has changed flash.
         """
@@ -53,7 +53,7 @@ class GdbServer:
         self._inbox, self._acknowledges, self._last, self._signal = Inbox(), True, b"", f"S{TRAP:02x}"
 
     def wait(self, timeout: float | None = None) -> None:
-        """Until a debugger is there; it finds the core halted. Raises LinkError after `timeout` s."""
+        """Wait for a debugger, which finds the core halted. Raises LinkError after `timeout` s."""
         self._listener.settimeout(timeout)
         try:
             self._client, _ = self._listener.accept()
@@ -66,7 +66,7 @@ class GdbServer:
 
     @property
     def holds(self) -> bool:
-        """Whether the debugger keeps the core from running."""
+        """True if the debugger keeps the core from running."""
         return self._halted
 
     def poll(self) -> None:
@@ -82,7 +82,7 @@ class GdbServer:
         self._listener.close()
 
     def run_to(self, cycle: int) -> None:
-        """Like `Engine.run_to`, as the debugger lets it. Raises BoardError when the debugger has seen it."""
+        """Run like `Engine.run_to`, as the debugger allows; raises BoardError after showing it."""
         while self._engine.cycle < cycle:
             if self._client is None:
                 self._engine.run_to(cycle)
@@ -303,7 +303,7 @@ class GdbServer:
         return "OK"
 
     def _command(self, rest: str) -> str:
-        """Do what `monitor` says; front ends say `reset`, `reset halt` or `reset init`, then continue."""
+        """Execute a `monitor` command; front ends send `reset`, `reset halt` or `reset init`."""
         words = bytes.fromhex(rest).decode("latin-1").split()
         if words[:1] == ["reset"]:
             self._restart()

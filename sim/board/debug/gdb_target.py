@@ -31,7 +31,7 @@ class RefusedError(Exception):
 
 
 class Target:
-    """What a debugger reads and writes."""
+    """The debugger's view of the target: registers, memory, flash."""
 
     def __init__(self, engine: Engine, on_flashed: Callable[[], None]) -> None:
         """on_flashed: called when flash has been changed."""
@@ -150,7 +150,7 @@ class Target:
 
 
 def numbers(text: str, count: int) -> list[int]:
-    """Read so many numbers of up to 32 bits. Raises ValueError for anything else."""
+    """Read `count` numbers of up to 32 bits. Raises ValueError for anything else."""
     if not re.fullmatch(rf"[0-9a-fA-F]{{1,8}}(,[0-9a-fA-F]{{1,8}}){{{count - 1}}}", text):
         raise ValueError(f"got {text!r}, expected {count} hexadecimal numbers")
     return [int(part, 16) for part in text.split(",")]

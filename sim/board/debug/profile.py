@@ -1,6 +1,6 @@
-"""What the image executed: exact counts by exception, function and address, coverage, and call stacks.
+"""The profile of an image: exact counts by exception, function and address, coverage, and call stacks.
 
-Counts hold every instruction that was executed, those skipped under a condition in their place included.
+Counts include every executed instruction, also those skipped under a condition.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ NO_RETURN = 0xFFFFFFFF  # of a node that nothing called
 
 @dataclass(frozen=True)
 class TaskCount:
-    """What one exception's handler has taken; what interrupted it is left out of its instructions."""
+    """The cost of one exception's handler, without what interrupted it."""
 
     exception: int  # 0: the thread
     name: str  # of the exception
@@ -70,12 +70,12 @@ class FunctionCoverage:
 
     @property
     def share(self) -> float:
-        """Of its instructions that were executed, 0 to 1."""
+        """Share of its instructions that were executed, 0 to 1."""
         return 1 - len(self.missed) / self.instructions
 
 
 def execution_counts(engine: Engine) -> dict[int, int]:
-    """How often each executed instruction was, by address; the alias of flash counts as flash."""
+    """Return how often each instruction was executed, by address; the alias of flash counts as flash."""
     counts = _halfword_counts(engine)
     code = np.frombuffer(engine.memory(0, ITCM_BYTES) + engine.memory(FLASH_BASE, FLASH_BYTES), "<u2")
     found = {}
@@ -89,7 +89,7 @@ def execution_counts(engine: Engine) -> dict[int, int]:
 
 
 def task_counts(engine: Engine) -> tuple[TaskCount, ...]:
-    """Every exception that was taken, and the thread first."""
+    """Return a count for the thread and for every exception that was taken."""
     tasks: list[TaskCount] = []
     others = 0
     vectors = engine.load(0xE000ED08, 4)
@@ -104,7 +104,7 @@ def task_counts(engine: Engine) -> tuple[TaskCount, ...]:
 
 
 def function_counts(engine: Engine) -> tuple[FunctionCount, ...]:
-    """Every function that was executed, the longest first. Raises BuildError without an ELF."""
+    """Count every function that was executed, the longest first. Raises BuildError without an ELF."""
     places = engine.places
     if places is None:
         raise BuildError("a profile by functions needs the image's ELF file")
@@ -125,7 +125,7 @@ def function_counts(engine: Engine) -> tuple[FunctionCount, ...]:
 
 
 def coverage(engine: Engine) -> tuple[FunctionCoverage, ...]:
-    """Every function of the image, executed or not, by address. Raises BuildError without an ELF."""
+    """Return every function of the image, executed or not, by address. Raises BuildError without an ELF."""
     if engine.places is None:
         raise BuildError("coverage needs the image's ELF file")
     executed = execution_counts(engine)
@@ -145,9 +145,9 @@ def coverage(engine: Engine) -> tuple[FunctionCoverage, ...]:
 
 
 def folded_stacks(engine: Engine) -> tuple[str, ...]:
-    """ "caller;callee;leaf instructions" a line, the form that flame graph programs read.
+    """Return lines "caller;callee;leaf instructions", the input of flame graph programs.
 
-    Raises BuildError when the engine was not made with `profile` and an ELF.
+    Raises BuildError if the engine was not made with `profile` and an ELF.
     """
     if engine.places is None or not engine.profiled:
         raise BuildError("a flame graph needs an engine made with profile and the image's ELF file")
@@ -166,7 +166,7 @@ def folded_stacks(engine: Engine) -> tuple[str, ...]:
 
 
 def profile_table(engine: Engine, rows: int = 30) -> Iterator[str]:
-    """The functions with most instructions, a line each."""
+    """Yield the functions with most instructions, a line each."""
     total = max(engine.instructions, 1)
     yield f"{'function':32} {'instructions':>14} {'share':>7} {'calls':>10}"
     for function in function_counts(engine)[:rows]:
@@ -191,14 +191,14 @@ def _task(engine: Engine, number: int, task: Any, handler: int) -> TaskCount:  #
 
 
 def _halfword_counts(engine: Engine) -> NDArray[np.int64]:
-    """How often each halfword of code was run over: begins less ends, summed along the addresses."""
+    """Return how often each halfword of code was executed: begins less ends, summed along the addresses."""
     enters, leaves = code_counts(engine)
     counts: NDArray[np.int64] = np.cumsum(enters - leaves)[:-1]
     return counts
 
 
 def code_counts(engine: Engine) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """The engine's own counts, along the halfwords of code: runs that began there, and that had ended."""
+    """Return the engine's counts along the halfwords of code: runs that began and that had ended."""
     places = (engine.library.engine_enters(engine.handle), engine.library.engine_leaves(engine.handle))
     enters, leaves = (np.frombuffer(engine.ffi.buffer(p, 8 * (CODE_HALFWORDS + 1)), np.int64) for p in places)
     return enters, leaves

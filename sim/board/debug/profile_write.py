@@ -18,7 +18,8 @@ _US = 1e6 / TIME_HZ
 def write_profile(directory: Path, board: Board) -> tuple[str, ...]:
     """Write all files into `directory`, made if it is not there, each in one step; returns their names.
 
-    tasks.txt, functions.txt, coverage.txt, registers.txt, stacks.folded, flame.svg: docs/emulated-board.md.
+    tasks.txt, functions.txt, coverage.txt, registers.txt, stacks.folded, flame.svg; see
+    docs/explanation/emulated-board.md.
     Raises BuildError unless the board was made with `profile` and the image's ELF.
     """
     stacks = folded_stacks(board.engine)
@@ -38,7 +39,7 @@ def write_profile(directory: Path, board: Board) -> tuple[str, ...]:
 
 
 def tasks_table(board: Board) -> Iterator[str]:
-    """Each exception's handler, a line each: how often, how much, and its worst delay with the place."""
+    """Yield a line for each exception's handler: runs, instructions, and its worst delay with the place."""
     total = max(board.engine.instructions, 1)
     yield (
         f"{'task':12} {'handler':24} {'runs':>9} {'instructions':>14} {'share':>7} {'least':>7} {'mean':>9} "
@@ -59,7 +60,7 @@ def tasks_table(board: Board) -> Iterator[str]:
 
 
 def coverage_table(board: Board) -> Iterator[str]:
-    """Each function's share of executed instructions, and where those that never were begin and end."""
+    """Yield each function's share of executed instructions, and the spans of those never executed."""
     functions = coverage(board.engine)
     count = sum(function.instructions for function in functions)
     missed = sum(len(function.missed) for function in functions)
@@ -73,14 +74,14 @@ def coverage_table(board: Board) -> Iterator[str]:
 
 
 def registers_table(board: Board) -> Iterator[str]:
-    """Every register of a peripheral that the image touched."""
+    """Yield every register of a peripheral that the image touched."""
     yield f"{'register':24} {'reads':>14} {'writes':>14}"
     for touch in board.report().registers:
         yield f"{touch.register:24} {touch.reads:14,} {touch.writes:14,}"
 
 
 def _spans(addresses: tuple[int, ...]) -> str:
-    """ "0x08020100..0x0802010C, 0x08020200": instructions of 2 or 4 bytes that follow each other."""
+    """Format spans of consecutive instructions: "0x08020100..0x0802010C, 0x08020200"."""
     spans: list[list[int]] = []
     for address in addresses:
         if spans and address - spans[-1][1] <= 4:

@@ -45,7 +45,7 @@ class Snapshot:
 
 
 def take_snapshot(engine: Engine) -> Snapshot:
-    """The state of `engine`, which stands between two runs."""
+    """Copy the state of `engine`, which stands between two runs."""
     states = {name: peripheral.state() for name, peripheral in engine.peripherals.items()}
     return Snapshot(
         shape=_shape(engine),

@@ -39,9 +39,9 @@ class Variable:
 
 
 def read_variables(elf: Path, *paths: str) -> tuple[Variable, ...]:
-    """The variables at `paths`. Raises BuildError when the ELF says nothing of one, or of two alike.
+    """Find the variables at `paths`. Raises BuildError for an unknown or ambiguous one.
 
-    What was found in a file is found at once the next time, unless its bytes are others.
+    Results are cached by the file's content.
     """
     try:
         content = hashlib.sha256(elf.read_bytes()).digest()
@@ -52,22 +52,23 @@ def read_variables(elf: Path, *paths: str) -> tuple[Variable, ...]:
 
 @lru_cache(maxsize=64)
 def _variables(elf: Path, content: bytes, paths: tuple[str, ...]) -> tuple[Variable, ...]:
-    """content: the digest of what `elf` holds."""
+    """content: digest of `elf`'s bytes, which makes the cache depend on them."""
     with _units(elf) as units:
         places = [_place(units, path, elf) for path in paths]
         return tuple(Variable(at, _dtype(kind, path)) for path, (at, kind) in zip(paths, places, strict=True))
 
 
 def pointers_in(elf: Path, path: str) -> tuple[slice, ...]:
-    """Where in the variable at `path` addresses lie: the bytes of each pointer, of the union around it where
-    there is one. Raises BuildError as `read_variables` does.
+    """Return the bytes of each pointer in the variable at `path`, or of the union around it.
+
+    Raises BuildError as `read_variables` does.
     """
     with _units(elf) as units:
         return tuple(_pointers(_place(units, path, elf)[1], 0))
 
 
 def constant(elf: Path, path: str) -> bytes:
-    """What the file has at `path`, a constant. Raises BuildError as `read_variables` does."""
+    """Read the constant at `path` from the file. Raises BuildError as `read_variables` does."""
     (variable,) = read_variables(elf, path)
     with elf.open("rb") as file:
         for segment in ELFFile(file).iter_segments("PT_LOAD"):
@@ -79,7 +80,7 @@ def constant(elf: Path, path: str) -> bytes:
 
 @contextmanager
 def _units(elf: Path) -> Iterator[list[Any]]:
-    """What the image's sources were compiled to, one by one."""
+    """Yield the compilation units of the image."""
     try:
         with elf.open("rb") as file:
             image = ELFFile(file)
@@ -93,7 +94,7 @@ def _no_elf(elf: Path, error: Exception) -> BuildError:
 
 
 def _pointers(kind: Any, at: int) -> Iterator[slice]:  # noqa: ANN401 - pyelftools has no types
-    """The bytes of each pointer in what is of `kind` and lies at byte `at`."""
+    """Yield the bytes of each pointer in a value of `kind` at byte `at`."""
     size = kind.attributes["DW_AT_byte_size"].value if "DW_AT_byte_size" in kind.attributes else 0
     if kind.tag == "DW_TAG_pointer_type":
         yield slice(at, at + size)
@@ -112,7 +113,7 @@ def _pointers(kind: Any, at: int) -> Iterator[slice]:  # noqa: ANN401 - pyelftoo
 
 
 def _place(units: list[Any], path: str, elf: Path) -> tuple[int, Any]:
-    """Address and type of the variable at `path`."""
+    """Return address and type of the variable at `path`."""
     name, *fields = path.split(".")
     found = [
         die
@@ -141,13 +142,13 @@ def _name(die: Any) -> str:  # noqa: ANN401 - pyelftools has no types
 
 
 def _declaration(die: Any) -> Any:  # noqa: ANN401
-    """What has the name and type of `die`: of a variable that a header declares, the declaration."""
+    """Return the entry with the name and type of `die`: its declaration, if a header declares it."""
     declared = "DW_AT_specification" in die.attributes
     return die.get_DIE_from_attribute("DW_AT_specification") if declared else die
 
 
 def _type(die: Any) -> Any:  # noqa: ANN401
-    """What `die` is of, without names and qualifiers."""
+    """Return the type of `die`, without names and qualifiers."""
     kind = _declaration(die).get_DIE_from_attribute("DW_AT_type")
     while kind.tag in _THROUGH:
         kind = kind.get_DIE_from_attribute("DW_AT_type")
@@ -155,7 +156,7 @@ def _type(die: Any) -> Any:  # noqa: ANN401
 
 
 def _members(kind: Any) -> Iterator[tuple[str, int, Any]]:  # noqa: ANN401
-    """Name, place and type of each member; those of a member without a name are members too."""
+    """Return name, place and type of each member, also of members of one without a name."""
     if kind.tag not in ("DW_TAG_structure_type", "DW_TAG_union_type"):
         return
     for child in kind.iter_children():
@@ -170,7 +171,7 @@ def _members(kind: Any) -> Iterator[tuple[str, int, Any]]:  # noqa: ANN401
 
 
 def _bounds(kind: Any) -> tuple[int, ...]:  # noqa: ANN401
-    """The shape of an array."""
+    """Return the shape of an array."""
     return tuple(child.attributes["DW_AT_upper_bound"].value + 1 for child in kind.iter_children())
 
 

@@ -39,7 +39,7 @@ _HIGH = (0.375, 0.75)  # of a bit, for 0 and 1
 
 @dataclass(frozen=True, slots=True)
 class Frame:
-    """What an ESC was told."""
+    """A frame taken by an ESC."""
 
     motor: int  # 1..
     cycle: int  # at which the frame's last bit ended
@@ -49,7 +49,7 @@ class Frame:
 
 
 class Esc:
-    """The receiving end of one motor's line. `fail` is called with what is wrong, and must not return."""
+    """The receiving end of one motor's line. `fail` is called with the error, and must not return."""
 
     def __init__(self, in_c: Any, fail: Callable[[str], NoReturn]) -> None:  # noqa: ANN401 - struct esc
         """in_c: its state, which C changes with each plain frame."""
@@ -69,29 +69,29 @@ class Esc:
 
     @protocol.setter
     def protocol(self, protocol: int | None) -> None:
-        """C takes the frames whose bits have about the right length."""
+        """Set the protocol: C takes the frames whose bits have about the right length."""
         bit = TIME_HZ / PROTOCOLS[protocol] if protocol else 0.0
         self._in_c.protocol = protocol or 0
         self._in_c.shortest, self._in_c.longest = math.ceil(bit * (1 - TOLERANCE)), int(bit * (1 + TOLERANCE))
 
     @property
     def frames(self) -> int:
-        """How many there were."""
+        """Number of frames so far."""
         return int(self._in_c.frames)
 
     @property
     def last(self) -> Frame | None:
-        """The last one; None: there was none since power-up."""
+        """Last frame; None: none since power-up."""
         state = self._in_c
         return None if state.last == NO_FRAME else self.frame(state.last_cycle, state.last)
 
     def frame(self, cycle: int, data: int) -> Frame:
-        """One that C has taken."""
+        """Return a frame that C has taken."""
         assert self.protocol is not None
         return Frame(self.motor, cycle, data >> 1, bool(data & 1), self.protocol)
 
     def pulses(self, start: int, length: int, highs: Sequence[int]) -> None:
-        """Periods of `length` cycles, the first from cycle `start` on, high for `highs` cycles each."""
+        """Decode periods of `length` cycles from cycle `start` on, high for `highs` cycles each."""
         position, count = 0, len(highs)
         while position < count:
             if not self._bits:
@@ -117,7 +117,7 @@ class Esc:
                 self._close(start + position * length)
 
     def accept(self, frame: Frame) -> None:
-        """A frame that was decoded here."""
+        """Record a frame that was decoded here."""
         state = self._in_c
         state.rest_since = state.last_cycle = frame.cycle
         state.last = frame.value << 1 | frame.telemetry
@@ -125,7 +125,7 @@ class Esc:
         self.on_frame(frame)
 
     def silence(self, forget: bool) -> None:
-        """The line falls silent, in the middle of a frame perhaps; `forget`: the ESC starts anew as well."""
+        """Let the line fall silent, perhaps within a frame; `forget`: the ESC restarts as well."""
         self._bits = ()
         self._in_c.rest_since = -TIME_HZ
         if forget:
@@ -171,7 +171,7 @@ class Esc:
 
 @lru_cache(maxsize=4096)
 def _decode(bits: tuple[int, ...], length: int) -> tuple[int, str]:
-    """Value with its telemetry bit, and what is wrong if something is."""
+    """Decode value with telemetry bit, and describe an error if there is one."""
     frame = 0
     for number, high in enumerate(bits, 1):
         share = high / length

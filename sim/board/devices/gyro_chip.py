@@ -58,7 +58,7 @@ _READ_ONLY = {INT_STATUS, WHO_AM_I, *range(DATA, DATA + DATA_BYTES)}
 
 @dataclass(frozen=True)
 class GyroKind:
-    """What the chips differ in."""
+    """The differences between the chips."""
 
     name: str
     who_am_i: int
@@ -80,7 +80,7 @@ class GyroKind:
         return {**dict(self.writable), SIGNAL_PATH_RESET: self.signal_paths}
 
     def temperature(self, deg_c: float) -> int:
-        """Counts of TEMP_OUT."""
+        """Convert to counts of TEMP_OUT."""
         return round((deg_c - self.zero_deg_c) * self.counts_per_degree)
 
 
@@ -156,19 +156,19 @@ class GyroChip:
         self.rest()
 
     def rest(self) -> None:
-        """The lines at rest: select by the board's pull-up, nothing ready."""
+        """Set the lines to rest: select by the board's pull-up, nothing ready."""
         self._pins.drive(CS, True)
         self._pins.drive(READY, False)
 
     def processor_reset(self) -> None:
-        """The processor was reset and with it all alarms: the chip goes on."""
+        """Restore the alarms after a reset of the processor, during which the chip continues."""
         self._fall_alarm.cancel()
         self._pins.drive(READY, False)
         if self.next_sample is not None:
             self._sample_alarm.set(self.next_sample)
 
     def power_on(self) -> None:
-        """The supply comes back after it was gone."""
+        """Restart after the supply was gone."""
         self._powered_at = self.context.cycle
         self._in_c.due = NEVER
         self._sample_alarm.cancel()
@@ -194,12 +194,12 @@ class GyroChip:
     # For the loop
 
     def measure(self, accel: Counts, temperature: int, gyro: Counts) -> None:
-        """What the sensors measure from now on: int16 counts on the chip's axes, +-16 g and +-2000 deg/s."""
+        """Set the sensors' values from now on: int16 counts on the chip's axes, +-16 g and +-2000 deg/s."""
         _VALUES.pack_into(self._measured, 0, *accel, temperature, *gyro)
 
     @property
     def before_sample(self) -> Callable[[int], None]:
-        """Gets the number of each sample before it is taken; may call `measure`."""
+        """Callback with the number of each sample before it is taken; may call `measure`."""
         return self._native.on_sample
 
     @before_sample.setter
@@ -209,12 +209,12 @@ class GyroChip:
 
     @property
     def samples(self) -> int:
-        """Taken since power-up."""
+        """Number of samples since power-up."""
         return int(self._in_c.samples)
 
     @property
     def silent(self) -> bool:
-        """No data-ready pulses, as injected by a fault campaign."""
+        """True: no data-ready pulses, as injected by a fault campaign."""
         return bool(self._in_c.silent)
 
     @silent.setter
@@ -228,7 +228,7 @@ class GyroChip:
         return None if due == NEVER else due
 
     def _configured_period(self) -> int:
-        """Cycles between samples."""
+        """Return the cycles between samples."""
         if self._registers[GYRO_CONFIG] & _FAST:
             return TIME_HZ // 32_000
         filtered = self._registers[CONFIG] & 7
@@ -239,7 +239,7 @@ class GyroChip:
     # On the bus
 
     def exchange(self, sent: Sequence[int], transaction: int, hz: float, mode: int) -> bytes:
-        """Bytes of a transaction (sim.board.peripherals.spi.SpiSlave)."""
+        """Exchange bytes of a transaction (sim.board.peripherals.spi.SpiSlave)."""
         state = self._in_c
         if transaction != state.transaction:
             state.transaction = transaction
@@ -266,7 +266,7 @@ class GyroChip:
         return 0
 
     def _validate_end(self) -> None:
-        """A transaction has ended: it has read whole values."""
+        """Check at the end of a transaction that it has read whole values."""
         address = int(self._in_c.address)
         if not self._in_c.reads or address == self._no_address:
             return
@@ -298,7 +298,7 @@ class GyroChip:
             )
 
     def _validate_set_up(self) -> None:
-        """Samples are about to come."""
+        """Check the set-up before samples begin."""
         clock = self._registers[PWR_MGMT_1] & _CLOCK
         if clock != _GOOD_CLOCK:
             self.context.fail(
@@ -345,7 +345,7 @@ class GyroChip:
         self._plan()
 
     def _plan(self) -> None:
-        """The registers have changed."""
+        """Take over changed registers."""
         state = self._in_c
         state.gyro_shift = self.kind.full_scale - (self._registers[GYRO_CONFIG] >> 3 & 3)
         state.accel_shift = self.kind.full_scale - (self._registers[ACCEL_CONFIG] >> 3 & 3)

@@ -1,4 +1,4 @@
-"""How the gyro chip is turned on a board, and what it counts of the body's motion."""
+"""The mounting of the gyro chip on a board, and its counts of the body's motion."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _DEGREES = 180.0 / math.pi
 
 
 class Alignment(IntEnum):
-    """How the chip is turned on the board, clockwise seen from above."""
+    """Mounting angles of the chip on the board, clockwise seen from above."""
 
     CW0 = 0
     CW90 = 1
@@ -35,9 +35,9 @@ Counts = tuple[int, int, int]
 
 
 def gyro_counts(rates: Sequence[float], alignment: Alignment) -> Counts:
-    """Counts on the chip's axes at +-2000 deg/s of body rates (3,) [rad/s]: half to even, clamped to int16.
+    """Compute the chip's counts at +-2000 deg/s of body rates (3,) [rad/s]: half to even, clamped to int16.
 
-    The same arithmetic in the same order as the host build's, so that both see the same counts.
+    The arithmetic and its order are the host build's, so that both see the same counts.
     """
     x, y, z = rates
     x = x * _DEGREES * GYRO_COUNTS / GYRO_FULL_SCALE_DEG_S
@@ -47,7 +47,7 @@ def gyro_counts(rates: Sequence[float], alignment: Alignment) -> Counts:
 
 
 def accel_counts(force: Sequence[float], alignment: Alignment) -> Counts:
-    """Counts on the chip's axes at +-16 g of specific force (3,) [m/s^2], body axes."""
+    """Compute the chip's counts at +-16 g of specific force (3,) [m/s^2], body axes."""
     return _mounted(force, alignment, _PER_FORCE)
 
 

@@ -21,7 +21,7 @@ Query = Callable[[int, int], object]  # what a device answers; raises an error f
 
 
 def native_library() -> Library:
-    """The engine with the busy peripherals. Raises BuildError."""
+    """Load the engine with the busy peripherals. Raises BuildError."""
     return load_library(C)
 
 
@@ -33,7 +33,7 @@ class Driver(Protocol):
         ...
 
     def dma_changed(self) -> None:
-        """A stream for one of its requests was enabled or disabled."""
+        """Handle that a stream for one of its requests was enabled or disabled."""
         ...
 
 
@@ -75,19 +75,19 @@ class Native:
             self.handle = None
 
     def place(self, registers: Registers) -> None:
-        """All devices are in the engine's windows: tell C where."""
+        """Tell C where all devices are in the engine's windows."""
         self.on_reject = registers.explain
         for device in self.devices:
             window = self.engine.windows[registers.window_name(device)]
             self.library.native_place(self.handle, device.number, window)
 
     def hear_frames(self) -> None:
-        """From now on `on_frame` gets every frame that an ESC takes, at the end of a run at the latest."""
+        """Call `on_frame` for every frame that an ESC takes, at the end of a run at the latest."""
         self.library.native_hear_frames(self.handle)
         self.engine.after_run = self.tell_frames
 
     def tell_frames(self) -> None:
-        """Tell of the frames that C has taken."""
+        """Call `on_frame` for the frames that C has taken."""
         self.library.native_tell_frames(self.handle)
 
     def _state(self) -> memoryview:
@@ -95,7 +95,7 @@ class Native:
         return memoryview(self.ffi.buffer(library.native_state(self.handle), library.native_state_bytes()))
 
     def state(self) -> bytes:
-        """Everything in C that changes."""
+        """Return everything in C that changes."""
         return bytes(self._state())
 
     def restore(self, state: bytes) -> None:
@@ -105,7 +105,7 @@ class Native:
     # ---- what C calls ----
 
     def _guarded(self, function: Callable[..., None]) -> Callable[..., None]:
-        """`function` as C may call it."""
+        """Wrap `function` so that C may call it."""
 
         def call(*arguments: Any) -> None:  # noqa: ANN401
             try:
@@ -203,7 +203,7 @@ class NativeDevice(Device):
         interrupts: tuple[int, ...] = (),
         advanced: bool = False,
     ) -> None:
-        """kind: of enum kind, the `place`th of it. alarm: name of what C sets for it."""
+        """kind: of enum kind, the `place`th of it. alarm: name of the one that C sets for it."""
         self.native = native
         self.queries: dict[int, Query] = {}
         library, handle = native.library, native.handle
@@ -221,7 +221,7 @@ class NativeDevice(Device):
 
     @property
     def clocked(self) -> bool:  # type: ignore[override]
-        """Whether its clock is on."""
+        """True if its clock is on."""
         return bool(self.native.library.native_is_clocked(self.native.handle, self.number))
 
     @clocked.setter
@@ -229,10 +229,10 @@ class NativeDevice(Device):
         self.native.library.native_clock(self.native.handle, self.number, on)
 
     def on_pulses(self, channel: int, start: int, length: int, highs: list[int]) -> None:
-        """Pulses of a timer's channel that are no plain frame."""
+        """Handle pulses of a timer's channel that are no plain frame."""
 
     def on_pin(self, pin: int, level: bool) -> None:
-        """A watched pin of a port has another level."""
+        """Handle a new level on a watched pin of a port."""
 
     def reset(self) -> None:
         self.native.library.native_reset(self.native.handle, self.number)
@@ -249,7 +249,7 @@ class NativeDevice(Device):
 
 
 def _rule(register: Register) -> dict[str, int]:
-    """`struct rule` of a register."""
+    """Return `struct rule` of a register."""
     return {
         "reset": register.reset,
         "fixed": register.reserved | register.unmodelled,
@@ -262,5 +262,5 @@ def _rule(register: Register) -> dict[str, int]:
 
 
 def in_c() -> None:
-    """In place of a callback, for an alarm that C sets and handles."""
+    """Fail: this stands for the callback of an alarm that C sets and handles."""
     raise AssertionError("this alarm is C's")

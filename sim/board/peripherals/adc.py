@@ -28,7 +28,7 @@ class AdcCommon(Device):
 
     @property
     def divider(self) -> int:
-        """Of APB2's clock."""
+        """Divider of APB2's clock."""
         return 2 * self.get("CCR", "ADCPRE") + 2
 
 
@@ -64,7 +64,7 @@ class Adc(Device):
         self.context.irq(self._irq, False)
 
     def set_clock(self, clocks: Clocks) -> None:
-        """The clock tree has changed."""
+        """Take over a changed clock tree."""
         self.sync()
         self._apb2 = clocks.apb2
         self._plan()
@@ -72,12 +72,12 @@ class Adc(Device):
     # For the loop
 
     def set_battery(self, volts: float, amps: float) -> None:
-        """What the battery gives from now on, seen by conversions that end later."""
+        """Set the battery from now on, as measured by conversions that end later."""
         self.set_pin(VOLTS, volts / VOLTS_DIVIDER)
         self.set_pin(AMPS, amps * VOLTS_PER_AMPERE)
 
     def set_pin(self, channel: int, volts: float) -> None:
-        """The voltage on a channel's pin."""
+        """Set the voltage on a channel's pin."""
         if self._pins_v.get(channel) != volts:
             self.sync()
             self._pins_v[channel] = volts
@@ -152,7 +152,7 @@ class Adc(Device):
         return places[: self.get("SQR1", "L") + 1]
 
     def _times(self) -> list[int]:
-        """How long each conversion of a sequence takes."""
+        """Return the cycles of each conversion of a sequence."""
         words = self.words
         key = (*(words[name] for name in _TIMING), self._common.divider, self._apb2)
         if key != self._order[0]:
@@ -161,7 +161,7 @@ class Adc(Device):
         return self._order[2]
 
     def _cycles(self, channel: int) -> int:
-        """How long a conversion takes."""
+        """Return the cycles of a conversion."""
         register, place = ("SMPR1", channel - 10) if channel >= 10 else ("SMPR2", channel)
         sampling = _SAMPLING[self.words[register] >> 3 * place & 7]
         cycles = sampling + _BITS[self.get("CR1", "RES")]
@@ -172,7 +172,7 @@ class Adc(Device):
         return max(0, min(full, round(self._pins_v.get(channel, 0.0) / REFERENCE_V * full)))
 
     def sync(self) -> None:
-        """Do the conversions that have ended up to now."""
+        """Do the conversions that have ended by now."""
         if not self._running:
             return
         times, now = self._times(), self.context.cycle
@@ -251,7 +251,7 @@ class Adc(Device):
             self._alarm.set(self._at + cycles)
 
     def _writes_the_same(self, places: int) -> bool:
-        """Does every further conversion write what its place in memory holds already?"""
+        """Return True if every further conversion writes the value that its place in memory holds already."""
         total = self._dma.total("ADC1")
         endless = self._dma.circular("ADC1") and self.get("CR2", "DDS")
         return bool(endless and self._same >= total + places and total % places == 0)

@@ -48,11 +48,11 @@ class Dma(NativeDevice):
         self.native.library.native_sync(self.native.handle, self._number - 1)
 
     def reject_frozen(self, stream: int, name: str) -> NoReturn:
-        """A register of an enabled stream is written."""
+        """Fail: a register of an enabled stream is written."""
         self.context.fail(f"{self.name} stream {stream}: {name} is written while the stream is enabled")
 
     def reject_changed(self, stream: int, value: int) -> NoReturn:
-        """The configuration of an enabled stream is changed."""
+        """Fail: the configuration of an enabled stream is changed."""
         before = self.words[f"S{stream}CR"]
         self.context.fail(
             f"{self.name} stream {stream}: its configuration is changed while it is enabled "
@@ -60,27 +60,27 @@ class Dma(NativeDevice):
         )
 
     def reject_asleep(self, stream: int) -> NoReturn:
-        """A stream reads DTCM while the core sleeps (the vendor's errata for the STM32F7)."""
+        """Fail: a stream reads DTCM while the core sleeps (the vendor's errata for the STM32F7)."""
         self.context.fail(
             f"{self.name} stream {stream} reads DTCM (0x{self.words[f'S{stream}M0AR']:08X}) while the core "
             f"sleeps, which gives nothing; expected its buffer in SRAM1 or SRAM2, or no WFI meanwhile"
         )
 
     def reject_unordered(self, stream: int) -> NoReturn:
-        """A stream is enabled while stores before may still wait in the core (ARMv7-M A3.7.3, B2.3)."""
+        """Fail: a stream is enabled while earlier stores may still wait (ARMv7-M A3.7.3, B2.3)."""
         self.context.fail(
             f"{self.name} stream {stream} is enabled without a barrier after the program's last store: "
             f"DMA may overtake what was stored, expected a DSB or DMB between them"
         )
 
     def reject_twice(self, stream: int, source: str) -> NoReturn:
-        """Another stream serves `source` already."""
+        """Fail: another stream serves `source` already."""
         self.context.fail(
             f"{self.name} stream {stream} is enabled for {source}, which another stream serves already"
         )
 
     def validate(self, stream: int) -> tuple[str, ...]:
-        """The requests that will drive a stream about to be enabled. Fails for what it may not be."""
+        """Check a stream about to be enabled; return the requests that will drive it."""
         who, fail = f"{self.name} stream {stream}", self.context.fail
         channel, to_peripheral = self.get(f"S{stream}CR", "CHSEL"), self.get(f"S{stream}CR", "DIR")
         count = self.words[f"S{stream}NDTR"]
@@ -100,7 +100,7 @@ class Dma(NativeDevice):
         return sources
 
     def _validate_channel(self, stream: int, channel: int, to_peripheral: int) -> tuple[str, ...]:
-        """The requests that drive the stream, which must be its peripheral's."""
+        """Return the requests that drive the stream, which must be its peripheral's."""
         who, fail = f"{self.name} stream {stream}", self.context.fail
         address = self.words[f"S{stream}PAR"]
         found = load_table().find(address)
@@ -156,7 +156,7 @@ class Dma(NativeDevice):
         self.reject_cached(stream, end - 1)
 
     def reject_cached(self, stream: int, address: int) -> None:
-        """Fail if the data cache holds what lies at `address`."""
+        """Fail if the data cache covers `address`."""
         if SRAM1.address <= address < SRAM2.address + SRAM2.size and self.context.is_cached(address):
             self.context.fail(
                 f"{self.name} stream {stream}: 0x{address:08X} lies in cached RAM while the data cache "
@@ -179,11 +179,11 @@ class DmaSystem:
         self.number("SPI3_TX", self._library.SPI3_TX)
 
     def number(self, source: str, number: int) -> None:
-        """C calls the request `source` by `number`."""
+        """Let C call the request `source` by `number`."""
         self.names[number], self._numbers[source] = source, number
 
     def connect(self, source: str, driver: Driver, *, lazy: bool = False) -> None:
-        """`driver` makes the requests called `source`, e.g. "USART1_RX". lazy: between its wakes as well."""
+        """Let `driver` make the requests called `source`, e.g. "USART1_RX". lazy: not at each wake."""
         number = max(self._library.PYTHON_SOURCE, *(known + 1 for known in self.names))
         self.number(source, number)
         self._native.drivers[number] = driver
@@ -191,49 +191,50 @@ class DmaSystem:
             self._library.native_lazy(self._native.handle, number)
 
     def drive(self, controller: int, stream: int, sources: Sequence[str]) -> None:
-        """`sources` will drive a stream that is about to be enabled."""
+        """Let `sources` drive a stream that is about to be enabled."""
         for place, source in enumerate(sources):
             self._library.native_set_source(
                 self._native.handle, controller - 1, stream, place, self._numbers[source]
             )
 
     def available(self, source: str) -> int:
-        """Items that a stream would move for `source` before it ends or wraps; 0: none is enabled."""
+        """Return the items that a stream moves for `source` before it ends or wraps; 0 without one."""
         return int(self._library.native_available(self._native.handle, self._numbers[source]))
 
     def wake(self, source: str, alarm: Alarm, cycle: int | None, *, quiet: bool = True) -> None:
-        """At `cycle` the driver of `source` has something to move: `alarm` rings then; None: it has nothing.
+        """Let `alarm` ring at `cycle`, when the driver of `source` has something to move; None: it has
+        nothing.
 
-        quiet: only a read of DMA's registers or the driver's could show it. Then `sync` may be called
+        quiet: only a read of DMA's registers or the driver's could show the move. Then `sync` may be called
         at such a read instead.
         """
         when = NEVER if cycle is None else cycle
         self._library.native_wake(self._native.handle, self._numbers[source], alarm.number, when, quiet)
 
     def total(self, source: str) -> int:
-        """Items of the whole transfer for `source`; 0: no stream is enabled."""
+        """Return the items of the whole transfer for `source`; 0: no stream is enabled."""
         return int(self._library.native_total(self._native.handle, self._numbers[source]))
 
     def until_flag(self, source: str) -> int:
-        """Items until the stream that serves `source` raises its next flag; 0: none is enabled."""
+        """Return the items until the stream that serves `source` raises its next flag; 0: none is enabled."""
         return int(self._library.native_until_flag(self._native.handle, self._numbers[source]))
 
     def target(self, source: str) -> int:
-        """The peripheral address of the stream that serves `source`."""
+        """Return the peripheral address of the stream that serves `source`."""
         return int(self._library.native_target(self._native.handle, self._numbers[source]))
 
     def circular(self, source: str) -> bool:
-        """Whether the stream that serves `source` begins anew at its end."""
+        """Return True if the stream that serves `source` restarts at its end."""
         return bool(self._library.native_circular(self._native.handle, self._numbers[source]))
 
     def take(self, source: str, count: int) -> list[int]:
-        """The next `count` items from memory; no more than are available unless the stream is circular."""
+        """Take the next `count` items from memory; no more than available unless it is circular."""
         items = self._native.ffi.new("uint32_t[]", count)
         taken = self._library.native_take(self._native.handle, self._numbers[source], items, count)
         self._native.engine.raise_now()
         return list(items[0:taken])
 
     def give(self, source: str, items: Sequence[int]) -> None:
-        """Items to memory; no more than are available unless the stream is circular."""
+        """Write items to memory; no more than are available unless the stream is circular."""
         self._library.native_give(self._native.handle, self._numbers[source], list(items), len(items))
         self._native.engine.raise_now()

@@ -28,6 +28,6 @@ REQUESTS: dict[tuple[int, int, int], tuple[str, ...]] = {
 
 
 def serves(source: str, peripheral: str) -> bool:
-    """May request `source` move data of `peripheral`? Its own, or a timer's updates for pins."""
+    """Return True if request `source` may move data of `peripheral`, or a timer's data of pins."""
     owner = source.split("_")[0]
     return owner == peripheral or (owner.startswith("TIM") and peripheral.startswith("GPIO"))

@@ -18,7 +18,7 @@ class Exti(NativeDevice):
 
 
 class Syscfg(NativeDevice):
-    """System configuration: which port each external interrupt line listens to."""
+    """The system configuration: the port behind each external interrupt line."""
 
     def __init__(self, native: Native) -> None:
         super().__init__(native, "SYSCFG", native.library.SYSCFG)

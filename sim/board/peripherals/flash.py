@@ -31,7 +31,7 @@ _WORD_BYTES = 4
 
 
 class Cut(Enum):
-    """What an operation cut short leaves of what it was to change."""
+    """Ways in which an interrupted operation leaves what it was to change."""
 
     BEFORE = auto()  # all as it was
     AFTER = auto()  # all as asked for
@@ -75,16 +75,16 @@ class Flash(Device):
         self.context.irq(self._irq, False)
 
     def latency(self) -> int:
-        """Wait states as set."""
+        """Return the wait states."""
         return self.get("ACR", "LATENCY")
 
     @property
     def busy_until(self) -> int | None:
-        """The cycle at which the operation under way ends; None: there is none."""
+        """End of the present operation [cycle]; None: there is none."""
         return self._done.due
 
     def program(self, address: int, size: int, value: int) -> None:
-        """The CPU stores `value` of `size` bytes to flash at `address`, through the AXI bus."""
+        """Store `value` of `size` bytes from the CPU to flash at `address`, through the AXI bus."""
         fail, where = self.context.fail, f"flash at 0x{address:08X}"
         if not FLASH_BASE <= address <= FLASH_BASE + FLASH_BYTES - size:
             fail(f"{where} is written, expected 0x{FLASH_BASE:08X} and up: its alias is read-only")
@@ -234,7 +234,7 @@ class Flash(Device):
         self.context.system_reset("power")
 
     def _spoil(self) -> None:
-        """The operation under way is cut short: of the bits that were to change, arbitrary ones have."""
+        """Interrupt the present operation: of the bits that were to change, arbitrary ones have."""
         assert self._pending is not None
         kind, address, size, value = self._pending
         self._pending = None
@@ -268,7 +268,7 @@ class Flash(Device):
 
 
 def _torn(cut: Cut, old: int, new: int, size: int, rng: random.Random) -> int:
-    """What is left of `size` bytes that were to become `new` from `old`."""
+    """Return the interrupted result of `size` bytes that were to become `new` from `old`."""
     if cut in (Cut.BEFORE, Cut.AFTER):
         return old if cut is Cut.BEFORE else new
     some = rng.getrandbits(8 * size)

@@ -73,17 +73,17 @@ class Pins:
         self._native = native
 
     def drive(self, name: str, level: bool) -> None:
-        """The board puts `level` on a pin."""
+        """Put `level` on a pin from the board."""
         self._native.library.native_drive(self._native.handle, *_place(name), level)
 
     def watch(self, name: str, listener: Callable[[bool], None]) -> None:
-        """`listener(level)` runs whenever the level on a pin that the image drives changes."""
+        """Call `listener(level)` whenever the level on a pin that the image drives changes."""
         port, pin = _place(name)
         self.ports[PORTS[port]].listeners[pin] = listener
         self._native.library.native_watch(self._native.handle, port, pin)
 
     def expect(self, signal: str, user: str) -> None:
-        """`user` is about to use `signal` (a name of SIGNALS): fail unless its pin is set up for it."""
+        """Fail unless the pin of `signal` (a name of SIGNALS) is set up for its use by `user`."""
         letter, pin, wanted = SIGNALS[signal]
         port = self.ports[letter]
         mode, function = port.mode(pin), port.function(pin)
@@ -97,5 +97,5 @@ class Pins:
 
 
 def _place(name: str) -> tuple[int, int]:
-    """Number of a port and pin."""
+    """Return the numbers of port and pin."""
     return PORTS.index(name[1]), int(name[2:])

@@ -15,7 +15,7 @@ _UPDATE_TICKS = 5  # of LSI divided by the prescaler, until PR or RLR takes effe
 
 
 class Iwdg(Device):
-    """The independent watchdog. `on_timeout` says what a missed one comes to; a reset by itself.
+    """The independent watchdog. `on_timeout` handles a missed one; a reset by default.
 
     C feeds it while it runs (native/c/watchdog.c), and has what that needs.
     """
@@ -35,7 +35,7 @@ class Iwdg(Device):
         self._stop()
 
     def place(self, window: int) -> None:
-        """It answers in the engine's `window`."""
+        """Place it in the engine's `window`."""
         offset = self.block.base % WINDOW
         self._native.library.native_place_watchdog(self._native.handle, window, offset)
 
@@ -53,17 +53,17 @@ class Iwdg(Device):
 
     @property
     def timeout_s(self) -> float:
-        """From a feed to the reset."""
+        """Time from a feed to the reset."""
         return self._ticks(self._reload + 1) / TIME_HZ
 
     @property
     def running(self) -> bool:
-        """Whether it counts: only a reset stops it."""
+        """True if it counts: only a reset stops it."""
         return bool(self._in_c.period)
 
     @property
     def feeds(self) -> int:
-        """How often it was fed."""
+        """Number of feeds."""
         return int(self._in_c.feeds)
 
     @property
@@ -82,7 +82,7 @@ class Iwdg(Device):
             self._timeout.set(self.context.cycle + self._in_c.period)
 
     def write_kr(self, value: int) -> None:
-        """What is no feed of a running watchdog."""
+        """Handle a write that does not feed a running watchdog."""
         self._in_c.writes += 1
         self._in_c.unlocked = value == _UNLOCK
         if value == _START:

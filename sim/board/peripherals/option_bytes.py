@@ -18,7 +18,7 @@ _OPTLOCK, _OPTSTRT = 1 << 0, 1 << 1
 
 @dataclass(frozen=True)
 class OptionBytes:
-    """As the chip leaves its factory: unprotected, boot from flash's ITCM alias, watchdog by software."""
+    """The option bytes, by default the factory's: unprotected, flash's ITCM alias, no watchdog."""
 
     optcr: int = 0xC0FFAAFC  # without lock and start bits
     optcr1: int = 0x00400080
@@ -26,38 +26,38 @@ class OptionBytes:
 
     @property
     def boot_address(self) -> int:
-        """Where the core fetches its vectors with the BOOT button released."""
+        """Address of the core's vectors with the BOOT button released."""
         return (self.optcr1 & 0xFFFF) << BOOT_ADDRESS_UNIT
 
     @property
     def button_address(self) -> int:
-        """Likewise with the button held: the ROM's, in its ITCM alias."""
+        """Address of the core's vectors with the button held: the ROM's, in its ITCM alias."""
         return (self.optcr1 >> 16) << BOOT_ADDRESS_UNIT
 
     @property
     def read_protection(self) -> int:
-        """RDP: 0xAA none, 0xCC for ever, else level 1."""
+        """RDP: 0xAA none, 0xCC permanent, otherwise level 1."""
         return self.optcr >> 8 & 0xFF
 
     @property
     def hardware_watchdog(self) -> bool:
-        """Whether IWDG runs from reset on (IWDG_SW 0)."""
+        """True if IWDG runs from reset on (IWDG_SW 0)."""
         return not self.optcr >> 5 & 1
 
     @property
     def detects_brown_out(self) -> bool:
-        """Whether BOR_LEV is a threshold; else only the power-on reset sees a dip."""
+        """True if BOR_LEV is a threshold; otherwise only the power-on reset detects a dip."""
         return self.optcr >> 2 & 3 != 3
 
     def protects(self, sector: int) -> bool:
-        """Whether nWRP keeps `sector` from being written."""
+        """Return True if nWRP protects `sector` from being written."""
         return not self.optcr >> 16 + sector & 1
 
     def with_registers(self, optcr: int, optcr1: int, optcr2: int) -> OptionBytes:
-        """As programmed from the registers."""
+        """Return the option bytes programmed from the registers."""
         return replace(self, optcr=optcr & ~(_OPTLOCK | _OPTSTRT), optcr1=optcr1, optcr2=optcr2)
 
 
 def signature(uid: tuple[int, int, int] = UID, flash_kilobytes: int = 512) -> tuple[tuple[int, bytes], ...]:
-    """Address and bytes of what the factory wrote to system memory."""
+    """Return address and bytes of the factory's data in system memory."""
     return ((UID_ADDRESS, struct.pack("<3I", *uid)), (FLASH_SIZE_ADDRESS, struct.pack("<H", flash_kilobytes)))

@@ -17,7 +17,7 @@ _PVD_MV = (2000, 2100, 2300, 2500, 2600, 2700, 2800, 2900)  # PLS 0..7, falling 
 
 
 class Pwr(Device):
-    """Power control. `pll` says whether the PLL is on and whether the core runs from it."""
+    """The power control. `pll` returns whether the PLL is on and whether the core runs from it."""
 
     kept = ("supply_mv",)
 
@@ -73,7 +73,7 @@ class Pwr(Device):
         return self.words["CSR1"]
 
     def write_csr1(self, value: int) -> None:
-        """Its ready flags are the regulator's (UDRDY, which a write clears, is not modelled)."""
+        """Ignore the write: the ready flags are the regulator's (UDRDY is not modelled)."""
 
     def _become_switched(self) -> None:
         self.put("CSR1", "ODSWRDY", 1)

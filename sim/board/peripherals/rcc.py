@@ -56,7 +56,7 @@ class Clocks:
 
 
 class Rcc(Device):
-    """Reset and clock control. `latency` and `scale` are asked when a clock is about to change."""
+    """Reset and clock control. `latency` and `scale` are read when a clock is about to change."""
 
     kept = ("crystal_dead", "clocks")
 
@@ -80,7 +80,7 @@ class Rcc(Device):
         self.clocks = self._tree()
 
     def govern(self, devices: dict[str, Device]) -> None:
-        """`devices` run only while their enable bit is set."""
+        """Let `devices` run only while their enable bit is set."""
         for register, resets in _ENABLES.items():
             for field in self.block.registers[register].fields.values():
                 for name in _SHARED.get(field.name.removesuffix("EN"), (field.name.removesuffix("EN"),)):
@@ -103,7 +103,7 @@ class Rcc(Device):
             listener()
 
     def fail_crystal(self) -> None:
-        """The crystal stops for good, as injected by a fault campaign."""
+        """Stop the crystal for good, as injected by a fault campaign."""
         self.crystal_dead = True
         was_ready = self.get("CR", "HSERDY")
         self.put("CR", "HSERDY", 0)
@@ -132,7 +132,7 @@ class Rcc(Device):
         self.context.nmi()
 
     def check(self) -> None:
-        """Hold the clocks against what flash, regulator and buses can do. Called whenever one changes."""
+        """Check the clocks against the limits of flash, regulator and buses. Called whenever one changes."""
         clocks, (scale, over_drive) = self.clocks, self.scale()
         fail = self.context.fail
         needed = wait_states(clocks.core)
@@ -154,7 +154,7 @@ class Rcc(Device):
                 )
 
     def kernel_clock(self, name: str) -> int:
-        """The clock [Hz] that a USART divides."""
+        """Return the clock [Hz] that a USART divides."""
         select = self.get("DCKCFGR2", f"{name}SEL")
         bus = self.clocks.apb2 if name in ("USART1", "USART6") else self.clocks.apb1
         if select == 3:
@@ -249,7 +249,7 @@ class Rcc(Device):
         self.words["CSR"] |= self.mask("CSR", *_FLAGS[cause])
 
     def _switch(self, name: str, enable: str, ready: str, delay: int | None, in_use: bool) -> None:
-        """An oscillator goes on, ready after `delay` cycles (None: never), or off."""
+        """Switch an oscillator on, ready after `delay` cycles (None: never), or off."""
         if self.get("CR", enable):
             if delay is not None:
                 self._ready[ready].set(self.context.cycle + delay)
@@ -332,7 +332,8 @@ class Rcc(Device):
 
 
 def wait_states(hz: int) -> int:
-    """Least FLASH_ACR LATENCY at core clock `hz` with 2.7 to 3.6 V: one more each 30 MHz, 7 at most.
+    """Return the least FLASH_ACR LATENCY at core clock `hz` with 2.7 to 3.6 V: one more each 30 MHz, 7 at
+    most.
 
     Source: RM0431 3.3.2, number of wait states according to CPU clock frequency.
     """

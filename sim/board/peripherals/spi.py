@@ -15,7 +15,7 @@ class SpiSlave(Protocol):
     """The chip on the bus."""
 
     def exchange(self, sent: Sequence[int], transaction: int, hz: float, mode: int) -> bytes:
-        """Bytes in, as many bytes out. transaction: its number; hz: of the clock; mode: 0..3."""
+        """Exchange bytes. transaction: its number; hz: of the clock; mode: 0..3."""
         ...
 
 
@@ -37,13 +37,13 @@ class Spi(NativeDevice):
         }
 
     def reject_busy(self) -> NoReturn:
-        """CR1 changes meanwhile."""
+        """Fail: CR1 is changed during a transfer."""
         self.context.fail(
             f"{self.name}_CR1 is changed while a transfer is under way, expected {self.name}_SR BSY 0"
         )
 
     def reject_full(self) -> NoReturn:
-        """DR is written once too often."""
+        """Fail: DR is written while the FIFO is full."""
         self.context.fail(
             f"{self.name}_DR is written while its FIFO is full, expected {self.name}_SR TXE before"
         )
@@ -69,7 +69,7 @@ class Spi(NativeDevice):
 
 
 class GyroSpi(Spi):
-    """SPI1 with the gyro chip, and bits that turn over on their way from it."""
+    """SPI1 with the gyro chip, and bit errors on received bytes."""
 
     def __init__(self, native: Native, pins: Pins, slave: SpiSlave, seed: int = 0) -> None:
         super().__init__(native, "SPI1", pins)
@@ -80,7 +80,7 @@ class GyroSpi(Spi):
 
     @property
     def bit_error_rate(self) -> float:
-        """Of received bits, as injected by a fault campaign."""
+        """Rate of received bits that flip, as injected by a fault campaign."""
         return self._bit_error_rate
 
     @bit_error_rate.setter

@@ -48,7 +48,7 @@ class Timer(NativeDevice):
             self.outputs[channel](start, length, highs)
 
     def _reject_compare(self, channel: int) -> NoReturn:
-        """A channel's request without CCDS."""
+        """Fail: a channel's request without CCDS."""
         self.context.fail(
             f"{self.name}_DIER CC{channel}DE with CR2 CCDS 0: requests at compare are not modelled, "
             f"expected CCDS 1"
@@ -73,7 +73,7 @@ class Timer(NativeDevice):
         self._pins.expect(signal, f"{self.name} makes pulses on channel {channel}")
 
     def targets(self, source: str) -> list[str]:
-        """What one request writes: a register, or a burst of them through DMAR."""
+        """Return the targets of one request: a register, or a burst of them through DMAR."""
         offset = self._dma.target(source) - self.block.base
         names = {r.offset: r.name for r in self.block.registers.values()}
         name = names.get(offset)

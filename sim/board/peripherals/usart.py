@@ -39,18 +39,18 @@ class Format:
     inverted: bool = False
 
     def __str__(self) -> str:
-        """100000 baud 8E2 inverted."""
+        """Format it, such as 100000 baud 8E2 inverted."""
         inverted = " inverted" if self.inverted else ""
         return f"{self.baud:.0f} baud {self.data_bits}{self.parity}{self.stop_bits:g}{inverted}"
 
     @cached_property
     def byte_cycles(self) -> int:
-        """How long a byte takes on the line."""
+        """Duration of a byte on the line [cycles]."""
         bits = 1 + self.data_bits + (self.parity != "N") + self.stop_bits
         return round(bits * TIME_HZ / self.baud)
 
     def understands(self, sender: Format) -> bool:
-        """Would a receiver of this format get what `sender` sends?"""
+        """Return True if a receiver of this format gets the bytes of `sender`."""
         return (
             abs(sender.baud / self.baud - 1.0) <= _BAUD_TOLERANCE
             and (sender.data_bits, sender.parity, sender.inverted)
@@ -127,7 +127,7 @@ class Usart(Device):
 
     @property
     def format(self) -> Format:
-        """As the image has set it."""
+        """Format set by the image."""
         words = self.words
         key = (words["BRR"], words["CR1"], words["CR2"], self._clock(self.name))
         if key != self._format_key:
@@ -151,7 +151,7 @@ class Usart(Device):
 
     @property
     def arriving(self) -> int:
-        """Bytes on the line that have not come to their end."""
+        """Bytes on the line that have not arrived completely."""
         self.sync()
         return len(self._arriving)
 
@@ -163,14 +163,14 @@ class Usart(Device):
 
     @property
     def lost(self) -> int:
-        """Bytes that came while the receiver was off or had not been read."""
+        """Bytes that arrived while the receiver was off or had not been read."""
         self.sync()
         return self._lost
 
     def feed(self, data: bytes, format: Format, *, end: int | None = None, broken: Sequence[int] = ()) -> int:
-        """Bytes come in over the line, one after another; returns the cycle at which the last one ends.
+        """Put bytes on the line, one after another; return the cycle at which the last one ends.
 
-        `end`: that cycle, if it is to be a certain one; not before what is on the line already allows.
+        `end`: that cycle, if it is given; not before the bytes already on the line allow.
         `broken`: indices of bytes with a wrong parity bit (or, without parity, a broken stop bit).
         """
         time = format.byte_cycles
@@ -184,7 +184,7 @@ class Usart(Device):
         return self._line_free
 
     def sync(self) -> None:
-        """Take the bytes that have come up to now."""
+        """Receive the bytes that have arrived by now."""
         if self._arriving and self._arriving[0][0] <= self.context.cycle:
             self._arrive()
 
@@ -273,7 +273,7 @@ class Usart(Device):
     # Receiving
 
     def _plan_arrival(self) -> None:
-        """The alarm for the next byte; where DMA takes it and nothing interrupts, it may be taken later."""
+        """Set the alarm for the next byte; a byte for DMA without an interrupt may be received later."""
         due = self._arriving[0][0] if self._arriving else None
         quiet = self._takes_by_dma() and not self._interrupts()
         if not quiet:
@@ -291,7 +291,7 @@ class Usart(Device):
         return bool(on and not self.words["ISR"] & _RXNE and self._dma.available(f"{self.name}_RX"))
 
     def _arrive(self) -> None:
-        """Take the bytes that have come."""
+        """Receive the bytes that have arrived."""
         now, count = self.context.cycle, 0
         if self._takes_by_dma():
             own, sender = self.format, self._arriving[0][2]
@@ -306,7 +306,7 @@ class Usart(Device):
         self._plan_arrival()
 
     def _take(self, count: int, own: Format) -> None:
-        """The next bytes, in a format that is understood, go to memory."""
+        """Write the next bytes, in a format that is understood, to memory."""
         self._pins.expect(f"{self.name}_RX", f"{self.name} receives")
         taken, self._arriving = self._arriving[:count], self._arriving[count:]
         time = own.byte_cycles

@@ -94,11 +94,11 @@ class Table:
     interrupts: dict[str, int]
 
     def interrupt(self, name: str) -> int:
-        """Number of interrupt `name`, e.g. "EXTI3"."""
+        """Return the number of interrupt `name`, e.g. "EXTI3"."""
         return self.interrupts[name]
 
     def find(self, address: int) -> tuple[Block, Register | None] | None:
-        """The peripheral and register at `address`; None where the chip has none."""
+        """Return the peripheral and register at `address`; None if the chip has none."""
         for block in self.blocks.values():
             if block.base <= address < block.base + block.size:
                 offset = address - block.base & ~3
@@ -107,14 +107,14 @@ class Table:
 
 
 def digest(rows: dict[str, Any]) -> str:
-    """SHA-256 of a table's interrupts and peripherals, so that an edit by hand is noticed."""
+    """Compute SHA-256 of a table's interrupts and peripherals, so that an edit by hand is noticed."""
     kept = [rows["interrupts"], rows["peripherals"]]
     return hashlib.sha256(json.dumps(kept).encode()).hexdigest()
 
 
 @cache
 def load_table(path: Path = TABLE) -> Table:
-    """The committed table. Raises BuildError when it was edited by hand."""
+    """Load the committed table. Raises BuildError if it was edited by hand."""
     data = json.loads(path.read_text())
     if data["rows_sha256"] != digest(data):
         raise BuildError(f"{path}: its rows are not those that were extracted; extract it again")
@@ -167,7 +167,7 @@ class Device:
         return {r.name: r.reset for r in self.block.registers.values() if r.modelled}
 
     def reset(self) -> None:
-        """As after a reset of the chip or by the peripheral's bit in RCC."""
+        """Return to the state after a reset of the chip or by the peripheral's bit in RCC."""
         self.words = self._reset_words()
 
     def state(self) -> Any:  # noqa: ANN401
@@ -179,18 +179,18 @@ class Device:
             setattr(self, name, copy.deepcopy(state[name]))
 
     def counts(self, register: Register) -> tuple[int, int] | None:
-        """How often `register` was read and written, where that is not counted by the bus."""
+        """Return how often `register` was read and written, if the bus does not count that."""
         return None
 
     def mask(self, register: str, *fields: str) -> int:
-        """The bits of `fields` together."""
+        """Return the bits of `fields` together."""
         result = 0
         for field in fields:
             result |= self.block.registers[register].fields[field].mask
         return result
 
     def get(self, register: str, field: str) -> int:
-        """The value of a field."""
+        """Return the value of a field."""
         found = self.block.registers[register].fields[field]
         return (self.words[register] & found.mask) >> found.lsb
 
@@ -208,7 +208,7 @@ class Device:
 
 
 class Companion(Protocol):
-    """Something beside the chip whose state goes with the chip's."""
+    """A companion of the chip's state in snapshots."""
 
     def state(self) -> Any: ...  # noqa: ANN401
 
@@ -233,7 +233,7 @@ class _Slot:
 
 @dataclass(frozen=True)
 class Touch:
-    """How often the image read and wrote a register."""
+    """The counts of reads and writes of a register by the image."""
 
     register: str  # "RCC_CR"
     reads: int
@@ -311,7 +311,7 @@ class _Window:
             self.slots[offset].reads, self.slots[offset].writes = counts
 
     def explain(self, offset: int, size: int, value: int | None) -> None:
-        """Say what is wrong with an access that C has rejected. `value`: written; None: a read."""
+        """Raise the error of an access that C has rejected. `value`: written; None: a read."""
         slot = self.slots.get(offset & ~3)
         verb = "read" if value is None else "write"
         if slot is None or not slot.device.clocked or size not in slot.register.sizes:
@@ -324,7 +324,7 @@ class _Window:
         self._reject_bits(slot, value)
 
     def _reject(self, slot: _Slot | None, offset: int, size: int, verb: str) -> None:
-        """Say why there is no such access. Always raises."""
+        """Raise the error that there is no such access."""
         address = self.base + offset
         if slot is None:
             found = load_table().find(address)
@@ -378,15 +378,15 @@ class Registers:
         self._windows[device.block.base & ~(WINDOW - 1)].add(device)
 
     def accompany(self, device: Device, companion: Companion) -> None:
-        """`companion` goes into snapshots with `device`, which is there already."""
+        """Put `companion` into snapshots with `device`, which was added before."""
         self._windows[device.block.base & ~(WINDOW - 1)].companions.append(companion)
 
     def window_name(self, device: Device) -> str:
-        """Under which name the engine has the window that `device` answers in."""
+        """Return the engine's name of the window that `device` answers in."""
         return self._windows[device.block.base & ~(WINDOW - 1)].name
 
     def explain(self, device: Device, offset: int, size: int, value: int | None) -> None:
-        """Say what is wrong with an access to `device`'s window. Always raises."""
+        """Raise the error of an access to `device`'s window."""
         self._windows[device.block.base & ~(WINDOW - 1)].explain(offset, size, value)
 
     def attach(self, bus: Bus) -> None:
@@ -397,7 +397,7 @@ class Registers:
             bus.attach(base, WINDOW, window, window.name)
 
     def touched(self) -> tuple[Touch, ...]:
-        """Every register that the image touched, in order of address."""
+        """Return every register that the image touched, in order of address."""
         touched = []
         for _, window in sorted(self._windows.items()):
             for _, slot in sorted(window.slots.items()):

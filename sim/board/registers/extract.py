@@ -134,7 +134,7 @@ _CORE = 0xE0000000  # from here on it is the core's, which the engine knows (ARM
 
 
 def extract(svd: Path) -> dict[str, object]:
-    """The table of `svd`, ready for JSON. Raises BuildError when it is none or lacks what is modelled."""
+    """Return the table of `svd`, for JSON. Raises BuildError if it lacks what is modelled."""
     try:
         data = svd.read_bytes()
         root = ET.fromstring(data)
@@ -274,7 +274,7 @@ def _hex(value: int) -> str:
 
 
 def render(table: dict[str, object]) -> str:
-    """`table` as JSON text, one register a line."""
+    """Format `table` as JSON text, one register a line."""
     head = {key: value for key, value in table.items() if key != "peripherals"}
     lines = json.dumps(head, indent=1)[:-2] + ',\n "peripherals": {\n'
     rows = []
@@ -291,7 +291,7 @@ def render(table: dict[str, object]) -> str:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Writes the table; 0 when done, 1 with a line of why not."""
+    """Write the table. Returns 0, or 1 after a line with the reason."""
     parser = argparse.ArgumentParser(description="extract the emulated board's register table")
     parser.add_argument("svd", type=Path, help="the vendor's STM32F7x2 register description")
     parser.add_argument("--out", type=Path, default=TABLE, help="file to write (default: the committed one)")

@@ -51,7 +51,7 @@ _SYSTICK_CTRL, _NVIC_ISER0, _NVIC_WORDS = 0xE000E010, 0xE000E100, 4
 
 
 class Stage(Enum):
-    """How far the program has come."""
+    """Stages of the program."""
 
     OFF = auto()  # the core is not in the ROM
     MEASURING = auto()  # waiting for the first 0x7F
@@ -64,7 +64,7 @@ class BootLoader:
     _kept = ("stage", "_state", "_sending", "_sectors", "_address", "_data", "_answers", "_start", "_waits")
 
     def __init__(self, engine: Engine, rcc: Rcc, flash: Flash, usart: Usart, iwdg: Iwdg) -> None:
-        """To be made after the devices that it uses, whose alarms then go first."""
+        """Set up the program after the devices that it uses, whose alarms then go first."""
         self._engine, self._rcc, self._flash, self._usart, self._iwdg = engine, rcc, flash, usart, iwdg
         self._next = engine.alarm("rom", self._go_on)
         self._leave()
@@ -76,7 +76,7 @@ class BootLoader:
 
     @property
     def runs(self) -> bool:
-        """Whether the core is in the ROM."""
+        """True if the core is in the ROM."""
         return self.stage is not Stage.OFF
 
     def state(self) -> Any:  # noqa: ANN401
@@ -101,7 +101,7 @@ class BootLoader:
         self._start: int | None = None  # address to start from when the answer has gone
 
     def _enter(self) -> None:
-        """The core has come to system memory, by reset or by a jump."""
+        """Start when the core has come to system memory, by reset or by a jump."""
         self._expect_reset_state()
         self._leave()
         self.stage = Stage.MEASURING
@@ -113,7 +113,7 @@ class BootLoader:
             self._set("GPIOA", "MODER", f"MODER{pin}", 2)
 
     def _expect_reset_state(self) -> None:
-        """Fail where ST's program would not find the chip as it needs it (AN2606: as after a reset)."""
+        """Fail if the chip is not as ST's program needs it (AN2606: as after a reset)."""
         engine, entered = self._engine, "the ROM's boot loader is entered"
         if self._iwdg.running:
             engine.fail(
@@ -138,7 +138,7 @@ class BootLoader:
             )
 
     def _start_program(self, address: int) -> None:
-        """Peripherals as after a reset, then what the two words at `address` say."""
+        """Reset the peripherals, then start as the two words at `address` say."""
         stack, reset = struct.unpack("<2I", self._engine.memory(address, 8))
         if not reset & 1:
             self._engine.fail(
@@ -167,7 +167,7 @@ class BootLoader:
     # ---- bytes ----
 
     def _measure(self, byte: int, sender: Format) -> bool:
-        """A byte on the line while its speed is unknown: the first 0x7F tells it."""
+        """Measure the speed by a byte: the first 0x7F sets it."""
         if self.stage is not Stage.MEASURING:
             return False
         if byte == SYNC and BAUD_MIN / _BAUD_TOLERANCE <= sender.baud <= BAUD_MAX * _BAUD_TOLERANCE:
@@ -180,7 +180,7 @@ class BootLoader:
         return True
 
     def _poll(self) -> None:
-        """Take what has come, unless something is still to be done."""
+        """Process received bytes, unless an operation is pending."""
         while self.stage is Stage.SERVING and not self._busy and self._usart.get("ISR", "RXNE"):
             byte = self._usart.read_rdr() & 0xFF
             self._usart.write_icr(self._usart.mask("ICR", "ORECF", "FECF", "PECF"))
@@ -213,7 +213,7 @@ class BootLoader:
         self._go_on()
 
     def _go_on(self) -> None:
-        """The next byte to send, the next sector to erase or the next bytes to program."""
+        """Send the next byte, erase the next sector or program the next bytes."""
         self._waits = False
         if self._sectors:
             self._erase_next()
@@ -240,14 +240,14 @@ class BootLoader:
                 self._flash.write_keyr(key)
 
     def _erase_next(self) -> None:
-        """Begin with the first of the sectors. One that is write-protected stays, and nobody is told."""
+        """Begin with the first of the sectors. A write-protected one stays, without an error."""
         sector, self._sectors = self._sectors[0], self._sectors[1:]
         command = ("MER",) if sector == _MASS else ("SER",)
         number = 0 if sector == _MASS else sector << self._field_lsb("SNB")
         self._order(self._flash.mask("CR", *command, "STRT") | number)
 
     def _program_next(self) -> None:
-        """Program the next unit. Where something stands, flash keeps the bits that both have set."""
+        """Program the next unit. If flash is not erased, it keeps the bits that both have set."""
         flash, address = self._flash, self._address
         size = _UNIT if not address % _UNIT and len(self._data) >= _UNIT else 1
         raw, self._data = self._data[:size], self._data[size:]

@@ -1,4 +1,4 @@
-"""The protocol of ST's boot loader on a UART (AN3155): bytes in, what is to be done out.
+"""The protocol of ST's boot loader on a UART (AN3155): bytes in, actions out.
 
 No line, no clock, no memory: `feed` takes a state and a byte, and returns the state behind it and, where a
 command is complete or has to be answered, an action. Whoever carries it out sends ACK behind a Write or an
@@ -35,7 +35,7 @@ WRITABLE = (FLASH, FREE_RAM)
 
 
 class Step(Enum):
-    """What the next bytes are."""
+    """Meanings of the next bytes."""
 
     COMMAND = auto()
     ADDRESS = auto()
@@ -47,7 +47,7 @@ class Step(Enum):
 
 @dataclass(frozen=True)
 class State:
-    """Between two bytes."""
+    """The protocol's state between two bytes."""
 
     step: Step = Step.COMMAND
     command: int = 0
@@ -100,7 +100,7 @@ ACCEPTED, REFUSED = Send(bytes([ACK])), Send(bytes([NACK]))
 
 
 def feed(state: State, byte: int) -> tuple[State, Action | None]:
-    """The state behind `byte`, and what is to be done now, if anything."""
+    """Return the state behind `byte`, and the action that is due now, if any."""
     state = State(state.step, state.command, state.address, state.count, state.taken + bytes([byte]))
     if len(state.taken) < _wanted(state):
         return state, None
@@ -108,7 +108,7 @@ def feed(state: State, byte: int) -> tuple[State, Action | None]:
 
 
 def _wanted(state: State) -> int:
-    """How many bytes the step takes, checksum included, as far as they say so."""
+    """Return the number of bytes of the step, checksum included, as far as they are known."""
     match state.step:
         case Step.COMMAND | Step.READ_COUNT | Step.ERASE_COUNT:
             return 2

@@ -40,9 +40,9 @@ class UartLine:
     """The far end of one UART's wires. A newer one on the same UART takes its place."""
 
     def __init__(self, board: Board, uart: str = MSP_UART, format: Format | None = None) -> None:
-        """format: what this end speaks and understands; default: 115200 baud 8N1.
+        """format: of this end; default: 115200 baud 8N1.
 
-        Raises ValueError where the board has no such UART.
+        Raises ValueError if the board has no such UART.
         """
         if uart not in board.hardware.usarts:
             raise ValueError(f"a line on {uart!r}, expected one of {', '.join(board.hardware.usarts)}")
@@ -56,17 +56,17 @@ class UartLine:
 
     @property
     def connected(self) -> bool:
-        """Whether no other line has taken its place."""
+        """True if no other line has taken its place."""
         return self._usart.on_sent == self._hear
 
     @property
     def refused(self) -> int:
-        """Bytes from here that were none for the board, which runs at another speed."""
+        """Bytes from here that the board could not decode, because it runs at another speed."""
         return self._usart.mismatches
 
     @property
     def board_format(self) -> Format:
-        """What the board speaks and understands. Raises BoardError before it has set up its UART."""
+        """Format of the board. Raises BoardError before it has set up its UART."""
         return self._usart.format
 
     @property
@@ -79,13 +79,13 @@ class UartLine:
         return self._usart.feed(data, self.format)
 
     def take(self) -> bytes:
-        """What has come from the board since the last call."""
+        """Return the bytes from the board since the last call."""
         data = bytes(self._heard)
         self._heard.clear()
         return data
 
     def room(self, cycles: int) -> int:
-        """How many more bytes the line can carry within the next `cycles`."""
+        """Return how many more bytes the line can carry within the next `cycles`."""
         return max(0, -(-cycles // self.format.byte_cycles) - self.pending)
 
     def _hear(self, byte: int) -> None:
@@ -105,7 +105,7 @@ class LineTransport:
     """
 
     def __init__(self, line: UartLine, run_to: Callable[[int], None] | None = None) -> None:
-        """run_to: what makes the board run, if something has to happen beside; default: the board's own."""
+        """run_to: runs the board, if something else has to happen as well; default: the board's own."""
         self._line = line
         self._run_to = run_to or line.board.run_to
         self._closed = False
@@ -116,7 +116,7 @@ class LineTransport:
         return f"{self._line.uart} of the emulated board"
 
     def clock(self) -> float:
-        """Emulated time since power-up [s]."""
+        """Return the emulated time since power-up [s]."""
         return self._line.board.cycle / TIME_HZ
 
     def read(self, timeout: float) -> bytes:
@@ -131,12 +131,12 @@ class LineTransport:
         return data
 
     def write(self, data: bytes) -> None:
-        """See Transport. What has come before is not the answer to this and stays to be read."""
+        """Write; see Transport. Bytes that came before are not the answer to this and stay to be read."""
         self._check()
         self._line.send(data)
 
     def close(self) -> None:
-        """See Transport. The board stays as it is."""
+        """Close; see Transport. The board stays as it is."""
         self._closed = True
 
     def _check(self) -> None:
@@ -147,27 +147,27 @@ class LineTransport:
 
 
 class End(Protocol):
-    """Where another program reaches the line. Nothing here waits."""
+    """The end of the line for another program. Nothing here waits."""
 
     @property
     def name(self) -> str:
-        """What to tell the user."""
+        """Name for the user."""
 
     def receive(self, count: int) -> bytes:
-        """At most `count` bytes of what the program has sent; b"" when there are none."""
+        """Return at most `count` bytes from the program; b"" without any."""
 
     def send(self, data: bytes) -> int:
-        """How many of `data` the program's side has taken; all of them when nobody is there."""
+        """Send `data`; return how many bytes the program's side has taken, all of them without a program."""
 
     def close(self) -> None:
-        """The program finds the line gone; may be called twice."""
+        """Close the line for the program; may be called twice."""
 
 
 class PtyEnd:
-    """A pseudo terminal, which programs open as they do a serial port. Its speed is not looked at."""
+    """A pseudo terminal, which programs open like a serial port. Its speed is ignored."""
 
     def __init__(self) -> None:
-        """Raises LinkError when the system gives none."""
+        """Open a pseudo terminal. Raises LinkError if the system gives none."""
         try:
             self._master, self._slave = pty.openpty()
         except OSError as error:
@@ -214,7 +214,7 @@ class TcpEnd:
     """
 
     def __init__(self, port: int = 0) -> None:
-        """port: 0 for any free one. Raises LinkError when it is taken."""
+        """port: 0 for any free one. Raises LinkError if it is taken."""
         self._listener = socket.socket()
         self._listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         self._client: socket.socket | None = None
@@ -272,7 +272,7 @@ class TcpEnd:
         self._listener.close()
 
     def _accept(self) -> None:
-        """Let the next program in, or turn it away while one is there; unread bytes are taken first."""
+        """Accept the next program, or refuse it while one is connected; unread bytes are taken first."""
         while select.select([self._listener], [], [], 0)[0]:
             if self._client is not None:
                 self._read_ahead()
@@ -294,7 +294,7 @@ class TcpEnd:
             self._client = peer
 
     def _read_ahead(self) -> None:
-        """Read all that the program has sent; if its end comes behind it, most of that is dropped."""
+        """Read all that the program has sent; if its end follows, most of that is dropped."""
         assert self._client is not None
         try:
             while data := self._client.recv(PENDING_MAX):
@@ -316,10 +316,11 @@ class TcpEnd:
 
 
 class Bridge:
-    """Carries bytes between a line and its other end, as fast as the line does and no faster.
+    """A bridge that carries bytes between a line and its other end, at the line's speed.
 
-    Pseudo terminals and TCP know no parity. The boot loader in the chip's ROM wants an even one: its line has
-    it while that runs.
+    Pseudo terminals and TCP have no parity. The boot loader in the chip's ROM needs an even one: the line has
+    it while
+    that runs.
     """
 
     def __init__(self, line: UartLine, end: End) -> None:

@@ -63,9 +63,9 @@ class IdleBoard:
     ) -> None:
         """flash: its content; elf: the image's, for names and lines. seed: of the sensors' noise.
 
-        boot_button: held at power-up, so that the boot loader in the chip's ROM runs. card,
-        newly_installed, watchdog_resets: as Board takes them.
-        Raises BuildError when the engine cannot be built or `elf` is none.
+        boot_button: held at power-up, so that the boot loader in the chip's ROM runs. card, newly_installed,
+        watchdog_resets: see Board. Raises BuildError if the engine cannot be built or `elf` is no ELF of an
+        image.
         """
         self.board = Board(
             flash,
@@ -84,7 +84,7 @@ class IdleBoard:
         self._measured = 0  # cycle of the next measurement
 
     def run_to(self, cycle: int) -> None:
-        """Let the board run until `cycle`. Raises BoardError for what it does not forgive."""
+        """Let the board run until `cycle`. Raises BoardError for what it does not allow."""
         while self.board.cycle < cycle:
             if not 0 < self._measured - self.board.cycle <= STEP:
                 self._measure()
@@ -99,16 +99,16 @@ class IdleBoard:
             self.run_to(self.board.cycle + STEP)
 
     def client(self, baud: float = MSP_BAUD_DEFAULT, uart: str = MSP_UART) -> Client:
-        """An MSP client on the other end of `uart`, in lockstep with the board."""
+        """Open an MSP client on the other end of `uart`, in lockstep with the board."""
         transport = LineTransport(UartLine(self.board, uart, Format(baud)), self.run_to)
         return Client(transport, transport.clock)
 
     def flash(self) -> bytes:
-        """What flash holds now."""
+        """Return the present content of flash."""
         return self.board.engine.memory(FLASH_BASE, FLASH_BYTES)
 
     def close(self) -> None:
-        """Give the board's memory back."""
+        """Free the board's memory."""
         self.board.close()
 
     def _measure(self) -> None:
@@ -124,7 +124,7 @@ class IdleBoard:
 
 
 class Keeper:
-    """Notices when flash has changed and come to rest, and hands its content on."""
+    """A watcher of flash that hands on its content once a change is complete."""
 
     def __init__(self, idle: IdleBoard, keep: Callable[[bytes], None]) -> None:
         self._idle, self._keep = idle, keep
@@ -132,11 +132,11 @@ class Keeper:
         self._since = 0  # cycle at which the last operation was seen
 
     def note_change(self) -> None:
-        """Note that flash was changed by something else than the program: a debugger."""
+        """Note that something else than the program changed flash: a debugger."""
         self._kept, self._since = -1, self._idle.board.cycle
 
     def update(self, *, at_once: bool = False) -> None:
-        """Hand on what has changed, once no flash operation has come for a while, or at once."""
+        """Hand on changed content once no flash operation has come for a while, or at once."""
         operations, cycle = self._idle.board.hardware.flash.operations, self._idle.board.cycle
         if operations != self._seen:
             self._seen, self._since = operations, cycle
@@ -154,7 +154,7 @@ def serve(
     clock: Callable[[], float] = time.monotonic,
     sleep: Callable[[float], None] = time.sleep,
 ) -> None:
-    """Let the board run and programs talk to it, no faster than the clock on the wall.
+    """Let the board run and programs talk to it, no faster than real time.
 
     seconds: of the board's time; None: without end. update: called every millisecond of it.
     Raises BoardError for what the board does not forgive.
@@ -177,7 +177,7 @@ def serve(
 
 
 def with_image(image: bytes, kept: bytes | None) -> bytes:
-    """Flash that holds `image` in its two sectors, nothing in bank B, and elsewhere what `kept` holds.
+    """Return flash that holds `image` in its two sectors, nothing in bank B, and `kept` elsewhere.
 
     Raises LinkError when `kept` has not the size of the flash.
     """
@@ -193,7 +193,7 @@ def with_image(image: bytes, kept: bytes | None) -> bytes:
 
 
 def configured(image: bytes, elf: Path, settings: Mapping[str, float], gyro: Gyro = GYRO) -> bytes:
-    """Flash with `image` and `settings`, stored by the image itself; elf: the image's, for names and lines.
+    """Return flash with `image` and `settings`, stored by the image itself; elf: for names and lines.
 
     A board boots, is told each over MSP, stores them, loses power, boots again and is asked for them.
     Returns the whole flash. Raises LinkError for a setting that the image refuses, BoardError.

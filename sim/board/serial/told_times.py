@@ -1,4 +1,4 @@
-"""How long control tasks took as the firmware itself measured them, told over its UART.
+"""The duration of control tasks as the firmware itself measured it, reported over its UART.
 
 The firmware reads its processor's cycle counter at the begin and at the end of each control task, so that
 what interrupts the task is in it. TASKS tells worst, best and mean of all runs since power-up, the stream
@@ -27,7 +27,7 @@ WAIT_S = 1.0  # of the board's time within which a control step must have come
 
 @dataclass(frozen=True)
 class ToldTimes:
-    """Control tasks of one kind."""
+    """The control tasks of one kind."""
 
     armed: bool
     controller: str  # that flew, "policy" or "pid"; "" while disarmed
@@ -44,10 +44,9 @@ class ToldTimes:
 
 
 def told_while_idle(image: bytes, runs: int) -> ToldTimes:
-    """Of the first `runs` or a few more control tasks of an idle board with `image` in its flash.
+    """Return the times of the first `runs` or a few more control tasks of an idle board with `image`.
 
-    Raises LinkError when it does not answer or runs no control tasks, BoardError for what the image does
-    wrong.
+    Raises LinkError if it does not answer or runs no control tasks, BoardError for what it does wrong.
     """
     idle = IdleBoard(image)
     try:
@@ -84,10 +83,10 @@ def _of_load(load: records.TaskLoad) -> ToldTimes:
 
 
 class StreamListener:
-    """Has a board stream its control steps over a UART while something else makes it run."""
+    """A listener that has a board stream its control steps over a UART while something else runs it."""
 
     def __init__(self, board: Board, baud: int, uart: str = MSP_UART) -> None:
-        """baud: that the board's settings say."""
+        """baud: in the board's settings."""
         self._line = UartLine(board, uart, Format(baud))
 
     def begin(self) -> None:
@@ -95,7 +94,7 @@ class StreamListener:
         self._line.send(encode(request(Msp.STREAM, struct.pack("<H", MSP_STREAM_RATE_MAX_HZ))))
 
     def samples(self) -> list[Sample]:
-        """All that has come since `begin` or the last call. Raises LinkError for what is no answer to it."""
+        """Return the samples since `begin` or the last call. Raises LinkError for anything else."""
         decoder, samples = Decoder(), []
         for event in decoder.feed(self._line.take()):
             if not isinstance(event, Message):
@@ -108,7 +107,7 @@ class StreamListener:
 
 
 def told_of_samples(samples: Iterable[Sample]) -> dict[str, ToldTimes]:
-    """Of the armed ones among `samples`, by the controller that flew: "policy", "pid"."""
+    """Return the times of the armed ones among `samples`, by the controller that flew: "policy", "pid"."""
     cycles: dict[str, list[int]] = {}
     for sample in samples:
         if sample.armed:

@@ -21,7 +21,7 @@ ROWS_MIN = 10  # in that time
 
 
 def read_still(sensor: Sensor, column: str, clock: Clock, seconds: float = READ_S) -> float:
-    """Median of a column over `seconds`. Raises DynoError where too little comes."""
+    """Compute the median of a column over `seconds`. Raises DynoError if too little comes."""
     sensor.settle()
     layout = sensor.reader.layout
     if layout is None or not layout.has(column):

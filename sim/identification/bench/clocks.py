@@ -25,7 +25,7 @@ class Clock:
     late: float  # mean time by which lines arrived after the earliest
 
     def host(self, own: Array) -> Array:
-        """Times of the host's clock, (N,)."""
+        """Convert to times of the host's clock, (N,)."""
         return self.origin + self.rate * (own - self.zero)
 
 
@@ -55,7 +55,7 @@ def fit_clock(own: Array, arrival: Array, drift_max: float = DRIFT_MAX) -> Clock
 
 
 def _lower_hull(x: Array, y: Array) -> NDArray[np.intp]:
-    """Indices of the lower convex hull of points whose x rises."""
+    """Return the indices of the lower convex hull of points whose x rises."""
     hull: list[int] = []
     for index in range(len(x)):
         while len(hull) > 1:

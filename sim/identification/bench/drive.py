@@ -33,7 +33,7 @@ class Motor(Protocol):
     """One motor that turns while it is told to."""
 
     def give(self, throttle: float) -> float:
-        """Command it, 0..1; returns what was commanded in truth, after rounding."""
+        """Command it, 0..1; return the command after rounding."""
 
     def check(self) -> None:
         """Raise an error unless the board is in the state in which the run began."""
@@ -43,7 +43,7 @@ class Line(Protocol):
     """The sensor's line; see flash.transport.Transport."""
 
     def read(self, timeout: float) -> bytes:
-        """What has arrived, or what arrives first within `timeout` > 0 [s]; b"" for silence."""
+        """Return what has arrived, or what arrives first within `timeout` > 0 [s]; b"" for silence."""
 
 
 class Sensor:
@@ -54,7 +54,7 @@ class Sensor:
         self.reader = reader
 
     def rows(self, timeout: float) -> list[Row]:
-        """The rows that have arrived, or arrive first within `timeout` > 0 [s]."""
+        """Return the rows that have arrived, or arrive first within `timeout` > 0 [s]."""
         data = self._line.read(timeout)
         return self.reader.feed(data, self._clock()) if data else []
 
@@ -70,7 +70,7 @@ class Sensor:
             count += len(self.rows(left))
 
     def settle(self) -> None:
-        """Forget what waited in the line."""
+        """Discard bytes that wait in the line."""
         end = self._clock() + SETTLE_S
         while (left := end - self._clock()) > 0:
             self.rows(left)

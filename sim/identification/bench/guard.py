@@ -1,4 +1,4 @@
-"""What stops a rotor on the bench: a sensor that is silent, stale or beyond a limit; a rotor that rests."""
+"""The stop conditions on the bench: a sensor that is silent, stale or beyond a limit; a rotor at rest."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ REST_RPM = 300.0  # a rotor that turns faster does not rest
 
 
 class StoppedError(DynoError):
-    """The motor was stopped, and why."""
+    """The motor was stopped, for the reason in the message."""
 
 
 @dataclass(frozen=True)
 class Limits:
-    """Beyond which a reading stops the motor."""
+    """The limits beyond which a reading stops the motor."""
 
     rpm_max: float = math.inf
     thrust_max_n: float = math.inf
@@ -43,7 +43,7 @@ class Limits:
 
 
 class Guard:
-    """Watches one run of the rotor, row by row."""
+    """A guard of one run of the rotor, row by row."""
 
     def __init__(self, rig: Rig, limits: Limits, now: float) -> None:
         """now: [s] of the host's clock; the sensor has SILENCE_S from then on."""
@@ -58,7 +58,7 @@ class Guard:
         self.rpm = 0.0
 
     def take(self, row: Row) -> None:
-        """Look at a row as it comes. Raises StoppedError."""
+        """Check a row as it comes. Raises StoppedError."""
         if self._moved(row):
             self._fresh = row.arrival
         values = np.array([row.values])
@@ -84,7 +84,7 @@ class Guard:
             )
 
     def look(self, now: float, throttle: float) -> None:
-        """Check what no row tells: silence, and a rotor that rests at this throttle. Raises StoppedError."""
+        """Check what no row shows: silence, and a rotor at rest at this throttle. Raises StoppedError."""
         if now - self._fresh > SILENCE_S:
             raise StoppedError(
                 f"the sensor sent no fresh reading for {now - self._fresh:.2f} s, expected one at least "
@@ -123,7 +123,7 @@ class Guard:
         return row.values[self._rig.layout.names.index(name)]
 
     def _moved(self, row: Row) -> bool:
-        """Has the sensor's clock moved? Raises StoppedError where it went back, or lags."""
+        """Return True if the sensor's clock has moved. Raises StoppedError if it went back, or lags."""
         name = self._rig.layout.time
         if name is None:
             return True
@@ -150,7 +150,7 @@ class Guard:
         return step > 0
 
     def _speed(self, row: Row) -> float:
-        """Rotor speed [1/min] as it is now."""
+        """Return the present rotor speed [1/min]."""
         if self._rig.layout.has("rpm"):
             return self._value(row, "rpm")
         count = self._value(row, "pulses")

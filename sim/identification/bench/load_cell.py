@@ -30,7 +30,7 @@ HEADING = "# Load cells, written by `neuroflight dyno calibrate`: load = scale (
 
 @dataclass(frozen=True)
 class LoadCell:
-    """What turns a cell's readings into a load, and how well it fitted."""
+    """The conversion of a cell's readings to a load, and the quality of its fit."""
 
     unit: str  # FORCE or TORQUE
     scale: float  # unit a count; its sign is the cell's
@@ -44,7 +44,8 @@ class LoadCell:
 
 
 def loads_of_masses(masses_kg: ArrayLike, lever_m: float | None = None) -> Array:
-    """Force [N] of masses that hang or lie on a cell; with the length of a lever the torque [N m].
+    """Compute the force [N] of masses that hang or lie on a cell; with the length of a lever the torque [N
+    m].
 
     A negative mass stands for one that pulls the other way, such as on a lever to the other side.
     """
@@ -100,7 +101,7 @@ def fit_load_cell(loads: Array, readings: Array, unit: str) -> LoadCell:
 
 
 def load(cell: LoadCell, reading: ArrayLike, offset: float | None = None) -> Array:
-    """Load [the cell's unit] of readings, any shape. offset: without a load as it is today [counts]."""
+    """Compute the load [the cell's unit] of readings, any shape. offset: of today without a load [counts]."""
     zero = cell.offset if offset is None else offset
     return np.asarray((np.asarray(reading, np.float64) - zero) * cell.scale)
 
@@ -126,9 +127,9 @@ def write_load_cells(path: Path, cells: Mapping[str, LoadCell]) -> None:
 
 
 def read_load_cells(path: Path, columns: Sequence[str]) -> dict[str, LoadCell]:
-    """The cells of a file, by column. columns: those that may have one.
+    """Read the cells of a file, by column. columns: those that may have one.
 
-    Raises DynoError on a file that is missing, damaged or of another kind.
+    Raises DynoError for a file that is missing, damaged or of another kind.
     """
     if not path.is_file():
         raise DynoError(f"{path}: no such file; `neuroflight dyno calibrate --out {path}` makes one")

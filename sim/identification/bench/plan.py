@@ -1,4 +1,4 @@
-"""What a bench does: steps and ramps of throttle, how often; which runs stand in a folder, which lack."""
+"""The plan of a bench: steps and ramps of throttle, repeats, and the runs present or missing in a folder."""
 
 from __future__ import annotations
 
@@ -43,13 +43,13 @@ class Run:
 
     @property
     def name(self) -> str:
-        """Of its files."""
+        """Name of its files."""
         return f"{self.kind}-{self.number:02d}"
 
 
 @dataclass(frozen=True)
-class Plan:
-    """All that must be the same for runs to be repeats of each other."""
+class BenchPlan:
+    """The plan: everything that repeats must have in common."""
 
     kinds: tuple[str, ...]
     repeats: int
@@ -63,11 +63,11 @@ class Plan:
     cells: dict[str, dict[str, float | str]]  # load cells, by column
 
     def runs(self) -> tuple[Run, ...]:
-        """In their order: the experiments take turns, so that a battery ages alike in all."""
+        """Return the runs in order: the experiments alternate, so that a battery ages alike in all."""
         return tuple(Run(kind, number + 1) for number in range(self.repeats) for kind in self.kinds)
 
     def experiment(self, kind: str) -> tuple[Phase, ...]:
-        """The phases of one run."""
+        """Return the phases of one run."""
         rest = Phase(REST_S, 0.0, 0.0)
         if kind == "steps":
             levels = [self.limit * level for level in LEVELS]
@@ -82,22 +82,22 @@ class Plan:
         )
 
     def seconds(self, runs: Sequence[Run]) -> float:
-        """What these runs take [s]."""
+        """Return the duration of these runs [s]."""
         return sum(duration(self.experiment(run.kind)) for run in runs)
 
 
 def recording_file(folder: Path, run: Run) -> Path:
-    """Where a finished run stands, as `dyno fit` reads it."""
+    """Return the file of a finished run, as `dyno fit` reads it."""
     return folder / f"{run.name}.csv"
 
 
-def missing_runs(plan: Plan, folder: Path) -> tuple[Run, ...]:
-    """Runs that are not in `folder`."""
+def missing_runs(plan: BenchPlan, folder: Path) -> tuple[Run, ...]:
+    """Return the runs that are not in `folder`."""
     return tuple(run for run in plan.runs() if not recording_file(folder, run).is_file())
 
 
-def check_folder(plan: Plan, folder: Path, resume: bool) -> None:
-    """Raise DynoError where runs of `folder` would be lost, or are of another plan."""
+def check_folder(plan: BenchPlan, folder: Path, resume: bool) -> None:
+    """Raise DynoError if runs of `folder` would be lost, or belong to another plan."""
     path = folder / PLAN_FILE
     if not path.is_file():
         if resume:
@@ -119,8 +119,8 @@ def check_folder(plan: Plan, folder: Path, resume: bool) -> None:
         )
 
 
-def begin_folder(plan: Plan, folder: Path) -> None:
-    """Make the folder and put the plan into it."""
+def begin_folder(plan: BenchPlan, folder: Path) -> None:
+    """Create the folder and write the plan into it."""
     write_text(folder / PLAN_FILE, _plan_text(plan))
 
 
@@ -135,12 +135,12 @@ def keep_run(folder: Path, run: Run, recording: Recording, log: Log, layout: Lay
 
 
 def read_runs(folder: Path, runs: Sequence[Run]) -> list[Recording]:
-    """Recordings of finished runs."""
+    """Read the recordings of finished runs."""
     return [read_recordings([recording_file(folder, run)]) for run in runs]
 
 
 def joined(recordings: Sequence[Recording]) -> Recording:
-    """One recording of all, each a run of its own. Raises DynoError where `dyno fit` could not read it."""
+    """Join recordings, each a run of its own. Raises DynoError if `dyno fit` could not read the result."""
     times, starts, end, rows = [], [], 0.0, 0
     for recording in recordings:
         times.append(recording.time - recording.time[0] + end)
@@ -156,7 +156,7 @@ def joined(recordings: Sequence[Recording]) -> Recording:
     return Recording(np.concatenate(times), throttle, speed, thrust, torque, tuple(starts))
 
 
-def _plan_text(plan: Plan) -> str:
+def _plan_text(plan: BenchPlan) -> str:
     return json.dumps(asdict(plan), indent=2) + "\n"
 
 
@@ -173,7 +173,7 @@ def _read_plan(path: Path) -> dict[str, object]:
 
 
 def _write_rows(path: Path, names: Sequence[str], time: Array, values: Array) -> None:
-    """Times, (N,), beside values, (N, C)."""
+    """Write times, (N,), beside values, (N, C)."""
     lines = [",".join(names)]
     lines += [
         ",".join([f"{t:.6f}", *(f"{value:.10g}" for value in row)])

@@ -34,7 +34,7 @@ def save_bench_plot(path: Path, recordings: Mapping[str, Sequence[Recording]], t
 
 
 def draw_bench(recordings: Mapping[str, Sequence[Recording]], title: str) -> Figure:
-    """A column an experiment, a row a channel. recordings: repeats of each experiment, at least one."""
+    """Draw a column an experiment, a row a channel. recordings: repeats of each experiment, at least one."""
     figure = titled_figure((7.0 * len(recordings), 9.5), title, (0.06, 0.08))
     panels = figure.subplots(len(CHANNELS), len(recordings), sharex="col", squeeze=False)
     for column, (kind, group) in enumerate(recordings.items()):
@@ -51,7 +51,7 @@ def draw_bench(recordings: Mapping[str, Sequence[Recording]], title: str) -> Fig
 
 
 def repeats_at(grid: Array, recordings: Sequence[Recording], name: str) -> Array:
-    """A channel of each repeat at times since its begin [s], (R, G)."""
+    """Return a channel of each repeat at times since its begin [s], (R, G)."""
     return np.stack([np.interp(grid, item.time - item.time[0], getattr(item, name)) for item in recordings])
 
 

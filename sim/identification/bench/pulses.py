@@ -15,7 +15,8 @@ BLADES_MIN, BLADES_MAX = 1, 12  # pulses a revolution: blades, or the marks on a
 
 
 def unwrapped(counts: Array, modulus: float) -> Array:
-    """Counts that began anew at `modulus` as one rising row, (N,). Raises DynoError where they went back.
+    """Unwrap counts that restarted at `modulus` into one rising row, (N,). Raises DynoError if they went
+    back.
 
     A step of more than half the modulus is one back: the counter was set anew.
     """
@@ -31,7 +32,7 @@ def unwrapped(counts: Array, modulus: float) -> Array:
 
 
 def speed_of_pulses(time: Array, edges: Array, counts: Array, blades: int, window_s: float) -> Array:
-    """Rotor speed [rad/s] at `time` [s], (N,), as the mean over a window around it.
+    """Compute the rotor speed [rad/s] at `time` [s], (N,), as the mean over a window around it.
 
     edges: when a count was reached [s], (E,), not falling; counts: (E,), the pulses up to then. Where the
     sensor stamps its pulses, the speed is exact between them; where only the count is known, an edge is the

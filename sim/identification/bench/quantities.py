@@ -25,7 +25,7 @@ PULSE_S = TIMES["time_us"]
 
 @dataclass(frozen=True)
 class Rig:
-    """The sensor and what its numbers mean."""
+    """A sensor and the meaning of its numbers."""
 
     layout: Layout
     cells: Mapping[str, LoadCell]  # by column
@@ -33,22 +33,22 @@ class Rig:
     window_s: float  # [s] over which the speed of pulses is averaged
 
     def raw(self) -> tuple[str, ...]:
-        """Columns that are counts of load cells."""
+        """Return the columns that are counts of load cells."""
         return tuple(name for name in self.layout.names if name in CELLS)
 
     def column(self, values: Array, name: str) -> Array:
-        """A column of rows, (N, C): (N,)."""
+        """Return a column of rows, (N, C): (N,)."""
         column: Array = values[:, self.layout.names.index(name)]
         return column
 
 
 def usual_window(layout: Layout) -> float:
-    """Over which the speed of this sensor's pulses is averaged, unless somebody says otherwise [s]."""
+    """Return the default window [s] over which the speed of this sensor's pulses is averaged."""
     return STAMPED_WINDOW_S if layout.has("pulse_us") else COUNTED_WINDOW_S
 
 
 def check_rig(rig: Rig) -> None:
-    """Raise DynoError where counts have no calibration, or one of the wrong kind."""
+    """Raise DynoError if counts have no calibration, or one of the wrong kind."""
     for name in rig.raw():
         unit = FORCE if name.startswith("thrust") else TORQUE
         if name not in rig.cells:
@@ -64,12 +64,12 @@ def check_rig(rig: Rig) -> None:
 
 
 def thrust_of(rig: Rig, values: Array, zeros: Mapping[str, float]) -> Array:
-    """Thrust [N], (N,), as the sensor is turned. zeros: counts without a load, by column."""
+    """Compute the thrust [N], (N,), as the sensor is turned. zeros: counts without a load, by column."""
     return _load(rig, values, zeros, "thrust_raw" if rig.layout.has("thrust_raw") else "thrust_n")
 
 
 def torque_of(rig: Rig, values: Array, zeros: Mapping[str, float]) -> Array:
-    """Torque [N m], (N,), as the sensor is turned; of two cells the mean, as one is pulled, one pushed."""
+    """Compute the torque [N m], (N,), as the sensor is turned; of two opposed cells the mean."""
     if rig.layout.has("torque_left_raw"):
         both = [_load(rig, values, zeros, f"torque_{side}_raw") for side in ("left", "right")]
         return 0.5 * (both[0] + both[1])
@@ -82,7 +82,7 @@ def _load(rig: Rig, values: Array, zeros: Mapping[str, float], name: str) -> Arr
 
 
 def own_time(rig: Rig, values: Array) -> Array | None:
-    """Times [s] of the sensor's clock, (N,); None where it has none. Raises DynoError where it went back."""
+    """Return times [s] of the sensor's clock, (N,), None without one. Raises DynoError if they go back."""
     name = rig.layout.time
     if name is None:
         return None
@@ -91,12 +91,12 @@ def own_time(rig: Rig, values: Array) -> Array | None:
 
 
 def pulse_wrap(counts: Array) -> float:
-    """At which number the counter of these pulses begins anew."""
+    """Return the number at which the counter of these pulses restarts."""
     return WRAP_SHORT if float(counts.max()) < WRAP_SHORT else WRAP
 
 
 def speed_of(rig: Rig, values: Array, time: Array) -> Array:
-    """Rotor speed [rad/s], (N,), at `time` [s], (N,): that of the sensor's clock, if there are stamps."""
+    """Compute the rotor speed [rad/s], (N,), at `time` [s], (N,), on the clock of the stamps."""
     if rig.layout.has("rpm"):
         return rig.column(values, "rpm") * RPM
     pulses = rig.column(values, "pulses")

@@ -17,7 +17,7 @@ UNEVEN_S = 0.05  # lines of a sensor without a clock may be late by so much
 
 
 def reduce_log(log: Log, rig: Rig) -> tuple[Recording, Clock]:
-    """Recording of `log`, and how the sensor's clock runs.
+    """Convert `log` to a recording, and return the sensor's clock with it.
 
     Throttle is the command in force at each row. Thrust and torque are turned such that both are above zero
     while the rotor turns, as the sense of the rotor decides about one, and how a cell is mounted about both.
@@ -51,7 +51,7 @@ def _upright(values: Array, turning: NDArray[np.bool_]) -> Array:
 
 
 def _counted(arrival: Array) -> tuple[Array, Clock]:
-    """A clock of a sensor that has none and sends at an even rate: the number of the row."""
+    """Return the time of a sensor without a clock that sends at an even rate, by the number of the row."""
     period = float(arrival[-1] - arrival[0]) / (len(arrival) - 1)
     own: Array = np.arange(len(arrival), dtype=np.float64) * period
     clock = fit_clock(own, arrival)

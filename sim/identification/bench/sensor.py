@@ -38,19 +38,19 @@ _APART = re.compile(r"[,;\s]+")
 
 @dataclass(frozen=True)
 class Layout:
-    """Where the known columns stand in a line of `width` cells."""
+    """The places of the known columns in a line of `width` cells."""
 
     names: tuple[str, ...]  # known columns, in the order of the line
     places: tuple[int, ...]
     width: int
 
     def has(self, name: str) -> bool:
-        """Whether the sensor sends it."""
+        """Return True if the sensor sends it."""
         return name in self.names
 
     @property
     def time(self) -> str | None:
-        """The column of the sensor's own clock, None where it has none."""
+        """Column of the sensor's own clock, None without one."""
         return next((name for name in self.names if name in TIMES), None)
 
 
@@ -63,7 +63,7 @@ class Row:
 
 
 def parse_layout(names: Sequence[str]) -> Layout:
-    """Layout of columns so named. Raises DynoError where they are ambiguous or something lacks."""
+    """Find the known columns by their names. Raises DynoError if they are ambiguous or incomplete."""
     given = [name.strip().strip('"').lower() for name in names]
     twice = [name for name in given if name in KNOWN and given.count(name) > 1]
     if twice:
@@ -88,12 +88,12 @@ def _one(layout: Layout, names: tuple[str, ...], needed: bool = True) -> None:
     if needed and not there:
         raise DynoError(
             f"the sensor's columns are {', '.join(layout.names) or 'none that is known'}, expected one of "
-            f"{', '.join(names)} too; see docs/dynamometer.md"
+            f"{', '.join(names)} too; see docs/guides/dynamometer.md"
         )
 
 
 class LineReader:
-    """Bytes in, rows out. Lines that are no reading are counted and passed over."""
+    """A reader from bytes to rows. Lines that are no reading are counted and skipped."""
 
     def __init__(self, layout: Layout | None = None) -> None:
         """layout: None waits for a heading line."""
@@ -104,7 +104,7 @@ class LineReader:
         self._torn = True  # the first line may have begun before we listened
 
     def feed(self, data: bytes, arrival: float) -> list[Row]:
-        """Rows that `data`, read at `arrival` [s], completes.
+        """Return the rows that `data`, read at `arrival` [s], completes.
 
         Raises DynoError for a heading line that names too little, or other columns than before.
         """
@@ -138,7 +138,7 @@ class LineReader:
         return Row(arrival, values)
 
     def _head(self, cells: list[str], torn: bool) -> None:
-        """A line that begins with a letter: a heading if it names a column, else chatter."""
+        """Process a line that begins with a letter: a heading if it names a column, or noise."""
         if not any(cell.strip('"').lower() in KNOWN for cell in cells) or len(cells) > CELLS_MAX:
             self.bad += not torn
             return
@@ -157,7 +157,7 @@ class LineReader:
 
 
 def _numbers(cells: list[str], layout: Layout) -> tuple[float, ...] | None:
-    """Values of the known columns; None unless the line has as many cells as the heading, all numbers."""
+    """Parse the known columns; None unless the line has as many cells as the heading, all numbers."""
     if len(cells) != layout.width:
         return None
     try:

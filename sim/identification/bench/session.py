@@ -9,7 +9,7 @@ from pathlib import Path
 
 from neuroflight.sim.identification.bench.drive import Clock, Motor, Sensor, drive
 from neuroflight.sim.identification.bench.guard import Guard, Limits
-from neuroflight.sim.identification.bench.plan import Plan, Run, begin_folder, keep_run, missing_runs
+from neuroflight.sim.identification.bench.plan import BenchPlan, Run, begin_folder, keep_run, missing_runs
 from neuroflight.sim.identification.bench.quantities import Rig
 from neuroflight.sim.identification.bench.reduction import reduce_log
 
@@ -17,7 +17,7 @@ Told = Callable[[Run, float, float, float], None]  # run, its elapsed time [s], 
 
 
 def run_session(
-    plan: Plan,
+    plan: BenchPlan,
     folder: Path,
     rig: Rig,
     limits: Limits,
@@ -27,7 +27,7 @@ def run_session(
     deadline: float = math.inf,
     told: Told = lambda run, elapsed, throttle, rpm: None,
 ) -> None:
-    """Make the runs that `folder` lacks. The motor is stopped after each, however that ends.
+    """Make the runs that `folder` lacks. The motor is stopped after each, also after an error.
 
     motor: opens it; leaving it stops it. deadline: [s] of `clock`. Raises what stopped a run, which is then
     not kept; those before it are.

@@ -53,7 +53,7 @@ TURNING = 0.1  # of the top speed: slower rotors are not judged
 
 @dataclass(frozen=True)
 class Cell:
-    """A load cell as it truly is."""
+    """The true properties of a load cell."""
 
     unit: str
     counts: float  # a unit of load
@@ -71,7 +71,7 @@ LAYOUT = parse_layout(("time_us", *CELLS, "pulses", "pulse_us"))
 
 @dataclass(frozen=True)
 class Noise:
-    """What is added to thrust and torque, see `disturbed`."""
+    """The errors added to thrust and torque, see `disturbed`."""
 
     noise: float = 0.0
     of_reading: bool = False
@@ -96,7 +96,7 @@ class SpeedFound:
 
 
 def calibrated(propulsion: Propulsion, noise: Noise, rng: np.random.Generator) -> Rig:
-    """The rig with its cells calibrated by the dissertation's masses, at the noise of the measurement."""
+    """Calibrate the rig's cells by the dissertation's masses, at the noise of the measurement."""
     full = thrust_and_torque(target_speed(1.0, propulsion), propulsion)
     sizes = {FORCE: float(full[0]), TORQUE: float(full[1])}
     cells: dict[str, LoadCell] = {}
@@ -154,7 +154,7 @@ def measured(
 
 
 def speed_found(runs: Sequence[Measured]) -> SpeedFound:
-    """How well the speed is known of rotors that have settled on a command, or follow a ramp."""
+    """Compute the error of the measured speed of rotors that have settled on a command, or follow a ramp."""
     top = max(float(run.true.speed.max()) for run in runs)
     errors = []
     for run_ in runs:
@@ -165,25 +165,25 @@ def speed_found(runs: Sequence[Measured]) -> SpeedFound:
 
 
 def scale_errors(cells: Mapping[str, LoadCell]) -> dict[str, float]:
-    """By which part each cell's calibrated scale is off the true one."""
+    """Compute the relative error of each cell's calibrated scale."""
     return {name: cells[name].scale * cell.counts - 1.0 for name, cell in CELLS.items()}
 
 
 def _counts(cell: Cell, load: Array) -> Array:
-    """Readings under loads, any shape, [unit]: bent, whole counts."""
+    """Compute readings under loads, any shape, [unit]: bent, whole counts."""
     part = np.minimum(np.abs(load) / cell.reach, 1.0)
     bent = load + BEND * cell.reach * 4.0 * part * (1.0 - part) * np.sign(load)
     return np.asarray(np.rint(cell.zero + cell.counts * bent))
 
 
 def _stamp(time: Array) -> Array:
-    """Times on the sensor's clock, (N,) [us]."""
+    """Convert times to the sensor's clock, (N,) [us]."""
     own = CLOCK_ZERO_US + 1e6 * CLOCK_RATE * time
     return np.asarray(np.floor(own / STAMP_US) * STAMP_US % WRAP)
 
 
 def _pulses(propulsion: Propulsion, experiment: tuple[Phase, ...], time: Array) -> tuple[Array, Array]:
-    """Blades that passed up to each time [s], (N,), and when the last of them did [s]."""
+    """Count the blades that passed up to each time [s], (N,), and return when the last of them did [s]."""
     grid = np.arange(0.0, time[-1] + 2.0 / SIMULATION_HZ, 1.0 / SIMULATION_HZ)
     speed = run(propulsion, experiment, grid).speed
     passed = np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1])) / SIMULATION_HZ])

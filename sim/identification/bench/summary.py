@@ -29,7 +29,7 @@ class Figure:
 
 @dataclass(frozen=True)
 class StepFigures:
-    """Steps to one level."""
+    """The figures of steps to one level."""
 
     level: float  # throttle
     count: int
@@ -62,13 +62,13 @@ class Repeats:
 
 
 def figure(values: Sequence[float] | Array) -> Figure:
-    """Mean of one value a repeat, at least one."""
+    """Compute the mean of one value a repeat, at least one."""
     mean = mean_of(np.array(values, np.float64), np.ones(len(values), bool))
     return Figure(float(mean.value), float(mean.high - mean.value))
 
 
 def step_figures(recordings: Sequence[Recording]) -> tuple[StepFigures, ...]:
-    """Figures of each level that is stepped to, rising."""
+    """Compute the figures of each level that is stepped to, rising."""
     found: dict[float, list[Step]] = {}
     for recording in recordings:
         for step in steps(recording):
@@ -87,7 +87,7 @@ def step_figures(recordings: Sequence[Recording]) -> tuple[StepFigures, ...]:
 
 
 def peak(recordings: Sequence[Recording]) -> Peak:
-    """Speed, thrust and torque at the top of each recording; at least one."""
+    """Compute speed, thrust and torque at the top of each recording; at least one."""
 
     def largest(name: str) -> Array:
         return np.array(
@@ -106,7 +106,7 @@ def peak(recordings: Sequence[Recording]) -> Peak:
 
 
 def _ratio(values: Array, by: Array) -> Array:
-    """values / by, (R,); 0 of a sensor that showed nothing."""
+    """Compute values / by, (R,); 0 for a sensor that showed nothing."""
     return values / np.where(by == 0.0, np.inf, by)
 
 
@@ -123,7 +123,7 @@ def repeats(recording: Recording) -> Repeats | None:
 
 
 def runs_of(recording: Recording) -> list[Recording]:
-    """Each run as a recording of its own."""
+    """Split a recording into its runs."""
     bounds = zip(recording.starts, [*recording.starts[1:], len(recording.time)], strict=True)
     return [
         Recording(

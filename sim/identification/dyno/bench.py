@@ -37,7 +37,7 @@ class Phase:
 
 
 def steps_held(hold: float) -> tuple[Phase, ...]:
-    """A step to each of STEP_LEVELS, held for `hold` [s], with as long a rest after it."""
+    """Return a step to each of STEP_LEVELS, held for `hold` [s], with as long a rest after it."""
     held = [(Phase(hold, level, level), Phase(hold, 0.0, 0.0)) for level in STEP_LEVELS]
     return (Phase(REST_S, 0.0, 0.0), *(phase for pair in held for phase in pair))
 
@@ -65,12 +65,12 @@ class Step:
 
 
 def duration(experiment: tuple[Phase, ...]) -> float:
-    """Length of an experiment [s]."""
+    """Return the length of an experiment [s]."""
     return sum(phase.duration for phase in experiment)
 
 
 def throttle_at(time: Array, experiment: tuple[Phase, ...]) -> Array:
-    """Throttle commanded at `time` [s], any shape; before and after the experiment it is at its ends."""
+    """Return the commanded throttle at `time` [s], any shape; outside the experiment that of its ends."""
     lengths = np.array([phase.duration for phase in experiment])
     starts = np.concatenate([[0.0], np.cumsum(lengths)[:-1]])
     first = np.array([phase.first for phase in experiment])
@@ -82,7 +82,7 @@ def throttle_at(time: Array, experiment: tuple[Phase, ...]) -> Array:
 
 
 def sample_times(length: float, rate_hz: float, rng: np.random.Generator | None = None) -> Array:
-    """Times of the rows of a log over `length` [s]; with `rng` uneven, and some rows lost."""
+    """Return the times of a log's rows over `length` [s]; with `rng` uneven, and some rows lost."""
     count = int(length * rate_hz)
     if rng is None:
         return np.arange(count) / rate_hz
@@ -112,7 +112,7 @@ def disturbed(
     of_reading: bool = False,
     outliers: float = 0.0,
 ) -> Recording:
-    """`recording` as a poor bench would log it: speed, thrust and torque each with noise and outliers.
+    """Return `recording` as a poor bench would log it: speed, thrust and torque with noise and outliers.
 
     noise: standard deviation, as a fraction of the channel's largest value or, `of_reading`, of each value.
     outliers: fraction of a channel's values replaced by anything from 0 to twice its largest value.
@@ -128,7 +128,7 @@ def disturbed(
 
 
 def steps(recording: Recording) -> tuple[Step, ...]:
-    """Figures of every jump of throttle from rest that is held for at least HELD_S."""
+    """Compute the figures of every jump of throttle from rest that is held for at least HELD_S."""
     rows = jumps(recording)
     ends = np.append(rows, len(recording.time))
     speed = without_spikes(recording.speed, recording.starts)

@@ -182,7 +182,7 @@ def fit(
 
 
 def static_slopes(throttle: Array, speed: Array, full: float, noise: float) -> tuple[Array, Array]:
-    """H from rows at which the rotor has settled, and its covariance."""
+    """Fit H to rows at which the rotor has settled; return it with its covariance."""
     bounds = np.array([0.0, SLOPE_MIN, SLOPE_MIN]), np.array([2.0, 50.0, 50.0])
     found, _, covariance = robust_fit(
         lambda p: curve(p * full, throttle) - speed, np.array([0.01, 1.0, 1.0]), noise, bounds
@@ -193,9 +193,8 @@ def static_slopes(throttle: Array, speed: Array, full: float, noise: float) -> t
 def fit_polynomial(
     speed: Array, load: Array, values: Array, top: float, speed_dependent: bool, name: str
 ) -> tuple[Estimate, ...]:
-    """Coefficient k(speed) of values = k load, all (n,): a constant, or the polynomial that BIC prefers
-    among those above zero up to `top` [rad/s]. Raises DynoError where there is none.
-    """
+    """Fit the coefficient k(speed) of values = k load, all (n,): a constant, or the polynomial that BIC
+    prefers among those above zero up to `top` [rad/s]. Raises DynoError if there is none."""
     strong = load > 0.25 * load.max()
     middle = float(np.median(values[strong] / load[strong]))
     if middle <= 0:
@@ -235,13 +234,13 @@ def fit_polynomial(
 
 
 def _at(terms: tuple[Estimate, ...], speed: Array) -> Array:
-    """Polynomial at speeds, (n,)."""
+    """Evaluate a polynomial at speeds, (n,)."""
     values = np.polynomial.polynomial.polyval(speed, [term.value for term in terms])
     return np.asarray(values, np.float64)
 
 
 def _check_levels(throttle: Array) -> None:
-    """H has three numbers: throttle must have settled in three places."""
+    """Raise DynoError unless throttle settled at three levels, as H has three numbers."""
     levels = np.unique(np.round(throttle / JUMP))
     if len(levels) < 3:
         places = ", ".join(f"{level * JUMP:g}" for level in levels)
@@ -259,7 +258,7 @@ def _speed_errors(
     off: NDArray[np.bool_],
     top: float,
 ) -> tuple[SpeedError, ...]:
-    """Residuals by the level that throttle steps up to, then those of all other rows."""
+    """Return the residuals by the level that throttle steps up to, then those of all other rows."""
     residual = (recording.speed - speed) / top
     smooth = average(np.where(off, 0.0, residual), ~off, recording)
     levels = np.full(len(speed), np.nan)

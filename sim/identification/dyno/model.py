@@ -51,7 +51,7 @@ class Dynamics:
 
 
 def make_schedule(recording: Recording, throttle: Array, noise: float = 0.0, held: float = HELD) -> Schedule:
-    """Schedule of stretches on which throttle moves less than `held`; noise [rad/s]: of the speed."""
+    """Split the throttle into stretches on which it moves less than `held`; noise [rad/s]: of the speed."""
     begins = []
     starts = set(recording.starts)
     low = high = 0.0
@@ -77,7 +77,7 @@ def make_schedule(recording: Recording, throttle: Array, noise: float = 0.0, hel
 
 
 def retimed(schedule: Schedule, jumped: NDArray[np.intp], cost: Callable[[Schedule], Array]) -> Schedule:
-    """`schedule` with each jump moved to where within its slack it costs least.
+    """Return `schedule` with each jump moved to where within its slack it costs least.
 
     jumped: rows of the jumps, (J,). cost: of the rows after each jump under a schedule, (J,). On average
     the jumps stay where they are, so that this does not take the place of a delay.
@@ -98,7 +98,7 @@ def retimed(schedule: Schedule, jumped: NDArray[np.intp], cost: Callable[[Schedu
 
 
 def simulate(schedule: Schedule, slopes: Array, dynamics: Dynamics, time: Array) -> Array:
-    """Rotor speed at `time`, exact for throttle held on each stretch."""
+    """Compute the rotor speed at `time`, exactly for throttle held on each stretch."""
     begins = np.where(schedule.fresh, schedule.time, schedule.time + dynamics.delay)
     targets = curve(slopes, schedule.value)
     index = np.searchsorted(begins, time, side="right") - 1
@@ -114,7 +114,7 @@ def simulate(schedule: Schedule, slopes: Array, dynamics: Dynamics, time: Array)
 
 
 def knots(schedule: Schedule, targets: Array, dynamics: Dynamics) -> Array:
-    """Speed at the beginning of each stretch; the same motion as in `simulate`, one stretch after another.
+    """Compute the speed at the beginning of each stretch, with the motion of `simulate`.
 
     Scalars, because each waits for the one before it and a ramp has a thousand.
     """
@@ -145,20 +145,20 @@ def knots(schedule: Schedule, targets: Array, dynamics: Dynamics) -> Array:
 
 
 def curve(slopes: Array, throttle: Array) -> Array:
-    """H [rad/s] from its value at 0 and its slopes at 0 and 1, in which its limits are plain bounds."""
+    """Compute H [rad/s] from its value at 0 and its slopes at 0 and 1, which are its bounds."""
     start, first, last = slopes
     speed: Array = start + throttle * (first + throttle * (0.5 * (last - first)))
     return speed
 
 
 def quadratic(slopes: Array) -> tuple[float, float, float]:
-    """a, b, c of H from its value and slopes."""
+    """Return a, b, c of H from its value and slopes."""
     start, first, last = (float(value) for value in slopes)
     return 0.5 * (last - first), first, start
 
 
 def quadratic_errors(covariance: Array) -> tuple[float, float, float]:
-    """Standard errors of a, b, c from the covariance of value and slopes, (3, 3)."""
+    """Return the standard errors of a, b, c from the covariance of value and slopes, (3, 3)."""
     to_a = np.array([0.0, -0.5, 0.5])
     a, b, c = np.sqrt([to_a @ covariance @ to_a, covariance[1, 1], covariance[0, 0]])
     return float(a), float(b), float(c)

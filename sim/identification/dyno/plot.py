@@ -50,7 +50,7 @@ def save_fit_plot(path: Path, fit: Fit | PointsFit, title: str) -> None:
 
 
 def draw_recording(recording: Recording, title: str) -> Figure:
-    """Throttle, rotor speed, thrust and torque over time."""
+    """Draw throttle, rotor speed, thrust and torque over time."""
     figure = titled_figure((11, 9), title, PAD)
     panels: list[Axes] = list(figure.subplots(4, 1, sharex=True, height_ratios=(1, 2, 2, 2)))
     panels[0].plot(recording.time, 100 * recording.throttle, color=THROTTLE, lw=1.2, drawstyle="steps-post")
@@ -71,7 +71,7 @@ def draw_recording(recording: Recording, title: str) -> Figure:
 
 
 def draw_fit(fit: Fit, title: str) -> Figure:
-    """Data and model over time with what is left, H, K_T and K_Q against data, and each step close up."""
+    """Draw data and model over time with residuals, H, K_T and K_Q against data, and each step enlarged."""
     channels = len(CHANNELS) if fit.torque_ratio else len(CHANNELS) - 1
     rows = channels + int(fit.response is not None)
     figure = titled_figure((14, 3.9 * rows), title, PAD)
@@ -116,7 +116,7 @@ def _over(terms: tuple[Estimate, ...], speed: Array) -> Array:
 
 
 def _settling(fit: Fit, rows: NDArray[np.intp]) -> float:
-    """Time [s] that holds the slowest step and a margin."""
+    """Return a time [s] that contains the slowest step and a margin."""
     recording = fit.recording
     longest = 0.0
     for row, end in zip(rows, np.append(rows[1:], len(fit.speed)), strict=True):
@@ -127,7 +127,7 @@ def _settling(fit: Fit, rows: NDArray[np.intp]) -> float:
 
 
 def _draw_channel(figure: Figure, place: SubplotSpec, fit: Fit, channel: int) -> Axes:
-    """One channel over time, with its residuals in a strip below, which is returned."""
+    """Draw one channel over time, with its residuals in a strip below, which is returned."""
     name, label, unit = CHANNELS[channel]
     inner = place.subgridspec(2, 1, height_ratios=(3, 1), hspace=0.02)
     panel = figure.add_subplot(inner[0])
@@ -176,7 +176,7 @@ def _draw_curve(panel: Axes, fit: Fit) -> None:
 
 
 def _draw_coefficient(panel: Axes, fit: Fit, name: str) -> None:
-    """K_T or K_Q of each steady row, and as fitted."""
+    """Draw K_T or K_Q of each steady row, and as fitted."""
     speed = fit.clean_speed
     thrust_terms = [term.value for term in fit.thrust_coefficient]
     load = np.polynomial.polynomial.polyval(speed, thrust_terms) * speed**2
@@ -199,7 +199,7 @@ def _draw_coefficient(panel: Axes, fit: Fit, name: str) -> None:
 
 
 def _draw_steps(panel: Axes, fit: Fit, *, rising: bool) -> None:
-    """Speed around every jump of one direction, from the instant of the jump on."""
+    """Draw the speed around every jump of one direction, from the instant of the jump on."""
     recording = fit.recording
     rows = jumps(recording)
     after = _settling(fit, rows)
@@ -242,14 +242,14 @@ def _shown(name: str, values: Array) -> Array:
 
 
 def _thinned(count: int) -> NDArray[np.bool_]:
-    """Every so many rows, such that at most ROWS_SHOWN are left."""
+    """Select every n-th row, such that at most ROWS_SHOWN are left."""
     shown = np.zeros(count, bool)
     shown[:: -(-count // ROWS_SHOWN)] = True
     return shown
 
 
 def _reach(values: Array) -> tuple[float, float]:
-    """Limits that hold nearly all values, with a margin; a few wild ones leave the picture."""
+    """Return limits that contain nearly all values, with a margin; a few outliers are cut off."""
     low, high = (float(edge) for edge in np.quantile(values, [0.002, 0.995]))
     margin = 0.08 * ((high - low) or 1.0)
     return min(low, 0.0) - margin, high + margin

@@ -51,7 +51,7 @@ class Recording:
 
     @property
     def has_torque(self) -> bool:
-        """Whether a torque was measured."""
+        """True if a torque was measured."""
         return not bool(np.isnan(self.torque).all())
 
 
@@ -72,7 +72,7 @@ def is_ours(text: str) -> bool:
 
 
 def read_recordings(paths: Sequence[Path]) -> Recording:
-    """The runs of all `paths`, one after the other. Raises DynoError naming file and line."""
+    """Read the runs of all `paths`, one after the other. Raises DynoError naming file and line."""
     return join_runs([_read(path) for path in paths])
 
 
@@ -98,7 +98,7 @@ def join_runs(files: Sequence[Array]) -> Recording:
 
 
 def _read(path: Path) -> Array:
-    """Columns of one file in the order of COLUMNS, (n, 5)."""
+    """Read the columns of one file in the order of COLUMNS, (n, 5)."""
     reader = csv.reader(io.StringIO(read_text(path, FILE_BYTES_MAX, DynoError)))
     lines: list[int] = []
     rows: list[list[float]] = []

@@ -64,16 +64,16 @@ class ResponseFit:
 
     @property
     def time_constant_up(self) -> Estimate:
-        """Of a first-order lag while speed rises [s]."""
+        """Time constant of a first-order lag while speed rises [s]."""
         return Estimate(1 / self.rate_up.value, self.rate_up.error / self.rate_up.value**2)
 
     @property
     def time_constant_down(self) -> Estimate:
-        """And while it falls [s]."""
+        """Time constant of a first-order lag while speed falls [s]."""
         return Estimate(1 / self.rate_down.value, self.rate_down.error / self.rate_down.value**2)
 
     def response(self, inertia: float) -> Response:
-        """As an aircraft file has it, for a rotor inertia [kg m^2]."""
+        """Return the response as an aircraft file has it, for a rotor inertia [kg m^2]."""
         if self.slew_up is None or self.slew_down is None:
             return FirstOrderResponse(self.time_constant_up.value, self.time_constant_down.value)
         return TorqueResponse(
@@ -102,7 +102,7 @@ def fit_response(
     full: float,
     delay: float | None,
 ) -> Tried:
-    """H and a response of `kind`: the response alone on the transients first, then all on every row."""
+    """Fit H and a response of `kind`: the response alone on the transients first, then all on every row."""
     time = recording.time
     shown = transient_rows(recording, rows)
     throttle = commanded(recording)
@@ -127,7 +127,7 @@ def fit_response(
         return simulate(timed, p[:3] * full, dynamics(p[3:]), time) - recording.speed
 
     def misfit(p: Array, timed: Schedule) -> Array:
-        """Cost of the rows after each jump."""
+        """Compute the cost of the rows after each jump."""
         rows_cost = np.where(shown, np.sqrt(1.0 + (residuals(timed, p) / noise) ** 2) - 1.0, 0.0)
         costs: Array = np.add.reduceat(rows_cost, rows)
         return costs
@@ -177,7 +177,7 @@ def _response_fit(
     delay: float | None,
     rms: float,
 ) -> ResponseFit:
-    """The result with its standard errors; `errors` are those of logarithms, then of the delay."""
+    """Build the result with its standard errors; `errors` are those of logarithms, then of the delay."""
     wait = Estimate(fitted.delay, 0.0 if delay is not None else float(errors[-1]) * DELAY_UNIT)
 
     def estimate(value: float, index: int) -> Estimate:
@@ -203,7 +203,7 @@ def _response_fit(
 def _lags(
     recording: Recording, throttle: Array, rows: NDArray[np.intp], slopes: Array, shown: NDArray[np.bool_]
 ) -> tuple[float, float]:
-    """Median time up and down to 63 % of the way from one held speed to the next [s]."""
+    """Compute the median time up and down to 63 % of the way from one held speed to the next [s]."""
     speed = without_spikes(recording.speed, recording.starts)
     lags: dict[bool, list[float]] = {True: [], False: []}
     for row, end in zip(rows, np.append(rows[1:], len(speed)), strict=True):

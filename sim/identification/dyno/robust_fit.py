@@ -29,7 +29,7 @@ def robust_fit(
     bounds: tuple[Array, Array] | None = None,
     evaluations: int = 60,
 ) -> tuple[Array, float, Array]:
-    """Parameters, cost and covariance at the least soft-L1 loss of residuals whose noise is `scale`."""
+    """Minimise the soft-L1 loss of residuals whose noise is `scale`: parameters, cost and covariance."""
     result = least_squares(
         residuals,
         start,

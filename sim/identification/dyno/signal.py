@@ -28,13 +28,13 @@ BINS = 12  # of a channel's value, each with its own noise
 
 
 def without_spikes(values: Array, starts: tuple[int, ...] = (0,), rows: int = SPIKE_ROWS) -> Array:
-    """Running median of each run: keeps steps and slopes, removes single outliers."""
+    """Compute the running median of each run: it keeps steps and slopes, and removes single outliers."""
     pieces = np.split(values, starts[1:])
     return np.concatenate([median_filter(piece, rows, mode="nearest") for piece in pieces])
 
 
 def commanded(recording: Recording) -> Array:
-    """Throttle, (N,) 0..1, without slips of the logger and, where it was measured, without most noise."""
+    """Return the throttle, (N,) 0..1, without slips of the logger and, if it was measured, most noise."""
     throttle = without_spikes(recording.throttle, recording.starts)
     if np.quantile(np.abs(recording.throttle - throttle), 0.8) > THROTTLE_NOISE:
         throttle = without_spikes(throttle, recording.starts, CALM_ROWS)
@@ -42,14 +42,14 @@ def commanded(recording: Recording) -> Array:
 
 
 def jumps(recording: Recording) -> NDArray[np.intp]:
-    """Rows at which throttle has just jumped, single slips of the logger left out."""
+    """Return the rows at which throttle has just jumped, without single slips of the logger."""
     throttle = commanded(recording)
     moved = np.flatnonzero(np.abs(np.diff(throttle)) > JUMP) + 1
     return np.setdiff1d(moved, recording.starts)
 
 
 def since_jump(recording: Recording, rows: NDArray[np.intp]) -> Array:
-    """Time since the last jump, or since the run began [s], (N,)."""
+    """Compute the time since the last jump, or since the run began [s], (N,)."""
     marks = np.union1d(rows, recording.starts).astype(int)
     index = np.searchsorted(marks, np.arange(len(recording.time)), side="right") - 1
     since: Array = recording.time - recording.time[marks[index]]
@@ -67,7 +67,7 @@ def settled_rows(recording: Recording, rows: NDArray[np.intp]) -> NDArray[np.boo
 
 
 def transient_rows(recording: Recording, rows: NDArray[np.intp]) -> NDArray[np.bool_]:
-    """Rows shortly after a jump."""
+    """Return the rows shortly after a jump."""
     shown = since_jump(recording, rows) < WINDOW_S
     for start in recording.starts:
         first = rows[rows > start]
@@ -76,7 +76,7 @@ def transient_rows(recording: Recording, rows: NDArray[np.intp]) -> NDArray[np.b
 
 
 def steady_rows(recording: Recording, speed: Array, rows: NDArray[np.intp]) -> NDArray[np.bool_]:
-    """Rows at which the rotor hardly accelerates: thrust and torque of the others lag or carry inertia."""
+    """Return the rows at which the rotor hardly accelerates: others lag or contain inertia."""
     calm: Rows = np.abs(np.gradient(speed, recording.time)) < STEADY * speed.max()
     calm &= since_jump(recording, rows) > SMOOTH_S
     if calm.sum() < 5 * SMOOTH_ROWS:
@@ -85,12 +85,12 @@ def steady_rows(recording: Recording, speed: Array, rows: NDArray[np.intp]) -> N
 
 
 def deviation(values: Array) -> float:
-    """Standard deviation of normal noise from the median of its size: outliers do not count."""
+    """Estimate the standard deviation of normal noise from the median of its size: outliers do not count."""
     return 1.4826 * float(np.median(np.abs(values)))
 
 
 def noise_of(values: Array, starts: tuple[int, ...], full: float) -> float:
-    """Standard deviation of a channel's noise, from how far rows lie from the median of their neighbours."""
+    """Estimate a channel's noise from the distance of rows from the median of their neighbours."""
     return max(deviation(values - _neighbours(values, starts)), NOISE_FLOOR * full)
 
 
@@ -100,7 +100,7 @@ def _neighbours(values: Array, starts: tuple[int, ...]) -> Array:
 
 
 def outliers(values: Array, starts: tuple[int, ...]) -> NDArray[np.bool_]:
-    """Rows far from the median of their neighbours. Noise may grow with value."""
+    """Return the rows far from the median of their neighbours. Noise may grow with value."""
     middle = _neighbours(values, starts)
     away = values - middle
     low, high = float(middle.min()), float(middle.max())
@@ -116,7 +116,7 @@ def outliers(values: Array, starts: tuple[int, ...]) -> NDArray[np.bool_]:
 
 
 def average(values: Array, kept: NDArray[np.bool_], recording: Recording) -> Array:
-    """Running mean over SMOOTH_S of the rows that are kept; `values` are 0 elsewhere."""
+    """Compute the running mean over SMOOTH_S of the rows that are kept; `values` are 0 elsewhere."""
     period = float(np.median(np.diff(recording.time)))
     width = max(SMOOTH_ROWS, round(SMOOTH_S / period))
     pieces = []

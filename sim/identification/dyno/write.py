@@ -97,7 +97,7 @@ def _rounded(value: float) -> float:
 
 
 def _lines(text: str) -> list[tuple[str, str, str]]:
-    """Each line with the table it stands in and the key it assigns, empty where it does not."""
+    """Return each line with the table it stands in and the key it assigns, empty without one."""
     found = []
     table = ""
     for line in text.splitlines(keepends=True):
@@ -110,7 +110,7 @@ def _lines(text: str) -> list[tuple[str, str, str]]:
 
 
 def _renamed(text: str, renames: Renames) -> str:
-    """`text` with other keys on the lines of those in `renames`, their values 0, or without such lines."""
+    """Return `text` with the keys of `renames` renamed, their values 0, or without such lines."""
     lines = []
     for line, table, key in _lines(text):
         names = renames.get(table, {})
@@ -122,7 +122,7 @@ def _renamed(text: str, renames: Renames) -> str:
 
 
 def _expected(text: str, renames: Renames) -> dict[str, object]:
-    """What `_renamed` is to make of `text`, as a document."""
+    """Return the document that `_renamed` should make of `text`."""
     document = tomllib.loads(text)
     for path, names in renames.items():
         table = document
@@ -135,7 +135,7 @@ def _expected(text: str, renames: Renames) -> dict[str, object]:
 
 
 def _with_note(text: str, changes: Changes, data: str) -> str:
-    """`text` that says below [propulsion] which of its numbers were fitted."""
+    """Return `text` with a note below [propulsion] that tells which of its numbers were fitted."""
     keys = [*changes["propulsion"], *(["response"] if len(changes) > 1 else [])]
     shown = "".join(character for character in data if character.isprintable())[:NOTE_MAX]
     note = f"{NOTE}{shown}: {', '.join(keys)}"

@@ -42,14 +42,14 @@ Say = Callable[[str], None]
 
 @dataclass(frozen=True)
 class Betaflight:
-    """What a flight needs."""
+    """The programs that a flight with Betaflight needs."""
 
     program: Path  # the SITL
     clock: Path  # clock.c as a library
 
 
 def build_betaflight(folder: Path, say: Say) -> Betaflight:
-    """Betaflight in `folder`, fetched and built unless it is there; `say` gets each stage's name.
+    """Fetch and build Betaflight in `folder` if it is missing; `say` gets each stage's name.
 
     Raises BuildError, one line, when something is missing or fails; what is there stays.
     """
@@ -65,12 +65,12 @@ def build_betaflight(folder: Path, say: Say) -> Betaflight:
 
 
 def is_built(folder: Path) -> bool:
-    """Whether `build_betaflight` has nothing to do in `folder`."""
+    """Return True if `build_betaflight` has nothing to do in `folder`."""
     return all(place.is_file() for place in _places(folder))
 
 
 def _places(folder: Path) -> tuple[Path, Path]:
-    """Where the program and the clock lie."""
+    """Return the paths of the program and the clock."""
     clock = f"clock-{hashlib.sha256(CLOCK.read_bytes()).hexdigest()[:12]}.so"
     return folder / f"betaflight-{VERSION}-sitl", folder / clock
 

@@ -103,7 +103,7 @@ class ArmedBetaflight:
         return self.port.process
 
     def _arm(self) -> int:
-        """Samples until it has armed."""
+        """Arm it; return the samples until then."""
         rate = self.gyro_rate_hz
         off, on = (sticks.channels((0.0, 0.0, 0.0), 0.0, armed=armed).tolist() for armed in (False, True))
         every, period = math.ceil(FRAME_S * rate), round(SWITCH_PERIOD_S * rate)
@@ -176,7 +176,7 @@ class BetaflightFleet:
         self._end.close()
 
     def exchange(self, raw: NDArray[np.int16], channels: NDArray[np.uint16] | None) -> NDArray[np.float64]:
-        """Motor fractions (N, M) that follow on a sample with the gyro counts `raw` (N, 3).
+        """Return motor fractions (N, M) that follow on a sample with the gyro counts `raw` (N, 3).
 
         channels: (N, CHANNEL_COUNT) [us], a receiver frame for each; None: none. The other sensors are the
         twin's. Raises LinkError when one of them fails.
@@ -202,9 +202,9 @@ class BetaflightFleet:
 
 
 def wire_rates(raw: NDArray[np.int16]) -> NDArray[np.float64]:
-    """Rates [rad/s] (N, 3), in the axes of the wire, that Betaflight makes the counts `raw` (N, 3) of.
+    """Compute rates [rad/s] (N, 3), in the wire's axes, that Betaflight converts to the counts `raw` (N, 3).
 
-    In the middle of those that it makes a count of; 0 of 0.
+    They lie in the middle of the rates that give this count; 0 for a count of 0.
     """
     number = raw.astype(np.float64)
     rates: NDArray[np.float64] = (number + 0.5 * np.sign(number)) * (WIRE_RATE_PER_COUNT * _WIRE_SIGNS)
@@ -212,7 +212,7 @@ def wire_rates(raw: NDArray[np.int16]) -> NDArray[np.float64]:
 
 
 def dshot_of_widths(widths: NDArray[np.float32]) -> NDArray[np.uint16]:
-    """DShot values of pulse widths [us], any shape: 0 where a motor stops."""
+    """Compute DShot values of pulse widths [us], any shape: 0 for a stopped motor."""
     fraction = np.clip((widths.astype(np.float64) - STOP_US) / (FULL_US - STOP_US), 0.0, 1.0)
     value = DSHOT_MIN + np.floor(DSHOT_SPAN * fraction + 0.5)
     return np.where(fraction > 0.0, value, DSHOT_STOP).astype(np.uint16)

@@ -76,7 +76,7 @@ CORNERS = ((-1, -1), (1, -1), (-1, 1), (1, 1))  # signs of x and y of the first 
 
 @dataclass(frozen=True)
 class Frame:
-    """Where motors stand and how they turn, of one of its mixers."""
+    """The places and turning directions of motors in one of its mixers."""
 
     settings: tuple[str, ...]  # that choose the mixer
     signs: tuple[tuple[int, int], ...]  # of x and y, by motor
@@ -176,12 +176,12 @@ class BetaflightPort:
         self._samples += count
 
     def _hear(self, channels: NDArray[np.uint16]) -> None:
-        """Take in a receiver frame."""
+        """Process a receiver frame."""
         self._setpoint = sticks.setpoint(channels)
         self._throttle = float(sticks.throttle(channels[None])[0])
 
     def _unbiased(self, raw: NDArray[np.int16]) -> NDArray[np.int32]:
-        """Counts less the gyro's bias, which is 0 until it is known."""
+        """Subtract the gyro's bias from counts; it is 0 until it is known."""
         if self._samples < self._calibration:
             self._sum += raw
         elif self._samples == self._calibration:
@@ -200,7 +200,7 @@ class BetaflightPort:
 
 
 def aircraft_settings(aircraft: Aircraft) -> tuple[str, ...]:
-    """SETTINGS and what the aircraft's motors need. Raises AircraftError unless one of FRAMES is its own."""
+    """Return SETTINGS and those for the aircraft's motors. Raises AircraftError if no FRAMES fits."""
     places = aircraft.rotor_positions[:, :2]
     signs = np.sign(np.where(np.abs(places) < CENTRED_M, 0.0, places))
     frame = FRAMES.get(aircraft.motor_count)
@@ -215,7 +215,8 @@ def aircraft_settings(aircraft: Aircraft) -> tuple[str, ...]:
 
 
 def configured(process: BetaflightProcess, settings: Sequence[str], tune: Tune | None = None) -> bytes:
-    """EEPROM file of a freshly started Betaflight after `settings`, lines of its command line, and a pilot's.
+    """Return the EEPROM file of a fresh Betaflight after `settings`, lines of its command line, and a
+    pilot's.
 
     The process has ended afterwards. Raises LinkError naming the line that it refuses.
     """
@@ -230,7 +231,7 @@ def configured(process: BetaflightProcess, settings: Sequence[str], tune: Tune |
 
 
 def state_packet(time_s: float, raw: NDArray[np.integer], sample: Sample) -> bytes:
-    """A state packet from which Betaflight makes the gyro counts `raw` (3,) and the sample's forces.
+    """Return a state packet from which Betaflight makes the gyro counts `raw` (3,) and the sample's forces.
 
     It reads rates in forward, right, down and scales them to counts of its own, dropping fractions; it
     negates all three forces.
@@ -241,7 +242,7 @@ def state_packet(time_s: float, raw: NDArray[np.integer], sample: Sample) -> byt
 
 
 def _wire_rate(count: int) -> float:
-    """A rate [rad/s] in the middle of those that Betaflight makes `count` of; 0 of 0."""
+    """Compute a rate [rad/s] in the middle of those that Betaflight converts to `count`; 0 for 0."""
     return math.copysign(abs(count) + 0.5, count) * WIRE_RATE_PER_COUNT if count else 0.0
 
 
@@ -258,7 +259,7 @@ def dshot_values(packet: bytes, motors: int) -> NDArray[np.uint16]:
 
 
 def _dshot_value(width_us: float) -> int:
-    """The DShot value of a pulse width [us]."""
+    """Compute the DShot value of a pulse width [us]."""
     fraction = min(max((width_us - STOP_US) / (FULL_US - STOP_US), 0.0), 1.0)
     return int(DSHOT_MIN + math.floor(DSHOT_SPAN * fraction + 0.5)) if fraction > 0 else DSHOT_STOP
 

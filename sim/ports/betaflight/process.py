@@ -95,11 +95,11 @@ class BetaflightProcess:
         self.now_ns = limit
 
     def send_state(self, packet: bytes) -> None:
-        """Have a state packet taken in before the next run; one for each."""
+        """Send a state packet, which is processed before the next run; one for each run."""
         self._state = packet
 
     def send_receiver(self, packet: bytes) -> None:
-        """Have a receiver packet taken in before the next run; one for each."""
+        """Send a receiver packet, which is processed before the next run; one for each run."""
         self._receiver = packet
 
     @property
@@ -108,7 +108,7 @@ class BetaflightProcess:
         return self._process.pid
 
     def copy(self) -> socket.socket:
-        """A child of it, as it stands there: the simulator's end of the child's own socket.
+        """Copy the process at its present state; returns the simulator's end of the copy's own socket.
 
         The child has run to `now_ns` like it and has no serial ports; it ends with its socket. Raises
         LinkError.
@@ -132,16 +132,16 @@ class BetaflightProcess:
         return ours
 
     def servo_packets(self) -> list[bytes]:
-        """Servo packets that it sent since the last call, oldest first."""
+        """Return the servo packets sent since the last call, oldest first."""
         packets, self._servo = self._servo, []
         return packets
 
     def open_line(self) -> BetaflightLine:
-        """Its first serial port: MSP and, after a `#`, the command line. Raises LinkError."""
+        """Open its first serial port: MSP and, after a `#`, the command line. Raises LinkError."""
         return BetaflightLine(self)
 
     def restarted(self) -> bytes:
-        """Await that it ends by itself, as it does to restart; returns its settings. Raises LinkError."""
+        """Wait until it ends by itself, as it does to restart; return its settings. Raises LinkError."""
         deadline = time.monotonic() + END_S
         while self._process.poll() is None and time.monotonic() < deadline:
             with contextlib.suppress(LinkError):
@@ -151,7 +151,7 @@ class BetaflightProcess:
         return (self._folder / EEPROM).read_bytes()
 
     def lost(self, what: str) -> LinkError:
-        """Error of a failure: what happened, the exit status if it ended, the last line of its errors."""
+        """Return the error of a failure: what happened, the exit status, the last line of its errors."""
         with contextlib.suppress(subprocess.TimeoutExpired):
             what += f"; it ended with {self._process.wait(LAST_WORDS_S)}"
         end = self._errors.seek(0, os.SEEK_END)
@@ -204,7 +204,10 @@ class BetaflightProcess:
                 self.ports[port] = value
 
     def _next_report(self) -> bytes:
-        """The next report. The processor is kept, and lent to others, only while they come within SPIN_NS."""
+        """Return the next report.
+
+        The processor is kept busy while reports come within SPIN_NS, and otherwise left to others.
+        """
         began = time.perf_counter_ns()
         while self._spins and time.perf_counter_ns() - began < SPIN_NS:
             try:
@@ -216,14 +219,14 @@ class BetaflightProcess:
         return report
 
     def _end(self) -> None:
-        """End its process group."""
+        """Kill its process group."""
         with contextlib.suppress(ProcessLookupError):
             os.killpg(self._process.pid, signal.SIGKILL)
         self._process.wait()
 
 
 def timeval(seconds: float) -> bytes:
-    """A time of the system's, struct timeval."""
+    """Encode a struct timeval."""
     return struct.pack("ll", int(seconds), round(seconds % 1 * 1e6))
 
 

@@ -68,7 +68,7 @@ class Tune:
 
 
 def tune_path(which: str, aircraft: str) -> Path:
-    """The file of the settings `which`, a path or `tuned`; aircraft: a shipped name or the path of a file."""
+    """Return the file of the settings `which`, a path or `tuned`; aircraft: a shipped name or a path."""
     if which != TUNED:
         return Path(which)
     path = aircraft_file(aircraft).with_suffix(SUFFIX)
@@ -118,14 +118,14 @@ def read_tune(path: Path, name: str | None = None) -> Tune:
 
 
 def tune_text(settings: Mapping[str, int | str], comment: Iterable[str]) -> str:
-    """The content of a file for `read_tune` and Betaflight's app; comment: its first lines."""
+    """Return the content of a file for `read_tune` and Betaflight's app; comment: its first lines."""
     lines = [HEADER, *(f"# {line}" for line in comment)]
     lines += [f"set {name} = {value}" for name, value in settings.items()]
     return "\n".join(lines) + "\n"
 
 
 def _flown(lines: Iterable[Line]) -> list[Line]:
-    """The lines outside profiles, then those of the profile that is chosen last."""
+    """Return the lines outside profiles, then those of the profile that is chosen last."""
     common: list[Line] = []
     profiles: dict[str, list[Line]] = {}
     section, chosen = common, "0"

@@ -11,7 +11,7 @@ import pytest
 from neuroflight.cli.main import main
 from neuroflight.flash.betaflight.diff_file import read_diff
 from neuroflight.flash.betaflight.plan import fitted, needed
-from neuroflight.flash.betaflight.planner import make_plan
+from neuroflight.flash.betaflight.planner import plan_import
 from neuroflight.flash.client import Client
 from neuroflight.flash.msp import Decoder, Message, encode
 from neuroflight.flash.records import safety
@@ -196,7 +196,7 @@ def asked_for(client: Client, diff: Path, board: str = "HOST") -> tuple[Settings
     """Return a firmware's settings, and which of them the file would change."""
     settings = Settings(client)
     present = {stored.name: stored.value for stored in settings.read()}
-    return settings, needed(fitted(make_plan(read_diff(diff), board, present), settings), present)
+    return settings, needed(fitted(plan_import(read_diff(diff), board, present), settings), present)
 
 
 def test_it_arms_nothing_and_turns_no_motor(booted: Lockstep, diff: Path) -> None:

@@ -11,15 +11,15 @@ import pytest
 
 from neuroflight.flash.betaflight.diff_file import read_diff
 from neuroflight.flash.betaflight.motor_order import OUTPUT_PINS
-from neuroflight.flash.betaflight.plan import Plan
-from neuroflight.flash.betaflight.planner import make_plan
+from neuroflight.flash.betaflight.plan import ImportPlan
+from neuroflight.flash.betaflight.planner import plan_import
 from neuroflight.flash.setting_text import default_of, value_text
 from neuroflight.toolchain.contract import SETTINGS
 from neuroflight.toolchain.errors import LinkError
 
 ROOT = Path(__file__).resolve().parents[3]
 DEFAULTS = {setting.name: default_of(setting) for setting in SETTINGS}
-Make = Callable[..., Plan]
+Make = Callable[..., ImportPlan]
 
 
 def header(version: str = "4.2.0", board: str = "MATEKF722") -> str:
@@ -37,15 +37,15 @@ def make(tmp_path: Path) -> Make:
         here: str = "MATEKF722",
         rate_profile: int | None = None,
         **present: float | str,
-    ) -> Plan:
+    ) -> ImportPlan:
         file = tmp_path / "diff.txt"
         file.write_text(header(version, board) + text)
-        return make_plan(read_diff(file), here, DEFAULTS | present, rate_profile)
+        return plan_import(read_diff(file), here, DEFAULTS | present, rate_profile)
 
     return make
 
 
-def changes(plan: Plan) -> dict[str, str]:
+def changes(plan: ImportPlan) -> dict[str, str]:
     """Return the changes as text, without the motors' order, which every file of the same board changes."""
     return {
         name: value_text(name, value)
@@ -54,7 +54,7 @@ def changes(plan: Plan) -> dict[str, str]:
     }
 
 
-def left(plan: Plan) -> dict[str, str]:
+def left(plan: ImportPlan) -> dict[str, str]:
     return {one.line.text: one.reason for one in plan.left}
 
 
@@ -275,7 +275,7 @@ def test_the_pilot_is_told_of_a_switch_that_means_another_thing_now(make: Make) 
 
 
 # --- Rates --------------------------------------------------------------------------------------------------
-def rates(plan: Plan) -> list[str]:
+def rates(plan: ImportPlan) -> list[str]:
     names = [
         "rates_style",
         *(f"{axis}_{what}" for axis in ("roll", "pitch", "yaw") for what in ("rate", "max", "expo")),

@@ -35,7 +35,7 @@ def asked(kind: str, rc: int, top: int, expo: int, x: float, quick: bool = False
 
 
 def flown(style: Style, axis: str, x: float) -> float:
-    """Return deg/s of this firmware, as docs/settings.md gives the formulas."""
+    """Return deg/s of this firmware, as docs/reference/settings.md gives the formulas."""
     rate, top, e = (style.values[f"{axis}_{what}"] for what in ("rate", "max", "expo"))
     if style.name == "betaflight":
         counted = rate + 14.54 * max(rate - 2, 0)

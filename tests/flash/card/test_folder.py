@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from neuroflight.flash.card.files import carry_out, file_name, make_plan
+from neuroflight.flash.card.files import carry_out, file_name, plan_files
 from neuroflight.flash.card.folder import FolderCard
 from neuroflight.flash.card.place import check_device, check_folder, disks_of, open_card, read_mounts
 from neuroflight.toolchain.errors import CardError
@@ -43,7 +43,7 @@ def blocks(tmp_path: Path) -> Path:
 
 def test_files_are_made_kept_and_emptied(tmp_path: Path) -> None:
     card = FolderCard(tmp_path, None)
-    plan = make_plan(card.files(), 10 * SIZE, SIZE, 3)
+    plan = plan_files(card.files(), 10 * SIZE, SIZE, 3)
     files = carry_out(card, plan, lambda *_: None)
     assert [(f.name, f.bytes, f.blank, f.whole) for f in files] == [
         (file_name(k), SIZE, True, None) for k in (1, 2, 3)

@@ -11,7 +11,7 @@ import pytest
 
 from neuroflight.flash.card.copies import copy_of
 from neuroflight.flash.card.fat32 import Fat32
-from neuroflight.flash.card.files import Progress, carry_out, make_plan
+from neuroflight.flash.card.files import Progress, carry_out, plan_files
 from neuroflight.flash.card.image import ImageCard
 from neuroflight.flash.card.place import open_card
 from neuroflight.toolchain.errors import CardError
@@ -25,7 +25,7 @@ def ignore(*_: object) -> None:
 
 
 def prepare(card: ImageCard, files: int | None, progress: Progress = ignore) -> list[str]:
-    plan = make_plan(card.files(), card.free_bytes(), MEBIBYTE, files)
+    plan = plan_files(card.files(), card.free_bytes(), MEBIBYTE, files)
     carry_out(card, plan, progress)
     return plan.names
 

@@ -8,7 +8,7 @@ from neuroflight.flash.client import Client
 from neuroflight.flash.image.board import check_ready, read_board
 from neuroflight.flash.image.files import ImageFile
 from neuroflight.flash.image.install import Installation, Installed
-from neuroflight.flash.image.plan import make_plan
+from neuroflight.flash.image.plan import plan_install
 from neuroflight.flash.image.settings_kept import read_settings
 from neuroflight.flash.policy import swap as swaps
 from neuroflight.sim.board.board import Board
@@ -61,7 +61,7 @@ class Wired:
         client = self.client()
         state = read_board(client)
         check_ready(state)
-        plan = make_plan(state, file)
+        plan = plan_install(state, file)
         settings = read_settings(client)
         installation = Installation(
             client, plan, self.transport, lambda *step: None, lambda: self.seconds, self.sleep

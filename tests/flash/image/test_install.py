@@ -13,7 +13,7 @@ from neuroflight.flash.client import Client
 from neuroflight.flash.image.board import check_ready, read_board
 from neuroflight.flash.image.files import Image, ImageFile, Policy
 from neuroflight.flash.image.install import Installation, Installed, Stage
-from neuroflight.flash.image.plan import make_plan
+from neuroflight.flash.image.plan import plan_install
 from neuroflight.flash.image.settings_kept import read_settings
 from neuroflight.flash.image.trial import Ending
 from neuroflight.flash.transport import Transport
@@ -64,7 +64,7 @@ class Tried:
         client = Client(self.line, self.line.clock)
         state = read_board(client)
         check_ready(state)
-        plan = make_plan(state, file, keep_policy=keep_policy)
+        plan = plan_install(state, file, keep_policy=keep_policy)
         self.settings = read_settings(client)
         self.installation = Installation(
             client, plan, self.reopen, lambda *step: self.steps.append(step), self.line.clock, board.advance

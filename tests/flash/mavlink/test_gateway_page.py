@@ -1,4 +1,4 @@
-"""docs/gateway.md: its tables are true, and its example flies."""
+"""docs/guides/gateway.md: its tables are true, and its example flies."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from neuroflight.flash.mavlink.streams import DEFAULT_HZ
 from neuroflight.toolchain.contract import SETTINGS
 from tests.flash.mavlink.conftest import LOOPBACK, MakeLockstep
 
-PAGE = Path(__file__).resolve().parents[3] / "docs" / "gateway.md"
+PAGE = Path(__file__).resolve().parents[3] / "docs" / "guides" / "gateway.md"
 ANSWER_S = 10.0  # how long the example may take for one setpoint before the test fails
 SETPOINT = mavlink.MAVLINK_MSG_ID_SET_ATTITUDE_TARGET.to_bytes(3, "little")  # where a packet has its number
 

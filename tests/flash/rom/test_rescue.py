@@ -11,7 +11,7 @@ import pytest
 from neuroflight.flash import messages
 from neuroflight.flash.restart import enter_rom
 from neuroflight.flash.rom.client import NoBootLoaderError, RefusedError, RomClient
-from neuroflight.flash.rom.rescue import Plan, install, make_plan, start, verify
+from neuroflight.flash.rom.rescue import FlashPlan, install, plan_flash, start, verify
 from neuroflight.flash.rom.segments import Segment, read_segments
 from neuroflight.flash.transport import Transport
 from neuroflight.sim.board.peripherals.flash import Cut
@@ -27,7 +27,7 @@ from neuroflight.toolchain.errors import LinkError
 from neuroflight.toolchain.image.elf import read_flashable
 from tests.flash.rom.conftest import BANK, BOOT, SLOT_B, SMALL, Rig, flash_with
 
-PLAN = make_plan(SMALL)
+PLAN = plan_flash(SMALL)
 FULL = bytes(i % 251 + 1 for i in range(FLASH_BYTES))  # a chip in use
 
 
@@ -83,12 +83,12 @@ def stall(position: int) -> Callable[[bytes], bytes]:
     return cut
 
 
-def put(client: RomClient, plan: Plan = PLAN) -> None:
+def put(client: RomClient, plan: FlashPlan = PLAN) -> None:
     client.connect()
     install(client, plan)
 
 
-def failure(client: RomClient, plan: Plan = PLAN) -> str:
+def failure(client: RomClient, plan: FlashPlan = PLAN) -> str:
     """The one line in which an installation ends."""
     with pytest.raises(LinkError) as caught:
         put(client, plan)
@@ -108,7 +108,7 @@ def test_the_rom_takes_an_image_when_msp_asked_the_firmware_for_it(board_image: 
         rig = Rig(idle)
         with rig.client() as rom:
             assert rom.connect().product_id == 0x452
-            verify(rom, make_plan(read_segments(board_image.with_suffix(".hex"))))
+            verify(rom, plan_flash(read_segments(board_image.with_suffix(".hex"))))
         rig.idle.board.reset()
         idle.boot()
         with idle.client() as client:
@@ -121,7 +121,7 @@ def test_the_image_flies_its_loop_when_an_erased_chip_gets_it(
 ) -> None:
     chip = rig()
     said: list[tuple[str, int, int]] = []
-    plan = make_plan(read_segments(board_image.with_suffix(".hex")))
+    plan = plan_flash(read_segments(board_image.with_suffix(".hex")))
     with chip.client() as client:
         assert client.connect().product_id == 0x452
         begin = chip.idle.board.cycle
@@ -145,7 +145,7 @@ def test_other_sectors_stay_when_an_image_is_put_on_a_chip_in_use(
     rig: Callable[..., Rig], all_banks: bool, erased: tuple[int, ...]
 ) -> None:
     chip = rig(FULL)
-    plan = make_plan(SMALL, erase_bank_b=all_banks)
+    plan = plan_flash(SMALL, erase_bank_b=all_banks)
     assert plan.sectors == erased and set(plan.kept) == set(range(8)) - set(erased)
     put(chip.client(), plan)
     under = bytearray(FULL)
@@ -175,7 +175,7 @@ def test_words_are_filled_up_when_segments_begin_and_end_within_them() -> None:
         Segment(FLASH_BASE + 0x105, b"d"),
         Segment(FLASH_BASE + 0x107, b"efg"),
     )
-    assert make_plan(segments).segments == (
+    assert plan_flash(segments).segments == (
         Segment(FLASH_BASE, BOOT),
         Segment(FLASH_BASE + 0x100, b"\xffabc"),
         Segment(FLASH_BASE + 0x104, b"\xffd\xffefg\xff\xff"),

@@ -38,7 +38,9 @@ from neuroflight.toolchain.errors import AircraftError
 from neuroflight.toolchain.policy.model import AIRCRAFT_NAME
 
 NF1 = (FOLDER / "nf1.toml").read_text()
-GUIDE = (Path(__file__).parents[3] / "docs" / "own-aircraft.md").read_text()
+DOCS = Path(__file__).parents[3] / "docs"
+GUIDE = (DOCS / "guides" / "own-aircraft.md").read_text()
+KEYS = (DOCS / "reference" / "aircraft.md").read_text()
 FRAME_INERTIA = "inertia_kg_m2 = [1.6783e-4, 1.1834e-4, 2.7257e-4]"
 
 
@@ -533,7 +535,7 @@ def test_guide_lists_every_key_with_its_range_and_default_when_compared_with_the
         assert isinstance(parse_aircraft(text.encode(), "mine", tmp_path), Aircraft)
     other_pids = {name for name in asked if name.startswith("pid.") and not name.startswith("pid.NAME.")}
     row = r"^\| `([\w.]+)` \|[^|]*\|([^|]*)\|([^|]*)\|[^|]*\|$"  # key, unit, range, default, meaning
-    rows = re.findall(row, GUIDE, re.MULTILINE)
+    rows = re.findall(row, KEYS, re.MULTILINE)
     guide = {key: (plain(allowed.strip()), default.strip()) for key, allowed, default in rows}
     assert len(guide) == len(rows)
     assert set(guide) == set(asked) - other_pids

@@ -10,7 +10,7 @@ import matplotlib.image
 import numpy as np
 import pytest
 
-from neuroflight.sim.analysis.flight_report import Flight, draw, save_plot, save_report, table
+from neuroflight.sim.analysis.flight_report import Flight, draw_flights, save_plot, save_report, table
 from neuroflight.sim.analysis.metrics import figures
 from neuroflight.sim.flight.trace import Trace
 
@@ -59,7 +59,7 @@ def test_armed_is_the_part_before_the_motors_stopped_when_the_receiver_was_lost(
 
 
 def test_plot_shows_setpoint_and_rates_of_each_flight_when_drawn() -> None:
-    picture = draw([make_flight("firmware"), make_flight("PID")], "title")
+    picture = draw_flights([make_flight("firmware"), make_flight("PID")], "title")
     roll, pitch, yaw, error, motors = picture.axes
     assert [line.get_label() for line in roll.lines] == ["setpoint", "firmware", "PID"]
     assert np.asarray(roll.lines[1].get_ydata())[-1] == pytest.approx(98)
@@ -72,7 +72,7 @@ def test_plot_shows_setpoint_and_rates_of_each_flight_when_drawn() -> None:
 
 
 def test_plot_shows_the_beginning_when_the_flight_is_long() -> None:
-    picture = draw([make_flight("firmware", 20_000)], "title")
+    picture = draw_flights([make_flight("firmware", 20_000)], "title")
     assert np.asarray(picture.axes[0].lines[0].get_xdata())[-1] == pytest.approx(13.5, abs=0.01)
 
 

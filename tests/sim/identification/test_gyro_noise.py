@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from neuroflight.sim.aircraft.model import Gyro
 from neuroflight.sim.identification.gyro_noise import aircraft_keys, allan_deviation, doubts, measure_noise
-from neuroflight.sim.identification.gyro_noise_plot import draw
+from neuroflight.sim.identification.gyro_noise_plot import draw_noise
 from neuroflight.sim.identification.recording import Recording
 from neuroflight.sim.physics.imu import GyroModel, quantised_rate
 from neuroflight.toolchain.errors import TraceError
@@ -200,7 +200,7 @@ def test_record_is_refused_when_an_axis_is_stuck() -> None:
 def test_plot_has_two_panels_a_sensor_when_drawn() -> None:
     force = np.random.default_rng(8).standard_normal((COUNT, 3))
     recording = record(white(), acceleration=force)
-    figure = draw(measure_noise(recording), recording, "at rest")
+    figure = draw_noise(measure_noise(recording), recording, "at rest")
     titles = [panel.get_title(loc="left") for panel in figure.axes]
     assert titles == [
         "gyro, Allan deviation",
@@ -215,7 +215,7 @@ def test_plot_is_drawn_when_one_sample_is_far_out() -> None:
     samples = white()
     samples[5, 0] = 1e9
     recording = record(samples)
-    histogram = draw(measure_noise(recording), recording, "glitch").axes[1]
+    histogram = draw_noise(measure_noise(recording), recording, "glitch").axes[1]
     assert len(histogram.patches) == 3
     corners = [len(np.asarray(outline.get_path().vertices)) for outline in histogram.patches]
     assert max(corners) < 500  # as many bins as ever, however far the slip lies

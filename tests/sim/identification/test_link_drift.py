@@ -21,7 +21,7 @@ from neuroflight.sim.identification.link_drift import (
     onset,
     worst_by_rate,
 )
-from neuroflight.sim.identification.link_drift_plot import draw, draw_map
+from neuroflight.sim.identification.link_drift_plot import draw_drift, draw_map
 from neuroflight.sim.physics.twin import Twin
 from neuroflight.sim.physics.world import Mount
 from neuroflight.toolchain.errors import AircraftError
@@ -144,7 +144,7 @@ def test_worst_is_taken_in_each_interval_when_rates_are_scattered() -> None:
 
 
 def test_plot_names_each_run_when_drawn(runs: dict[tuple[str, float], Drift]) -> None:
-    panel = draw(list(runs.values()), "title").axes[0]
+    panel = draw_drift(list(runs.values()), "title").axes[0]
     names = [text.get_text() for text in panel.get_legend().get_texts()]  # type: ignore[union-attr]
     assert names == [f"{f}, {ms:g} ms" for f in FORMULATIONS for ms in STEPS_MS]
     assert panel.get_ylabel() == "drift of a propeller, mm"

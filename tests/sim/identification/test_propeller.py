@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from neuroflight.sim.identification.propeller import doubts, fit_propeller, read_measurements
-from neuroflight.sim.identification.propeller_plot import draw
+from neuroflight.sim.identification.propeller_plot import draw_coefficients
 from neuroflight.sim.identification.propeller_tables import Measurements
 from neuroflight.toolchain.errors import DynoError
 
@@ -126,7 +126,7 @@ def test_measurements_that_show_no_curve_are_refused() -> None:
 
 
 def test_plot_draws_both_coefficients() -> None:
-    left, right = draw(fit_propeller(measured(0.01, last=0.6)), "prop").axes
+    left, right = draw_coefficients(fit_propeller(measured(0.01, last=0.6)), "prop").axes
     assert left.get_title(loc="left").startswith("C_T = 0.1")
     assert right.get_title(loc="left").startswith("C_Q = 0.01")
     assert len(left.lines) == 3

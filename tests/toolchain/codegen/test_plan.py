@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from neuroflight.toolchain.codegen.kernel_calls import Call
-from neuroflight.toolchain.codegen.plan import Plan, lower
+from neuroflight.toolchain.codegen.plan import CodePlan, lower
 from neuroflight.toolchain.contract import observation_blocks
 from neuroflight.toolchain.ir.activation_tables import TANH
 from neuroflight.toolchain.ir.lanes import LANES
@@ -43,7 +43,7 @@ def policy(kit: Kit) -> PolicyModel:
     return kit.compiled(kit.mlp((6, 11, 4))).policy
 
 
-def lowered(policy: PolicyModel, network: Network | None = None) -> Plan:
+def lowered(policy: PolicyModel, network: Network | None = None) -> CodePlan:
     return lower(policy, network or policy.network)
 
 

@@ -30,7 +30,7 @@ from neuroflight.toolchain.policy.blob import (
 from neuroflight.toolchain.policy.model_constants import ModelConstants
 from neuroflight.toolchain.rendering.contract_header import blob_header_fields
 
-PAGE = Path(__file__).resolve().parents[3] / "docs" / "policy-blob.md"
+PAGE = Path(__file__).resolve().parents[3] / "docs" / "reference" / "policy-blob.md"
 HEADER_BYTES = 584
 WEIGHTS = np.array([1.5, -0.0, 1e-45, 3.4028235e38, -2.0], np.float32)
 OBSERVATION = np.array([[0, np.nan, np.inf, -np.inf, 1e-45, -0.0], [1, 2, 3, 4, 5, 6]], np.float32)

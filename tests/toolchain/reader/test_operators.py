@@ -311,7 +311,7 @@ def test_clip_is_added_when_the_last_activation_is_bounded(kit: Kit, name: str) 
 
 
 def test_page_names_every_operator_when_it_is_read() -> None:
-    page = (Path(__file__).resolve().parents[3] / "docs" / "policies.md").read_text()
+    page = (Path(__file__).resolve().parents[3] / "docs" / "guides" / "policies.md").read_text()
     words = set(re.findall(r"\w+", page.partition("## What is read")[2].partition("##")[0]))
     assert not KNOWN - words - {"Constant"}
 

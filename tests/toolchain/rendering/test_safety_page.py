@@ -1,4 +1,4 @@
-"""docs/safety.md is written by hand: the tables that a pilot has in the field are held to the contract."""
+"""docs/explanation/safety.md is written by hand: its tables for the field are held to the contract."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 
 from neuroflight.toolchain.contract import ARMING_COUNTS, ArmingReason
 
-PAGE = Path(__file__).resolve().parents[3] / "docs" / "safety.md"
+PAGE = Path(__file__).resolve().parents[3] / "docs" / "explanation" / "safety.md"
 TOLD_OTHERWISE = {"RECEIVER_LOST", "FAULT", "CRASHED"}  # by rhythms of their own
 
 

@@ -10,7 +10,7 @@ from neuroflight.sim.aircraft.model import load_aircraft
 from neuroflight.sim.plotting import png
 from neuroflight.toolchain.errors import TrainingError
 from neuroflight.training.checkpoints.metrics import CheckpointMetrics, Spread
-from neuroflight.training.checkpoints.monitor_plot import Monitored, draw, read_monitor
+from neuroflight.training.checkpoints.monitor_plot import Monitored, draw_monitored, read_monitor
 from neuroflight.training.config.selection import SelectionLimits
 from neuroflight.training.config.training_config import TrainingConfig
 from neuroflight.training.runs.checkpoint import MonitorState
@@ -83,7 +83,7 @@ def test_the_plot_has_a_panel_a_figure_and_marks_what_was_chosen() -> None:
         Monitored("seed 2", (metrics(1000, 4.0),), 1000, 0.1, 0.01),
         Monitored("seed 3", (), None, 0.1, 0.01),
     ]
-    figure = draw(runs, "seed 1", "three seeds")
+    figure = draw_monitored(runs, "seed 1", "three seeds")
     assert len(figure.axes) == 4
     tracking = figure.axes[0]
     assert [np.asarray(line.get_xdata()).tolist() for line in tracking.lines] == [[1.0, 2.0], [1.0]]
@@ -98,7 +98,7 @@ def test_the_plot_has_a_panel_a_figure_and_marks_what_was_chosen() -> None:
     ]
     assert png(figure).startswith(b"\x89PNG")
     with pytest.raises(ValueError, match="no readings"):
-        draw(runs[2:], "seed 3", "nothing")
+        draw_monitored(runs[2:], "seed 3", "nothing")
 
 
 def test_several_seeds_are_planned_into_folders_of_their_own(tmp_path: Path) -> None:

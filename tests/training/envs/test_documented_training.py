@@ -1,4 +1,4 @@
-"""docs/gymnasium.md's own lines: Stable-Baselines3's PPO with its defaults learns a policy that flies."""
+"""docs/guides/gymnasium.md's lines: Stable-Baselines3's PPO with its defaults learns a policy that flies."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from neuroflight.cli.main import main
 from neuroflight.toolchain.policy.model import read_policy
 from tests.conftest import ROOT
 
-PAGE = ROOT / "docs" / "gymnasium.md"
+PAGE = ROOT / "docs" / "guides" / "gymnasium.md"
 MAE_MAX_DEG_S = 10.0  # mean of the axes, on 1000 unseen pulses; the first policy of a run has hundreds
 SECONDS_MAX = 3600  # a busy machine has taken a quarter of it
 

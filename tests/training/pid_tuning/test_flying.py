@@ -123,4 +123,4 @@ def test_throttle_gives_the_thrust_and_leaves_room_to_steer() -> None:
     iris = load_aircraft("iris")
     assert throttle_for(iris, 0.0, 0.055) == 0.0
     assert throttle_for(iris, 50.0, 0.055) == flying.THROTTLE_MAX
-    assert throttle_for(NF1, 1.0, 0.055) == pytest.approx(0.229, abs=0.003)  # see docs/which-controller.md
+    assert throttle_for(NF1, 1.0, 0.055) == pytest.approx(0.229, abs=0.003)

@@ -144,14 +144,10 @@ train --aircraft nf1 --config dissertation-5 --set hidden=[32,32] world.mount=ri
 --out {out}'''
 flown = '''
 compare pid {nf5}/policy.onnx --aircraft <hexa|nf1> --mount <centre|rig> --task pulse --episodes <7|100>'''
-[[rows]]
-name = "5.6-x"
-place = "Table 5.6"
-title = "Errors"
-figures = [
-    { what = "network", quote = "5.6/mae", ours = "flown comparison[1].mae", aim = "lower" },
-    { what = "PID", quote = "5.7/mae", ours = "flown comparison[0].mae", aim = "lower" },
-]
+[rows."5.6-x"]
+title = "Table 5.6: Errors"
+"network" = { quote = "5.6/mae", ours = "flown comparison[1].mae", aim = "lower" }
+"PID" = { quote = "5.7/mae", ours = "flown comparison[0].mae", aim = "lower" }
 """
 
 
@@ -193,16 +189,12 @@ minute = "fly --on reference --build x --scenario freestyle --seed 3 --trace {ou
 played = '''
 compare pid {nf4}/policy.onnx --aircraft training/reproduction/iris-4.toml --commands {minute}/flight.npz
 --piece 0'''
-[[rows]]
-name = "4.3"
-place = "Table 4.3"
-title = "Errors"
-figures = [{ what = "MAE", quote = "4.3/mae", ours = "flown mae", aim = "lower" }]
-[[rows]]
-name = "4.9"
-place = "Table 4.9"
-title = "Errors"
-figures = [{ what = "MAE", quote = "4.9/mae", ours = "played comparison[0].mae", aim = "lower" }]
+[rows."4.3"]
+title = "Table 4.3: Errors"
+"MAE" = { quote = "4.3/mae", ours = "flown mae", aim = "lower" }
+[rows."4.9"]
+title = "Table 4.9: Errors"
+"MAE" = { quote = "4.9/mae", ours = "played comparison[0].mae", aim = "lower" }
 """
 
 

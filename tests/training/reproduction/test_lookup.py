@@ -69,26 +69,28 @@ MADE = """
 [steps]
 a = "dyno run --out {out}"
 b = "dyno fit {a}"
-[[rows]]
-name = "3.9-made"
-place = "Table 3.9"
-title = "What is made of the numbers of two steps"
-figures = [
-    { what = "change, %", ours = "a of", against = "b of" },
-    { what = "less, %", ours = "a of", against = "b of", scale = -1 },
-    { what = "product over", ours = "a of", times = "b count", per = "b episodes" },
-    { what = "mean ratio", ours = "a of", per = "b of", mean = "yes" },
-    { what = "ratio of one", ours = "a one", per = "b episodes", scale = 10 },
-    { what = "margin", ours = "a one", margin = "b one", scale = -2 },
-]
+[rows."3.9-made"]
+title = "Table 3.9: What is made of the numbers of two steps"
+"change, %" = { ours = "a of", against = "b of" }
+"less, %" = { ours = "a of", against = "b of", scale = -1 }
+"product over" = { ours = "a of", times = "b count", per = "b episodes" }
+"mean ratio" = { ours = "a of", per = "b of", mean = "yes" }
+"ratio of one" = { ours = "a one", per = "b episodes", scale = 10 }
+"margin" = { ours = "a one", margin = "yes", scale = -2 }
+"margin of a mean" = { ours = "b times.mean", margin = "yes" }
 """
 
 
 def test_a_figure_is_made_of_the_numbers_that_it_names() -> None:
     known: Experiments = parse(MADE, "test")
     outputs = {
-        "a": {"of": [50.0, 110.0, 30.0], "one": 8.0},
-        "b": {"of": [100.0, 100.0, 200.0], "count": [4, 1, 0], "episodes": 10, "one": 3.0},
+        "a": {"of": [50.0, 110.0, 30.0], "one": 8.0, "margin_95": {"one": 3.0}},
+        "b": {
+            "of": [100.0, 100.0, 200.0],
+            "count": [4, 1, 0],
+            "episodes": 10,
+            "times": {"mean": 5.0, "margin": 0.5},
+        },
     }
     kept: dict[str, Kept] = {}
     for name, output in outputs.items():
@@ -101,6 +103,7 @@ def test_a_figure_is_made_of_the_numbers_that_it_names() -> None:
         190 / 400,
         8.0,
         -16.0,
+        5.0,
     ]
     assert [each.value for each in results] == [pytest.approx(value) for value in expected]
-    assert results[-1].margin == pytest.approx(6.0)
+    assert [each.margin for each in results[-2:]] == pytest.approx([6.0, 0.5])

@@ -20,19 +20,13 @@ fly = "compare {train}/policy.onnx --plot {plot}"
 alone = '''
 evaluate pid
   --episodes 5'''
-[[rows]]
-name = "3.9-ppo"
-place = "Table 3.9"
-title = "Rise time: PPO"
+[rows."3.9-ppo"]
+title = "Table 3.9: Rise time: PPO"
 picture = "fly"
-figures = [
-    { what = "m = 1", quote = "3.9/ppo-1", ours = "fly a.b", aim = "lower" },
-    { what = "it", ours = "alone c" },
-]
-[[rows]]
-name = "4.7"
-place = "Table 4.7"
-title = "Real flights"
+"m = 1" = { quote = "3.9/ppo-1", ours = "fly a.b", aim = "lower" }
+"it" = { ours = "alone c" }
+[rows."4.7"]
+title = "Table 4.7: Real flights"
 hardware = "no aircraft"
 """
 
@@ -237,14 +231,10 @@ down = { word = "", label = "Down" }
 [steps]
 "<way>-<m>" = "train <way.word> --set m=<m> <--seeds 2|--seed 4 --seeds 3> --out {out}"
 "<way>-<m>-flown" = "compare pid {<way>-<m>/*} --episodes <2|30>"
-[[rows]]
-name = "3.9-<way>"
-place = "Table 3.9"
-title = "Rise: <way.label>"
-figures = [
-    { what = "m = <m>", quote = "3.9/ppo-<m>", ours = "<way>-<m>-flown a", aim = "lower" },
-    { what = "once", ours = "<way>-1-flown b" },
-]
+[rows."3.9-<way>"]
+title = "Table 3.9: Rise: <way.label>"
+"m = <m>" = { quote = "3.9/ppo-<m>", ours = "<way>-<m>-flown a", aim = "lower" }
+"once" = { ours = "<way>-1-flown b" }
 """
 
 
@@ -272,8 +262,8 @@ def test_a_pattern_stands_for_each_of_its_values() -> None:
         ("<way.word>", "<way.wrd>", "way up has no wrd"),
         ('"3.9-<way>"', '"3.9-x"', "<way> is in no name"),
         (
-            'place = "Table 3.9"',
-            'place = "Table 3.9"\nwhy = { "3.9-left" = "x" }',
+            'title = "Table 3.9: Rise: <way.label>"',
+            'title = "Table 3.9"\nwhy = { "3.9-left" = "x" }',
             "why 3.9-left: no such row",
         ),
     ],
@@ -298,9 +288,11 @@ def test_a_mistake_in_a_pattern_is_named(before: str, after: str, named: str) ->
         ('ours = "alone c"', 'ours = "alone c", aim = "lower"', "no quote to reach"),
         ('quote = "3.9/ppo-1"', 'quote = "3.9/ppo-1", quote_per = "3.12/pid"', "may be 0"),
         ('picture = "fly"', 'picture = "alone"', r"expected a step whose command has {plot}"),
-        ('name = "4.7"', 'name = "3.9-ppo"', "second time"),
-        ('name = "4.7"', 'name = "nine"', "expected such as 3.9"),
-        ('{ what = "it", ours = "alone c" },', "", "alone: no row"),
+        ('rows."4.7"', "rows.nine", "expected such as 3.9"),
+        ('"Table 4.7: Real flights"', '"Real flights"', "expected PLACE: TITLE"),
+        ('hardware = "no aircraft"', 'hardwear = "no aircraft"', "hardwear"),
+        ('hardware = "no aircraft"', "", "4.7.title: 0 figures below it, expected 1 to"),
+        ('"it" = { ours = "alone c" }', "", "alone: no row"),
     ],
 )
 def test_a_mistake_in_the_file_is_named(before: str, after: str, named: str) -> None:

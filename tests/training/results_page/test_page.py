@@ -12,7 +12,14 @@ import pytest
 from neuroflight.cli.main import main
 from neuroflight.sim.aircraft.model import load_aircraft
 from neuroflight.training.results_page.page import render
-from neuroflight.training.results_page.stored_results import ResultsError, Stored, read_commands, read_results
+from neuroflight.training.results_page.stored_results import (
+    ResultsError,
+    Stored,
+    compact,
+    read_commands,
+    read_results,
+)
+from neuroflight.training.results_page.summary import summary
 
 Capture = pytest.CaptureFixture[str]
 Document = dict[str, Any]
@@ -609,7 +616,14 @@ def test_page_is_made_from_the_output_of_the_commands(tmp_path: Path, capsys: Ca
     for name, words in commands.items():
         assert main([*words, "--json"]) == 0
         (tmp_path / f"{name}.json").write_text(capsys.readouterr().out)
-    text = render(read_results(tmp_path))
+    results = read_results(tmp_path)
+    text = render(results)
+    stored = [Stored(each.name, summary(each.name, dict(each.document))) for each in results]
+    assert render(stored) == text
+    assert all(
+        len(compact(short.document)) < len(compact(each.document))
+        for short, each in zip(stored, results, strict=True)
+    )
     for heading in (
         "Pulses, nf1",
         "Episodic task, nf1",
@@ -630,12 +644,17 @@ def command_file(folder: Path, *lines: str) -> None:
     (folder / "commands.txt").write_text("# file and command\n\n" + "\n".join(lines) + "\n")
 
 
-def test_again_repeats_the_commands_of_the_folder(tmp_path: Path, capsys: Capture) -> None:
+def test_again_repeats_the_commands_of_the_folder(
+    tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("neuroflight.cli.training.results.OUTPUTS", tmp_path / "outputs")
     fly = "neuroflight evaluate pid:published --task envelope --seed 3 --episodes"
     command_file(tmp_path, f"a.json {fly} 2", f"b.json {fly} 0")
     words = ["results", "--folder", str(tmp_path), "--out", str(tmp_path / "a.md"), "--again"]
     assert main([*words, "a.json"]) == 0
-    assert json.loads((tmp_path / "a.json").read_text())["episodes"] == 2
+    stored = (tmp_path / "a.json").read_text()
+    assert json.loads(stored)["episodes"] == 2
+    assert len(stored) < len((tmp_path / "outputs/full/a.json").read_text()) / 3
     assert "PID `published`" in (tmp_path / "a.md").read_text()
     (tmp_path / "b.json").write_text("as it was")
     capsys.readouterr()
@@ -668,6 +687,13 @@ def test_again_rejects_invalid_commands_in_one_line(
     assert message in error
     assert error.count("\n") == 1
     assert [path.name for path in tmp_path.iterdir()] == ["commands.txt"]
+
+
+def test_shipped_files_hold_what_the_page_reads_and_no_more() -> None:
+    folder = ROOT / "docs" / "results"
+    for each in read_results(folder):
+        text = compact(summary(each.name, dict(each.document))) + "\n"
+        assert (folder / each.name).read_text() == text, f"neuroflight results --again {each.name}"
 
 
 def test_every_shipped_file_can_be_made_again() -> None:

@@ -11,7 +11,8 @@ from neuroflight.cli.main import main
 from neuroflight.sim.plotting import png
 from neuroflight.training.results_page.page import render
 from neuroflight.training.results_page.stored_results import ResultsError, Stored
-from neuroflight.training.results_page.studies_plot import draw_sizes, points
+from neuroflight.training.results_page.studies import drawn_points
+from neuroflight.training.results_page.studies_plot import draw_sizes
 
 Document = dict[str, Any]
 ROOT = Path(__file__).parents[3]
@@ -111,7 +112,7 @@ def test_a_damaged_study_is_rejected_in_one_line(broken: Stored, message: str) -
 
 
 def test_sizes_are_drawn_by_instructions_and_the_same_each_time() -> None:
-    drawn = points(FOUND)
+    drawn = drawn_points(FOUND)
     assert [point.name for point in drawn] == ["8-8", "64-64", "96-96"]
     assert [point.fits for point in drawn] == [True, True, False]
     assert png(draw_sizes(drawn, "sizes")) == png(draw_sizes(drawn, "sizes"))

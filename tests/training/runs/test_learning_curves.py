@@ -15,7 +15,7 @@ from neuroflight.sim.aircraft.model import load_aircraft
 from neuroflight.toolchain.errors import TrainingError
 from neuroflight.training.config.training_config import TrainingConfig
 from neuroflight.training.runs.learning_curves import curves
-from neuroflight.training.runs.learning_curves_plot import draw
+from neuroflight.training.runs.learning_curves_plot import draw_curves
 from neuroflight.training.runs.rewards import Rewards
 from neuroflight.training.tasks.task import EpisodicTask
 
@@ -81,7 +81,7 @@ def test_a_beginning_far_below_the_rest_leaves_the_picture(
     first: float, lowest: float, tmp_path: Path
 ) -> None:
     run(tmp_path / "a", 1, lambda part: first if part <= 0.02 else -5.0 + 4.0 * part)
-    low, high = draw(curves([tmp_path / "a"], ["a"]), "").axes[0].get_ylim()
+    low, high = draw_curves(curves([tmp_path / "a"], ["a"]), "").axes[0].get_ylim()
     assert lowest - 1.0 < low < lowest + 0.5 and -1.0 < high < 0.0
 
 

@@ -1,39 +1,16 @@
-"""docs/training.md names every key of a configuration."""
+"""docs/guides/training.md has a row for every task and reward, and an example that is one."""
 
-import dataclasses
 import re
 import tomllib
 from pathlib import Path
 
 import pytest
 
-from neuroflight.training.config.algorithms import DdpgConfig, PpoConfig, SacConfig, Td3Config, TrpoConfig
 from neuroflight.training.config.config_file import load_config
-from neuroflight.training.config.randomization import Randomization
-from neuroflight.training.config.training_config import OutputMap, TrainingConfig, WorldConfig
 from neuroflight.training.tasks.registry import TASKS
-from neuroflight.training.tasks.reward import (
-    REWARDS,
-    CalmReward,
-    NormalizedReward,
-    ProgressReward,
-    TrackingReward,
-)
-from neuroflight.training.tasks.task import ContinuousTask, EnvelopeTask, EpisodicTask, PulseTask
+from neuroflight.training.tasks.reward import REWARDS
 
-PAGE = (Path(__file__).parents[3] / "docs" / "training.md").read_text()
-KINDS = (
-    *(TrainingConfig, OutputMap, WorldConfig, Randomization),
-    *(PulseTask, EpisodicTask, EnvelopeTask, ContinuousTask),
-    *(TrackingReward, NormalizedReward, CalmReward, ProgressReward),
-    *(PpoConfig, TrpoConfig, DdpgConfig, Td3Config, SacConfig),
-)
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_the_page_names_every_field(kind: type) -> None:
-    for field in dataclasses.fields(kind):
-        assert re.search(rf"\b{field.name}\b", PAGE), field.name
+PAGE = (Path(__file__).parents[3] / "docs" / "guides" / "training.md").read_text()
 
 
 @pytest.mark.parametrize("name", [*TASKS, *REWARDS])

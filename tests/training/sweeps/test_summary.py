@@ -8,7 +8,7 @@ import pytest
 from neuroflight.sim.plotting import png
 from neuroflight.training.config.training_config import TrainingConfig
 from neuroflight.training.sweeps.config import Trial, Validation
-from neuroflight.training.sweeps.plot import draw
+from neuroflight.training.sweeps.plot import draw_sweep
 from neuroflight.training.sweeps.summary import Run, configurations, pareto
 from neuroflight.training.sweeps.trial import Figure, Outcome
 
@@ -72,7 +72,7 @@ def test_picture_names_every_configuration_when_cycles_are_known_and_when_not(cy
         run(2, 8, 2, 20.0, 0.03, cycles),
         run(3, 32, 1, 2.0, 0.2, cycles),
     ]
-    figure = draw(configurations(runs), "title", Validation())
+    figure = draw_sweep(configurations(runs), "title", Validation())
     texts = {text.get_text() for axes in figure.axes for text in axes.texts}
     assert {"hidden [8]", "hidden [32]", "1", "2"} <= texts
     assert png(figure).startswith(b"\x89PNG")
@@ -80,6 +80,6 @@ def test_picture_names_every_configuration_when_cycles_are_known_and_when_not(cy
 
 def test_picture_is_drawn_when_there_are_more_configurations_than_lines(tmp_path: Path) -> None:
     runs = [run(n, n, 1, 1.0 + n, 0.5 / n, 100.0 * n) for n in range(1, 61)]
-    figure = draw(configurations(runs), "title", Validation())
+    figure = draw_sweep(configurations(runs), "title", Validation())
     assert "and 34 more, in sweep.json" in {text.get_text() for axes in figure.axes for text in axes.texts}
     (tmp_path / "many.png").write_bytes(png(figure))

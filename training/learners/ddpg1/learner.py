@@ -54,7 +54,7 @@ Floats = NDArray[np.float32]
 
 
 class Ddpg1Learner:
-    """See Learner. The replay buffer is part of the state."""
+    """The learner DDPG. The replay buffer is part of the state."""
 
     def __init__(self, aircraft: Aircraft, config: TrainingConfig, ddpg1: Ddpg1Config) -> None:
         self._config, self._ddpg1 = config, ddpg1
@@ -98,21 +98,22 @@ class Ddpg1Learner:
                 rewards, count = 0.0, 0
 
     def outputs(self, observations: Floats) -> Floats:
-        """The deterministic policy's outputs (N, M), in -1..1, for scaled observations (N, n)."""
+        """Compute the deterministic policy's outputs (N, M), in -1..1, for scaled observations (N, n)."""
         normalization = self._observed.normalization
         return self._engine.outputs(self._learnt.parameters, normalization, observations).astype(np.float32)
 
     def values(self, observations: Floats, actions: Floats) -> Floats:
-        """The critic's estimates (N,) of returns from scaled observations (N, n) and actions (N, M) on."""
+        """Estimate, by the critic, returns (N,) from scaled observations (N, n) and actions (N, M) on."""
         normalization, parameters = self._observed.normalization, self._learnt.parameters
         return self._engine.values(parameters, normalization, observations, actions).astype(np.float32)
 
     def _fly(
         self, observation: Floats, perturbations: Floats, rng: np.random.Generator
     ) -> tuple[Floats, float]:
-        """A rollout from `observation` (N, n) on: the observation after it, and the sum of its rewards.
+        """Fly a rollout from `observation` (N, n) on; return the observation after it, and the sum of its
+        rewards.
 
-        perturbations: of each aircraft, (parameters of an actor, N), changed in place where an episode ends.
+        perturbations: of each aircraft, (parameters of an actor, N), changed in place when an episode ends.
         """
         env, replay, normalization = self._env, self._replay, self._observed.normalization
         actor = self._networks.split(self._learnt.parameters)[0]
@@ -151,7 +152,7 @@ class Ddpg1Learner:
         return distance
 
     def _update(self, rng: np.random.Generator) -> dict[str, float]:
-        """All updates that follow a rollout."""
+        """Do all updates that follow a rollout."""
         ddpg1 = self._ddpg1
         rates = ddpg1.actor_learning_rate, ddpg1.learning_rate
         figures, _ = self._engine.update(

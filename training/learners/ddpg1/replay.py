@@ -12,7 +12,7 @@ Floats = NDArray[np.float32]
 
 
 def row_width(inputs: int, motors: int) -> int:
-    """Numbers in a row of `Replay`."""
+    """Return the width of a row of `Replay`."""
     return 2 * inputs + motors + 1
 
 
@@ -27,7 +27,7 @@ class Replay:
         self.filled = self._next = 0
 
     def add(self, observations: Floats, actions: Floats, rewards: Floats, following: Floats) -> None:
-        """Steps of N aircraft: (N, n), (N, M), (N,), (N, n)."""
+        """Add steps of N aircraft: (N, n), (N, M), (N,), (N, n)."""
         size, count = len(self.rows), len(rewards)
         where = np.arange(self._next, self._next + count) % size
         self.rows[where] = np.concatenate([observations, actions, rewards[:, None], following], axis=1)
@@ -35,11 +35,11 @@ class Replay:
         self.filled = min(self.filled + count, size)
 
     def draw(self, rng: np.random.Generator, *shape: int) -> NDArray[np.int32]:
-        """Which rows: any of those that are filled, each as likely."""
+        """Draw indices of filled rows, each as likely."""
         return rng.integers(self.filled, size=shape, dtype=np.int32)
 
     def state(self) -> dict[str, Any]:
-        """Plain numbers and a tensor."""
+        """Return plain numbers and a tensor."""
         return {"rows": torch.from_numpy(self.rows[: self.filled].copy()), "next": self._next}
 
     def restore(self, state: dict[str, Any]) -> None:

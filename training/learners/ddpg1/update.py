@@ -35,7 +35,7 @@ class ActorCritic:
 
     @property
     def actor(self) -> Shape:
-        """From an observation to outputs, before the tanh."""
+        """Shape of the network from an observation to outputs, before the tanh."""
         return Shape((self.inputs, *self.hidden, self.motors), self.activation, OutputMap())
 
     @property
@@ -55,12 +55,12 @@ class ActorCritic:
         return self.actor.count, self.critic_first.count + self.critic_rest.count
 
     def split(self, parameters: Numbers) -> tuple[Numbers, Numbers]:
-        """Views of the actor's and the critic's."""
+        """Return views of the actor's and the critic's parameters."""
         actor = self.counts[0]
         return parameters[:actor], parameters[actor:]
 
     def parts(self, parameters: Numbers) -> tuple[list[Numbers], list[Numbers]]:
-        """Views of weights and biases of each layer: of the actor, of the critic."""
+        """Return views of weights and biases of each layer: of the actor, of the critic."""
         actor, critic = self.split(parameters)
         first = self.critic_first.count
         return (
@@ -69,7 +69,7 @@ class ActorCritic:
         )
 
     def fresh(self, rng: np.random.Generator) -> NDArray[np.float32]:
-        """Parameters of untrained networks, drawn as in Baselines (Glorot and Bengio 2010); biases are 0."""
+        """Draw parameters of untrained networks as in Baselines (Glorot and Bengio 2010); biases are 0."""
         parameters = np.zeros(sum(self.counts), np.float32)
         for parts in self.parts(parameters):
             weights = parts[::2]
@@ -91,7 +91,7 @@ class Losses:
 
 @dataclass(frozen=True, eq=False)
 class Learnt:
-    """What updates change in place, arrays of all parameters."""
+    """The arrays of all parameters that updates change in place."""
 
     parameters: Numbers
     targets: Numbers
@@ -100,7 +100,7 @@ class Learnt:
 
     @staticmethod
     def fresh(parameters: Numbers) -> Learnt:
-        """Before the first update: targets are copies."""
+        """Return the state before the first update: targets are copies."""
         return Learnt(parameters, parameters.copy(), np.zeros_like(parameters), np.zeros_like(parameters))
 
 
@@ -108,7 +108,7 @@ class Engine:
     """The networks in C; number: float32 for training, float64 for tests. All arrays are of it."""
 
     def __init__(self, networks: ActorCritic, number: str = "float32") -> None:
-        """Raises BuildError, one line, without a C compiler."""
+        """Load the C. Raises BuildError, one line, without a C compiler."""
         self._networks, self._number = networks, number
         self._library = library = load("ddpg1", number)
         self._actor = Computed(library, networks.actor, number, squash=True)
@@ -118,13 +118,15 @@ class Engine:
         self._memory = aligned(library.lib.ddpg1_memory(self._actor.described, critic), number)
 
     def outputs(self, parameters: Numbers, normalization: Normalization, observations: Numbers) -> Numbers:
-        """The actor's outputs (N, M) for observations (N, n)."""
+        """Compute the actor's outputs (N, M) for observations (N, n)."""
         return self._actor.outputs(self._networks.split(parameters)[0], normalization, observations)
 
     def acting(self, actors: Numbers, normalization: Normalization) -> Callable[[Numbers], Numbers]:
-        """Actors with own parameters (parameters of an actor, N): a function of (N, n) to outputs (N, M).
+        """Return a function from observations (N, n) to outputs (N, M), of actors with parameters of their
+        own.
 
-        The caller keeps both. Each call overwrites what the last one returned.
+        actors: (parameters of an actor, N). The caller keeps the arrays. Each call overwrites the last
+        result.
         """
         networks, number, point = self._networks, self._number, self._pointer
         count, widest = actors.shape[1], max(networks.actor.widths)
@@ -145,7 +147,7 @@ class Engine:
     def values(
         self, parameters: Numbers, normalization: Normalization, observations: Numbers, actions: Numbers
     ) -> Numbers:
-        """The critic's values (N,) of actions (N, M) at observations (N, n)."""
+        """Compute the critic's values (N,) of actions (N, M) at observations (N, n)."""
         rows = np.concatenate([observations, actions], axis=1, dtype=self._number)
         found, critic = np.empty(len(rows), self._number), self._networks.split(parameters)[1]
         given = observed(self._library, normalization, rows)

@@ -32,9 +32,9 @@ class Computed:
     def acting(
         self, parameters: Numbers, normalization: Normalization, count: int
     ) -> Callable[[Numbers], Numbers]:
-        """The network with these parameters: a function of observations (count, n) to outputs (count, M).
+        """Return a function from observations (count, n) to outputs (count, M) with these parameters.
 
-        The caller keeps `normalization`. Each call overwrites what the last one returned.
+        The caller keeps `normalization`. Each call overwrites the last result.
         """
         number, widths = self._number, self._shape.widths
         memory = aligned(self._size, number)
@@ -53,12 +53,12 @@ class Computed:
         return outputs
 
     def outputs(self, parameters: Numbers, normalization: Normalization, observations: Numbers) -> Numbers:
-        """Outputs (N, M) for observations (N, n)."""
+        """Compute outputs (N, M) for observations (N, n)."""
         return self.acting(parameters, normalization, len(observations))(observations)
 
 
 def described(library: compiled.Library, shape: Shape, *, squash: bool = False) -> Any:  # noqa: ANN401
-    """`struct network *`, a struct of cffi."""
+    """Return `struct network *`, a struct of cffi."""
     made = library.ffi.new("struct network *")
     made.layers = len(shape.widths) - 1
     for index, width in enumerate(shape.widths):
@@ -69,7 +69,7 @@ def described(library: compiled.Library, shape: Shape, *, squash: bool = False) 
 
 
 def observed(library: compiled.Library, normalization: Normalization, rows: Numbers) -> Any:  # noqa: ANN401 - a struct of cffi
-    """`struct observed *` of rows (N, stride) that begin with an observation; the caller keeps all arrays."""
+    """Return `struct observed *` of rows (N, stride), each an observation first; the caller keeps them."""
     made = library.ffi.new("struct observed *")
     made.values, made.stride = pointer(library, rows), rows.shape[1]
     made.mean, made.factor = (pointer(library, part) for part in (normalization.mean, normalization.factor))

@@ -22,7 +22,7 @@ _KINDS = {"float64": "double[]", "float32": "float[]", "int32": "int32_t[]"}
 
 @cache
 def load(learner: str, number: str) -> compiled.Library:
-    """The C of a `learner` (a folder beside this one) with the networks. Raises BuildError, one line.
+    """Load the C of a `learner` (a folder beside this one) with the networks. Raises BuildError, one line.
 
     number: float32 for training, float64 for tests.
     """
@@ -39,13 +39,13 @@ def load(learner: str, number: str) -> compiled.Library:
 
 
 def pointer(library: compiled.Library, array: NDArray[Any] | None) -> Any:  # noqa: ANN401 - of cffi
-    """Pointer to the first element of an array in C order, which the caller keeps alive; NULL for None."""
+    """Return a pointer to the first element of an array in C order, kept by the caller; NULL for None."""
     ffi = library.ffi
     return ffi.NULL if array is None else ffi.from_buffer(_KINDS[array.dtype.name], array)
 
 
 def aligned(count: int, number: str) -> NDArray[np.floating]:
-    """`count` numbers, not initialized, at the start of a cache line."""
+    """Allocate `count` numbers, not initialized, at the start of a cache line."""
     raw = np.empty(count * np.dtype(number).itemsize + CACHE_LINE, np.uint8)
     start = -raw.ctypes.data % CACHE_LINE
     return raw[start : start + count * np.dtype(number).itemsize].view(number)

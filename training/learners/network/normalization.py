@@ -1,4 +1,4 @@
-"""What normalizes observations: the running mean and spread of all so far."""
+"""Normalization of observations: the running mean and spread of all so far."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ VARIANCE_MIN = 1e-2  # of an observed value, in scaled units: one that hardly va
 
 @dataclass(frozen=True, eq=False)
 class Normalization:
-    """Of observations: (x - mean) times factor, (n,) each."""
+    """Normalization of observations: (x - mean) times factor, (n,) each."""
 
     mean: Numbers
     factor: Numbers
@@ -34,11 +34,11 @@ class ObservedMoments:
 
     @staticmethod
     def none(width: int) -> ObservedMoments:
-        """Before the first observation: values pass unchanged."""
+        """Return the state before the first observation: values pass unchanged."""
         return ObservedMoments(0.0, np.zeros(width), np.zeros(width))
 
     def with_more(self, observations: NDArray[np.float32]) -> ObservedMoments:
-        """With `observations` (N, n) too (Chan, Golub and LeVeque 1983)."""
+        """Add `observations` (N, n) (Chan, Golub and LeVeque 1983)."""
         count = float(len(observations))
         mean = observations.mean(axis=0, dtype=np.float64)
         squares = np.square(observations - mean).sum(axis=0)
@@ -51,7 +51,7 @@ class ObservedMoments:
 
     @property
     def factor(self) -> Doubles:
-        """What brings a value's spread to 1, (n,)."""
+        """Factor that brings a value's spread to 1, (n,)."""
         if self.count == 0.0:
             return np.ones_like(self.mean)
         found: Doubles = 1.0 / np.sqrt(np.maximum(self.squares / self.count, VARIANCE_MIN))
@@ -59,18 +59,18 @@ class ObservedMoments:
 
     @property
     def normalization(self) -> Normalization:
-        """Of the numbers of training."""
+        """Normalization in the numbers of training."""
         return Normalization(self.mean.astype(np.float32), self.factor.astype(np.float32))
 
     def folded(self, parts: Sequence[NDArray[np.float32]]) -> list[NDArray[np.float32]]:
-        """Weights and biases by layers that take observations as they are for those that take normalized."""
+        """Convert layers that take normalized observations to layers that take raw ones."""
         found = [part.astype(np.float64) for part in parts]
         found[1] = found[1] - found[0] @ (self.mean * self.factor)
         found[0] = found[0] * self.factor
         return [part.astype(np.float32) for part in found]
 
     def state(self) -> dict[str, Any]:
-        """Plain containers, numbers and tensors."""
+        """Return plain containers, numbers and tensors."""
         return {
             "count": self.count,
             "mean": torch.from_numpy(self.mean.copy()),
@@ -79,6 +79,6 @@ class ObservedMoments:
 
     @staticmethod
     def restored(state: dict[str, Any]) -> ObservedMoments:
-        """Those of a `state`."""
+        """Restore a `state`."""
         mean, squares = (state[name].numpy().copy() for name in ("mean", "squares"))
         return ObservedMoments(state["count"], mean, squares)

@@ -47,12 +47,12 @@ class Shape:
         return sum(int(np.prod(part)) for part in self.parts)
 
     def split(self, parameters: Array) -> list[Array]:
-        """Views of an array of parameters, one for each of `parts`."""
+        """Return views of an array of parameters, one for each of `parts`."""
         ends = np.cumsum([int(np.prod(part)) for part in self.parts])[:-1]
         return [view.reshape(part) for view, part in zip(np.split(parameters, ends), self.parts, strict=True)]
 
     def fresh(self, start_output: float, rng: np.random.Generator) -> Array:
-        """Parameters of an untrained network; start_output: motor fraction of its outputs."""
+        """Draw parameters of an untrained network; start_output: motor fraction of its outputs."""
         parameters = np.zeros(self.count, np.float32)
         *hidden, weight, bias = self.split(parameters)
         for part in _matrices(hidden):
@@ -65,7 +65,7 @@ class Shape:
         return parameters
 
     def _slow_down(self, hidden: list[Array], rng: np.random.Generator) -> None:
-        """Units that forget at different paces at first: within two to some hundred steps.
+        """Let units forget at different paces at first: within two to some hundred steps.
 
         The second gate says what a unit keeps. An LSTM takes in as much less as it keeps more, by its first
         gate, so that its sums stay of one size (Tallec and Ollivier 2018).
@@ -84,7 +84,7 @@ def _matrices(parts: list[Array]) -> Iterator[Array]:
 
 
 def _orthogonal(like: Array, rng: np.random.Generator) -> NDArray[np.float64]:
-    """A matrix of this shape with orthonormal rows or columns, uniformly distributed (Mezzadri 2007)."""
+    """Draw a matrix of this shape with orthonormal rows or columns, uniformly distributed (Mezzadri 2007)."""
     rows, columns = like.shape
     wide = rows < columns
     q, r = np.linalg.qr(rng.standard_normal((columns, rows) if wide else (rows, columns)))

@@ -29,7 +29,7 @@ LARGER = np.float32(10.0)  # brings differences to the size of the other inputs
 
 
 class Basis:
-    """Converts parameters between how they are learned and how the network has them."""
+    """A conversion of parameters between how they are learned and how the network has them."""
 
     def __init__(
         self, shape: Shape, terms: Sequence[ObservationTerm], motors: int, steering: Array | None = None
@@ -39,7 +39,7 @@ class Basis:
         self._pairs = _pairs(terms, motors)
 
     def network(self, learned: Array) -> Array:
-        """The network's parameters."""
+        """Convert learned parameters to the network's."""
         parameters = learned.copy()
         first = self._shape.split(parameters)[0]
         for own, other in self._pairs:
@@ -48,7 +48,7 @@ class Basis:
         return self._steered(parameters)
 
     def learned(self, network: Array) -> Array:
-        """The inverse of `network`."""
+        """Convert the network's parameters to learned ones."""
         parameters = network.copy()
         first = self._shape.split(parameters)[0]
         for own, other in reversed(self._pairs):
@@ -57,7 +57,7 @@ class Basis:
         return parameters
 
     def gradient(self, found: Array) -> Array:
-        """The gradient by what is learned, of the one by the network's parameters."""
+        """Convert the gradient by the network's parameters to the one by what is learned."""
         gradient = self._steered(found.copy())
         first = self._shape.split(gradient)[0]
         for own, other in reversed(self._pairs):
@@ -65,7 +65,7 @@ class Basis:
         return gradient
 
     def _steered(self, parameters: Array) -> Array:
-        """`parameters` with the last layer, or the gradient by it, brought to what steers, in place."""
+        """Project the last layer of `parameters`, or the gradient by it, onto what steers, in place."""
         if self._steering is not None:
             for part in self._shape.split(parameters)[-2:]:
                 part[:] = self._steering @ part
@@ -87,7 +87,7 @@ def steering(aircraft: Aircraft) -> Array | None:
 
 
 def _pairs(terms: Sequence[ObservationTerm], motors: int) -> list[tuple[slice, slice]]:
-    """Inputs that count as differences from others, and those; in an order in which the others come first.
+    """Pair inputs that count as differences with the inputs they differ from, which come first in the order.
 
     `rate_estimate~f` is a difference from `rate~f` if that is observed; all else of this kind from `rate`.
     """

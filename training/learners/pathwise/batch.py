@@ -37,7 +37,7 @@ class Batch:
     disturbance: Array | None = None  # (B, T, 3) [rad/s^2], by moments from outside at the file's inertia
 
     def shares(self) -> list[Array]:
-        """Shares (B, T) of the control steps in the means.
+        """Return the shares (B, T) of the control steps in the means.
 
         Of the absolute error, of the squared error, of output and change, and of the motors at closed
         throttle.
@@ -50,7 +50,9 @@ class Batch:
         ]
 
 
-def draw(config: TrainingConfig, pathwise: PathwiseConfig, delay_s: float, rng: np.random.Generator) -> Batch:
+def draw_batch(
+    config: TrainingConfig, pathwise: PathwiseConfig, delay_s: float, rng: np.random.Generator
+) -> Batch:
     """Draw the episodes of an update. delay_s: the aircraft's own."""
     count = pathwise.aircraft
     task, world, rate_hz = config.task, config.world, config.control_rate_hz
@@ -81,7 +83,7 @@ def _moments(pathwise: PathwiseConfig, steps: int, rate_hz: int, rng: np.random.
 
 
 def disturbances(count: int, steps: int, rate_hz: int, largest: float, rng: np.random.Generator) -> Array:
-    """Angular accelerations (count, steps, 3) [rad/s^2] that no rotor makes, as drag in fast air does.
+    """Draw angular accelerations (count, steps, 3) [rad/s^2] that no rotor makes, as drag in fast air does.
 
     Straight lines between values that are drawn every KNOT_S. Their standard deviation is drawn log-uniformly
     up to `largest`; CALM of the aircraft have none.
@@ -98,7 +100,8 @@ def disturbances(count: int, steps: int, rate_hz: int, largest: float, rng: np.r
 
 
 def washes(count: int, steps: int, rate_hz: int, largest: float, rng: np.random.Generator) -> Array:
-    """Angular accelerations (count, steps, 3) [rad/s^2] with the spectrum of an aircraft's own prop wash.
+    """Draw angular accelerations (count, steps, 3) [rad/s^2] with the spectrum of an aircraft's own prop
+    wash.
 
     The standard deviation of WASHED of the aircraft is drawn up to `largest`; the others have none.
     """

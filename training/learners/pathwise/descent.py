@@ -32,7 +32,7 @@ SETBACKS_MAX = 4  # more: the configuration is at fault
 
 @dataclass(frozen=True, eq=False)
 class Good:
-    """Where the running error was least."""
+    """The parameters with the least running error."""
 
     updates: int
     error: float  # [deg/s]: see Figures
@@ -77,7 +77,7 @@ class State:
 
     @staticmethod
     def fresh(parameters: Floats, weights: Weights) -> State:
-        """The state before the first update."""
+        """Return the state before the first update."""
         nothing = np.zeros_like(parameters)
         return State(0, parameters, nothing, nothing, weights, None, Good(0, math.inf, parameters, weights))
 
@@ -88,7 +88,7 @@ class State:
 
 
 def descended(state: State, found: Floats, rate: float, pathwise: PathwiseConfig) -> State:
-    """A step of Adam (Kingma and Ba 2015) along the gradient `found`.
+    """Take a step of Adam (Kingma and Ba 2015) along the gradient `found`.
 
     None along one that is not finite or `outlier` times longer than usual: a few flights that diverge have
     gradients that say nothing of the others.
@@ -117,7 +117,7 @@ def descended(state: State, found: Floats, rate: float, pathwise: PathwiseConfig
 
 
 def adapted(state: State, figures: Figures, pathwise: PathwiseConfig, adapting: bool) -> State:
-    """With `figures` in the running means and, if `adapting`, weights adapted to their limits."""
+    """Add `figures` to the running means and, if `adapting`, adapt weights to their limits."""
     running = figures if state.figures is None else _blended(state.figures, figures)
     weights = state.weights
     if adapting:
@@ -130,9 +130,9 @@ def adapted(state: State, figures: Figures, pathwise: PathwiseConfig, adapting: 
 
 
 def guarded(state: State, found: float) -> State:
-    """With the parameters kept if they are the best so far; set back if the run has diverged.
+    """Keep the parameters if they are the best so far; go back if the run has diverged.
 
-    found: error of the batch [deg/s]. Raises TrainingError on a run that diverges again and again.
+    found: error of the batch [deg/s]. Raises TrainingError for a run that diverges again and again.
     """
     good, most = state.good, GROWTH * state.error
     counted = found if state.error == 0.0 or found < most else most  # most for NaN
@@ -170,7 +170,7 @@ def _blended(old: Figures, new: Figures) -> Figures:
 
 
 def _held(weight: float, mean: float, limit: float | None, adaption: float) -> float:
-    """`weight` of a figure whose running `mean` is to stay at `limit`."""
+    """Adapt `weight` of a figure whose running `mean` is to stay at `limit`."""
     if limit is None:
         return weight
     beyond = min(1.0, max(-1.0, SLOPE * (mean / limit - 1.0)))

@@ -28,7 +28,7 @@ LANES = 16  # aircraft of a block, as api.h says
 
 @dataclass(frozen=True, eq=False)
 class Record:
-    """What was flown: T control steps, N gyro samples, B aircraft with M motors."""
+    """The record of flights: T control steps, N gyro samples, B aircraft with M motors."""
 
     rate: Floats  # (N, 3, B) [rad/s]
     rotor_speed: Floats  # (N, M, B) [rad/s]
@@ -37,7 +37,7 @@ class Record:
 
 
 class Flights:
-    """Flies batches of one kind; `close` when done."""
+    """A pool of threads that fly batches of one kind; `close` when done."""
 
     def __init__(
         self, surroundings: Surroundings, *, workers: int | None = None, number: str = "float32"
@@ -56,7 +56,7 @@ class Flights:
         self._pool.shutdown()
 
     def gradient(self, batch: Batch, parameters: Floats, weights: Weights) -> tuple[Figures, Floats]:
-        """Figures of the batch's flights, and the derivatives of the loss by the network's parameters."""
+        """Compute figures of the batch's flights, and the loss's derivatives by the parameters."""
         figures, gradients, _ = self._fly(batch, parameters, weights, wanted=True, recorded=False)
         total = gradients[0]
         for gradient in gradients[1:]:
@@ -64,7 +64,7 @@ class Flights:
         return figures, total
 
     def record(self, batch: Batch, parameters: Floats, weights: Weights) -> tuple[Figures, Record]:
-        """Figures of the batch's flights, and the flights."""
+        """Compute figures of the batch's flights, and return the flights."""
         figures, _, records = self._fly(batch, parameters, weights, wanted=False, recorded=True)
         count = len(batch.setpoint)
         columns = [np.concatenate(parts, axis=2)[:, :, :count] for parts in zip(*records, strict=True)]
@@ -73,7 +73,7 @@ class Flights:
     def _fly(
         self, batch: Batch, parameters: Floats, weights: Weights, *, wanted: bool, recorded: bool
     ) -> tuple[Figures, list[Floats], list[list[Floats]]]:
-        """Figures, the blocks' gradients if `wanted`, and their records if `recorded`."""
+        """Return figures, the blocks' gradients if `wanted`, and their records if `recorded`."""
         charged = not np.isnan(batch.variation.charge).all()
         plan = self._surroundings.plan(weights, charged, self._number)
         self._prepare(plan)
@@ -106,7 +106,7 @@ class Flights:
         return Figures(*figures.tolist()), gradients, [record for _, _, record in results]
 
     def _prepare(self, plan: Any) -> None:  # noqa: ANN401 - a struct of cffi
-        """Memory for each worker, as much as the plan needs."""
+        """Allocate as much memory for each worker as the plan needs."""
         size = self._library.lib.flight_memory(plan)
         if size <= self._memory_size:
             return
@@ -120,7 +120,7 @@ class Flights:
     def _block(
         self, batch: Batch, shares: Sequence[Floats], block: int, noise: Floats
     ) -> dict[str, NDArray[Any] | None]:
-        """The arrays of a block. Lanes without an aircraft repeat the first one, without weight."""
+        """Return the arrays of a block. Lanes without an aircraft repeat the first one, without weight."""
         surroundings, aircraft = self._surroundings, self._surroundings.aircraft
         index = np.arange(block * LANES, (block + 1) * LANES)
         real = index < len(batch.setpoint)
@@ -166,7 +166,7 @@ class Flights:
         noise += bias.astype(self._number)
 
     def _record_arrays(self) -> list[Floats]:
-        """Empty arrays of a block's Record."""
+        """Return empty arrays of a block's Record."""
         own = self._surroundings
         samples, motors = (own.steps - 1) * own.samples + 1, own.aircraft.motor_count
         shapes = (samples, 3), (samples, motors), (own.steps, own.shape.widths[0]), (own.steps, motors)

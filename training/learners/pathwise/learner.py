@@ -30,7 +30,7 @@ from neuroflight.training.config.pathwise_config import PathwiseConfig
 from neuroflight.training.config.training_config import OBSERVATION_SCALES, TrainingConfig
 from neuroflight.training.learners.network.shape import Shape
 from neuroflight.training.learners.pathwise.basis import Basis, steering
-from neuroflight.training.learners.pathwise.batch import draw
+from neuroflight.training.learners.pathwise.batch import draw_batch
 from neuroflight.training.learners.pathwise.descent import Good, Setback, State, adapted, descended, guarded
 from neuroflight.training.learners.pathwise.flights import Flights
 from neuroflight.training.learners.pathwise.loss import Figures, Weights
@@ -41,10 +41,10 @@ RATE_LAST = 0.02  # of the learning rate, at the end
 
 
 class PathwiseLearner:
-    """See Learner."""
+    """The pathwise learner."""
 
     def __init__(self, aircraft: Aircraft, config: TrainingConfig, pathwise: PathwiseConfig) -> None:
-        """Raises TrainingError, one line, on a configuration without such a gradient."""
+        """Prepare the flights. Raises TrainingError for a configuration without such a gradient."""
         for error in _errors(config):
             raise TrainingError(error)
         if aircraft.propulsion.friction:
@@ -81,7 +81,7 @@ class PathwiseLearner:
     def _update(self, rng: np.random.Generator) -> Figures:
         """Fly a batch and update the policy; returns the batch's figures."""
         state, pathwise = self._state, self._pathwise
-        batch = draw(self._config, pathwise, self._delay_s, rng)
+        batch = draw_batch(self._config, pathwise, self._delay_s, rng)
         parameters = self._basis.network(state.parameters)
         figures, found = self._flights.gradient(batch, parameters, state.weights)
         adapting = state.updates >= pathwise.adaption_start * self._updates
@@ -91,7 +91,7 @@ class PathwiseLearner:
         return figures
 
     def _rate(self) -> float:
-        """Learning rate of the next update."""
+        """Return the learning rate of the next update."""
         state, pathwise = self._state, self._pathwise
         done = state.updates
         rise = state.rate_factor * min(1.0, (done - state.begun + 1) / max(1, pathwise.warm_up))
@@ -207,7 +207,7 @@ def _surroundings(aircraft: Aircraft, config: TrainingConfig, pathwise: Pathwise
 
 
 def _errors(config: TrainingConfig) -> list[str]:
-    """Reasons why `config` has no pathwise gradient, one line each."""
+    """List why `config` has no pathwise gradient, one line each."""
     world = config.world
     demands = {
         f"mount {world.mount!r}: the pathwise gradient knows an aircraft that turns about its centre of "

@@ -14,7 +14,7 @@ __all__ = ["aligned", "library", "pointer"]
 
 
 def library(number: str = "float32") -> compiled.Library:
-    """The flights in C; number: float32 for training, float64 for tests. Raises BuildError, one line."""
+    """Load the flights in C; number: float32 for training, float64 for tests. Raises BuildError, one line."""
     return network.load("pathwise", number)
 
 

@@ -26,11 +26,11 @@ class Figures:
     closed: float = 0.0  # motor fraction above the idle
 
     def error(self, square: float) -> float:
-        """The part of the loss that is the error's [deg/s]; square: see Weights."""
+        """Return the part of the loss that is the error's [deg/s]; square: see Weights."""
         return self.mae + square * self.mse
 
     def loss(self, weights: Weights) -> float:
-        """The loss [deg/s]."""
+        """Return the loss [deg/s]."""
         return (
             self.error(weights.square)
             + weights.output * self.output

@@ -3,7 +3,7 @@
 The search is in C (`c/open_loop.c`): an interior-point method along the derivatives of the learner's rotors
 and body. Each sequence that it finds is one that the motors of the file can make, so no less error is left
 than the least possible; how much more is bounded only as far as the error is linear in what motors do, see
-`Found.bound`. DECISIONS says what else the search was held against.
+`Found.bound`. An independent cone solver agrees within 0.15 % (docs/explanation/decisions/evaluation.md).
 """
 
 from __future__ import annotations
@@ -36,20 +36,20 @@ RAISES = 200
 
 @dataclass(frozen=True, eq=False)
 class Commands:
-    """What changes at once on E aircraft: from a held rate to a wanted one."""
+    """The sudden commands of E aircraft: from a held rate to a wanted one."""
 
     held: Array  # (E, 3) [rad/s]
     wanted: Array  # (E, 3) [rad/s]
     thrust: Array  # (E,) [N], of all rotors while the rate is held; 0: they stand, as before a flight
 
     def at(self, which: NDArray[np.intp]) -> Commands:
-        """The rows of `which`."""
+        """Return the rows of `which`."""
         return Commands(self.held[which], self.wanted[which], self.thrust[which])
 
 
 @dataclass(frozen=True)
 class Motors:
-    """What motors may do, and in what time."""
+    """The limits of motors and rotors, and the time of a step."""
 
     aircraft: Aircraft
     dt: float  # [s], of a step
@@ -73,7 +73,7 @@ class Found:
 
 
 def trim(motors: Motors, commands: Commands) -> Array:
-    """Rotor speeds (E, M) [rad/s] that hold the rates with the thrust.
+    """Compute rotor speeds (E, M) [rad/s] that hold the rates with the thrust.
 
     With more thrust where a rotor would have to be slower than its motor lets it.
     """
@@ -94,7 +94,7 @@ def trim(motors: Motors, commands: Commands) -> Array:
 
 
 def _balanced(aircraft: Aircraft, rate: Array, wanted: Array, start: Array) -> Array:
-    """Rotor speeds (E, M) whose moments and thrust are `wanted` (E, 4), by Newton's steps of least length."""
+    """Compute rotor speeds (E, M) of moments and thrust `wanted` (E, 4), by Newton's shortest steps."""
     geometry, propulsion = rotor_geometry(aircraft), aircraft.propulsion
     twist = np.concatenate([np.zeros_like(rate), rate], axis=1)
 
@@ -127,7 +127,7 @@ def search(
     start: Array | None = None,
     iterations: int = ITERATIONS,
 ) -> Found:
-    """The sequences over `steps` with the least sum of |e|, or of e^2.
+    """Search the sequences over `steps` with the least sum of |e|, or of e^2.
 
     start: decisions (E, steps, M) that the search begins with; None: those that keep the rotors' speeds.
     """
@@ -150,7 +150,7 @@ def search(
 def _block(
     motors: Motors, commands: Commands, speed: Array, start: Array, squared: bool, iterations: int
 ) -> tuple[NDArray[Any], ...]:
-    """The columns of Found of LANES commands."""
+    """Compute the columns of Found of LANES commands."""
     loaded = library(NUMBER)
     propulsion, count = motors.aircraft.propulsion, motors.aircraft.motor_count
     plan = loaded.ffi.new("struct plan *")
@@ -194,12 +194,12 @@ def _block(
 
 
 def _rows(array: Array) -> Array:
-    """Rows for C of an array whose first axis is the lanes."""
+    """Return rows for C of an array whose first axis is the lanes."""
     return np.ascontiguousarray(array.T, NUMBER)
 
 
 def _at_rest(motors: Motors, speed: Array) -> Array:
-    """Decisions that keep the rotors' speeds, or nearly, where those are at a limit."""
+    """Return decisions that keep the rotors' speeds, or nearly, where those are at a limit."""
     propulsion = motors.aircraft.propulsion
     low, high = (
         next_speed(speed, settles, motors.dt, propulsion) for settles in (motors.slowest, motors.fastest)

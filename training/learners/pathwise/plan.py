@@ -1,4 +1,4 @@
-"""What the flights of a run have in common, as C has it: aircraft, surroundings of the policy, network."""
+"""The common plan of a run's flights, as C has it: aircraft, surroundings of the policy, network."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Surroundings:
-    """What is flown, and what lies between the aircraft and the network."""
+    """The aircraft, and everything between it and the network."""
 
     aircraft: Aircraft
     steps: int  # control steps of an episode
@@ -56,7 +56,7 @@ class Surroundings:
         return 1.0 / (self.control_rate_hz * self.samples)
 
     def plan(self, weights: Weights, battery: bool, number: str) -> Any:  # noqa: ANN401 - a struct of cffi
-        """The plan for C. battery: whether any aircraft flies on one."""
+        """Make the plan for C. battery: True if any aircraft flies on one."""
         made = library(number).ffi.new("struct plan *")
         made.steps, made.samples = self.steps, self.samples
         made.rounded = self.rounded

@@ -45,7 +45,7 @@ Floats = NDArray[np.float32]
 
 
 class Ppo1Learner:
-    """See Learner."""
+    """The learner PPO1."""
 
     def __init__(self, aircraft: Aircraft, config: TrainingConfig, ppo1: Ppo1Config) -> None:
         self._config, self._ppo1 = config, ppo1
@@ -90,19 +90,19 @@ class Ppo1Learner:
                 rewards, count = 0.0, 0
 
     def outputs(self, observations: Floats) -> Floats:
-        """The deterministic policy's network outputs (N, M) for scaled observations (N, n)."""
+        """Compute the deterministic policy's outputs (N, M) for scaled observations (N, n)."""
         return self._engine.outputs(self._parameters, self._observed.normalization, observations).astype(
             np.float32
         )
 
     def values(self, observations: Floats) -> NDArray[np.float64]:
-        """The critic's estimates (...) of returns from scaled observations (..., n) on."""
+        """Estimate, by the critic, returns (...) from scaled observations (..., n) on."""
         rows = observations.reshape(-1, observations.shape[-1])
         values = self._engine.values(self._parameters, self._observed.normalization, rows).astype(np.float64)
         return (values * self._returned.spread + self._returned.mean).reshape(observations.shape[:-1])
 
     def _fly(self, observation: Floats, rng: np.random.Generator) -> Rollout:
-        """A rollout from `observation` (N, n) on."""
+        """Fly a rollout from `observation` (N, n) on."""
         networks, normalization = self._networks, self._observed.normalization
         rollout = Rollout.empty(self._ppo1.horizon, len(observation), observation.shape[1], networks.motors)
         drawn = rng.standard_normal(rollout.actions.shape, np.float32)
@@ -120,7 +120,7 @@ class Ppo1Learner:
         return rollout
 
     def _update(self, rollout: Rollout, left: float, rng: np.random.Generator) -> dict[str, float]:
-        """All epochs over a rollout; left: share of the learning rate and of the clip range."""
+        """Do all epochs over a rollout; left: share of the learning rate and of the clip range."""
         ppo1 = self._ppo1
         values = self.values(rollout.observations)
         following = rollout.following(values, self.values)

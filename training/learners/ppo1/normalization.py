@@ -26,7 +26,7 @@ class ReturnMoments:
     square: float = 0.0  # mean of the squares
 
     def with_more(self, returns: Doubles) -> ReturnMoments:
-        """With those of one more rollout."""
+        """Add the returns of one more rollout."""
         weight = RETURN_MEMORY * self.weight + 1.0 - RETURN_MEMORY
         share = (1.0 - RETURN_MEMORY) / weight
         return replace(

@@ -24,7 +24,7 @@ class Rollout:
 
     @staticmethod
     def empty(steps: int, aircraft: int, inputs: int, motors: int) -> Rollout:
-        """Arrays to be filled."""
+        """Allocate arrays to be filled."""
         return Rollout(
             np.empty((steps + 1, aircraft, inputs), np.float32),
             np.empty((steps, aircraft, motors), np.float32),
@@ -34,7 +34,7 @@ class Rollout:
         )
 
     def following(self, values: Doubles, estimate: Callable[[Floats], Doubles]) -> Doubles:
-        """Value of what follows each step, (T, N); values: of `observations`, (T + 1, N)."""
+        """Compute the value of what follows each step, (T, N); values: of `observations`, (T + 1, N)."""
         following = values[1:].copy()
         if self.last:
             steps, whose, last = zip(*self.last, strict=True)
@@ -50,7 +50,7 @@ def advantages(
     discount: float,
     gae_lambda: float,
 ) -> Doubles:
-    """Generalized advantage estimates (Schulman et al. 2016), all arrays (T, N)."""
+    """Compute generalized advantage estimates (Schulman et al. 2016), all arrays (T, N)."""
     surprise = rewards + discount * following - values
     decay = np.where(ended, 0.0, discount * gae_lambda)
     found = np.empty_like(surprise)

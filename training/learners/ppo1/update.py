@@ -39,18 +39,18 @@ class ActorCritic:
         return self.actor.count + self.motors + self.critic.count
 
     def split(self, parameters: Numbers) -> tuple[Numbers, Numbers, Numbers]:
-        """Views of the actor's parameters, of log_std and of the critic's parameters."""
+        """Return views of the actor's parameters, of log_std and of the critic's parameters."""
         first, second = self._ends
         return parameters[:first], parameters[first:second], parameters[second:]
 
     @cached_property
     def _ends(self) -> tuple[int, int]:
-        """Where log_std begins, and the critic."""
+        """Indices at which log_std begins, and the critic."""
         count = self.actor.count
         return count, count + self.motors
 
     def fresh(self, log_std: float, rng: np.random.Generator) -> NDArray[np.float32]:
-        """Parameters of untrained networks: each unit's weights have length 1, the actor's last LAST_GAIN."""
+        """Draw parameters of untrained networks: each unit's weights have length 1, the last LAST_GAIN."""
         parameters = np.zeros(self.count, np.float32)
         actor, deviations, critic = self.split(parameters)
         deviations[:] = log_std
@@ -88,7 +88,7 @@ class Engine:
     """The networks in C; number: float32 for training, float64 for tests. All arrays are of it."""
 
     def __init__(self, networks: ActorCritic, number: str = "float32") -> None:
-        """Raises BuildError, one line, without a C compiler."""
+        """Load the C. Raises BuildError, one line, without a C compiler."""
         self._networks, self._number = networks, number
         self._library = library = load("ppo1", number)
         self._actor, self._critic = (
@@ -100,22 +100,22 @@ class Engine:
     def acting(
         self, parameters: Numbers, normalization: Normalization, count: int
     ) -> Callable[[Numbers], Numbers]:
-        """The actor with these parameters, see `Computed.acting`."""
+        """Return a function of the actor with these parameters, see `Computed.acting`."""
         return self._actor.acting(self._networks.split(parameters)[0], normalization, count)
 
     def outputs(self, parameters: Numbers, normalization: Normalization, observations: Numbers) -> Numbers:
-        """The actor's outputs (N, M) for observations (N, n)."""
+        """Compute the actor's outputs (N, M) for observations (N, n)."""
         return self._actor.outputs(self._networks.split(parameters)[0], normalization, observations)
 
     def values(self, parameters: Numbers, normalization: Normalization, observations: Numbers) -> Numbers:
-        """The critic's values (N,), in its units."""
+        """Compute the critic's values (N,), in its units."""
         critic = self._networks.split(parameters)[2]
         return self._critic.outputs(critic, normalization, observations)[:, 0]
 
     def log_prob(
         self, parameters: Numbers, normalization: Normalization, observations: Numbers, actions: Numbers
     ) -> Numbers:
-        """Log-likelihood (N,) of the actions (N, M), without its constant."""
+        """Compute the log-likelihood (N,) of the actions (N, M), without its constant."""
         means = self.outputs(parameters, normalization, observations)
         found = np.empty(len(actions), self._number)
         log_std = self._networks.split(parameters)[1]

@@ -18,7 +18,7 @@
 
 /* MPU-6500 register map and descriptions (RM-MPU-6500A-00), section 4; the ICM-20689 (DS-000143) has the same
  * registers there. ICM-20602 (DS-000176), ICM-20608-G and MPU-9250 as PX4's register headers tell of their data sheets,
- * ICM-20601 as I2Cdev's of DS-000191: docs/board-bring-up.md says what of it only hardware can prove. */
+ * ICM-20601 as I2Cdev's of DS-000191: docs/guides/board-bring-up.md says what of it only hardware can prove. */
 enum chip_register {
 	SMPLRT_DIV = 0x19,
 	CONFIG = 0x1A,

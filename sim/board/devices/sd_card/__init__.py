@@ -1,4 +1,4 @@
-"""An SD card in its slot, in SPI mode, backed by an image file (docs/emulated-board.md)."""
+"""An SD card in its slot, in SPI mode, backed by an image file (docs/explanation/emulated-board.md)."""
 
 from neuroflight.sim.board.devices.sd_card.card import SdCard
 from neuroflight.sim.board.devices.sd_card.delays import CardTiming

@@ -1,7 +1,7 @@
-"""An SD card as it hangs on the line: bytes in, bytes out, its power, and what goes wrong with it.
+"""An SD card on its SPI lines: bytes in, bytes out, its power, and faults.
 
-Time is the cycle at which each byte begins. Between two bytes nothing of the card is computed: what happens
-to it meanwhile takes effect, at its own cycle, when the next byte passes.
+Time is the cycle at which each byte begins. Between two bytes nothing of the card is computed: events
+meanwhile take effect, at their own cycle, when the next byte passes.
 """
 
 from __future__ import annotations
@@ -39,9 +39,9 @@ class SdCard:
     def __init__(
         self, path: Path, *, seed: int = 0, timing: CardTiming | None = None, erased: int = 0x00
     ) -> None:
-        """path: of a raw image. seed: of times and faults. erased: what erased bytes are, 0x00 or 0xFF.
+        """path: of a raw image. seed: of times and faults. erased: value of erased bytes, 0x00 or 0xFF.
 
-        Raises LinkError for a file that no card can be.
+        Raises LinkError for a file that cannot be a card.
         """
         assert erased in (0x00, 0xFF)
         self.image = CardImage(path)
@@ -67,7 +67,7 @@ class SdCard:
 
     @property
     def fitted(self) -> bool:
-        """Whether it is in its slot."""
+        """True if it is in its slot."""
         return self._fitted
 
     def schedule(
@@ -87,20 +87,20 @@ class SdCard:
         self._events.add(Event(kind, value, cycle, write, cut, kept_bytes))
 
     def power_off(self, cycle: int) -> None:
-        """The supply goes."""
+        """Switch the supply off."""
         if self._powered:
             self._store.lose_power(cycle)
         self._powered = False
 
     def power_on(self, cycle: int) -> None:
-        """The supply comes back, or was away so shortly that only what was under way is lost."""
+        """Switch the supply on, also after a gap so short that only unfinished work is lost."""
         self.power_off(cycle)
         self._powered, self._powered_at, self._hot = True, cycle, False
         self._clocks, self._frame = 0, b""
         self._protocol.state = State()
 
     def close(self) -> None:
-        """Let the image file go."""
+        """Close the image file."""
         self.image.close()
 
     # ---- bytes ----
@@ -108,7 +108,7 @@ class SdCard:
     def exchange(
         self, sent: bytes, cycle: int, length: int, hz: float, mode: int, *, selected: bool, transaction: int
     ) -> bytes:
-        """Bytes in, as many bytes out.
+        """Exchange bytes.
 
         cycle: at which the first one begins; length: of each [cycles]; hz: of the clock; mode: 0 to 3.
         transaction: a number that changes with every edge of the select line.
@@ -128,7 +128,7 @@ class SdCard:
         return bytes(got)
 
     def steady(self, cycle: int, *, selected: bool) -> tuple[int, int]:
-        """What it answers while only 0xFF comes from `cycle` on, and until which cycle; 0: not known."""
+        """Return the byte that answers 0xFF from `cycle` on, and until which cycle; 0: unknown."""
         state, until = self._protocol.state, self._events.next_cycle
         limit = NEVER if until is None else until
         if not (self._fitted and self._powered):
@@ -167,7 +167,7 @@ class SdCard:
             )
 
     def _answer(self, sent: bytes, at: int, length: int) -> bytes:
-        """Likewise, with the card selected and well clocked."""
+        """Answer some of `sent`, with the card selected and correctly clocked."""
         state = self._protocol.state
         if state.wanted:
             part = sent[: state.wanted]
@@ -192,7 +192,7 @@ class SdCard:
         return bytes([RELEASED]) * quiet
 
     def _listen(self, byte: int, at: int, length: int) -> bytes:
-        """A byte that may mean something, while the card says what it has to say."""
+        """Take a byte that may begin a command or block, while an answer is sent."""
         state = self._protocol.state
         busy = not state.out and at < state.busy_until
         got, state.out = state.out[:1] or bytes([BUSY if busy else RELEASED]), state.out[1:]
@@ -212,7 +212,7 @@ class SdCard:
     # ---- what goes wrong ----
 
     def _happen(self, at: int, length: int) -> int:
-        """Let happen what is due at cycle `at`; bytes of `length` cycles until the next thing."""
+        """Apply the events due at cycle `at`; return the bytes of `length` cycles until the next one."""
         due = self._events.next_cycle
         if due is None:
             return 1 << 30
@@ -223,7 +223,7 @@ class SdCard:
         return 1 << 30 if due is None else max(1, -(-(due - at) // length))
 
     def _happen_with_write(self, address: int, data: bytes, at: int) -> bool:
-        """A block is about to be written; false: the power has gone or the card has been pulled."""
+        """Apply the events of a block write; return False without power or card."""
         for event in self._events.with_write(self._store.writes + 1):
             if event.kind is CardFault.POWER_CUT:
                 self._cut(event, address, data, at)

@@ -1,4 +1,4 @@
-"""How long an SD card takes: ranges of times, drawn with a seed.
+"""Times of an SD card: ranges, drawn with a seed.
 
 A card's maker promises limits only: 1 s to start, 100 ms to read, 250 ms to write, more to erase (Physical
 Layer Simplified Specification 4.2.3, 4.6.2). What cards take in between differs; these ranges are our choice
@@ -36,7 +36,7 @@ class CardTiming:
 
 
 class Delays:
-    """Draws times, in cycles of 216 MHz."""
+    """A source of random times, in cycles of 216 MHz."""
 
     def __init__(self, timing: CardTiming, seed: int) -> None:
         self.timing = timing
@@ -45,11 +45,11 @@ class Delays:
         self._last = 0  # cycle of the end of the last access
 
     def start(self) -> int:
-        """Of the initialisation."""
+        """Draw the time of the initialisation."""
         return self._draw(self.timing.start)
 
     def write(self, at: int) -> int:
-        """Busy after a block that has come at cycle `at`; short times are more frequent than long ones."""
+        """Draw the busy time after a block that came at cycle `at`; short times are more frequent."""
         low, high = self.timing.write
         took = self._wake(at) + self._cycles(low + (high - low) * self._random.random() ** 2)
         if self._random.random() < self.timing.pause_share:
@@ -58,28 +58,28 @@ class Delays:
         return took
 
     def stop(self, at: int) -> int:
-        """Busy after the end of several blocks."""
+        """Draw the busy time after the end of several blocks."""
         return self._ending(at, self._draw(self.timing.stop))
 
     def read(self, at: int, *, first: bool) -> int:
-        """Until a block's data come."""
+        """Draw the time until a block's data come."""
         if first:
             return self._ending(at, self._wake(at) + self._draw(self.timing.read))
         return self._ending(at, self._draw(self.timing.next_read))
 
     def register(self) -> int:
-        """Until a register's data come."""
+        """Draw the time until a register's data come."""
         return self._draw(self.timing.register)
 
     def erase(self, at: int, blocks: int) -> int:
-        """Busy while so many blocks are erased."""
+        """Draw the busy time while `blocks` blocks are erased."""
         units = -(-blocks * BLOCK // AU_BYTES)
         low, high = self.timing.erase_unit
         took = self._draw(self.timing.erase) + self._draw((units * low, units * high))
         return self._ending(at, self._wake(at) + took)
 
     def choice(self, count: int) -> int:
-        """A number from 0 to below `count`."""
+        """Draw a number from 0 to below `count`."""
         return self._random.randrange(count)
 
     def state(self) -> Any:  # noqa: ANN401

@@ -1,4 +1,4 @@
-"""What may go wrong with an SD card, each at a moment or at a block write."""
+"""Faults of an SD card, each at a time or at a block write."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from neuroflight.sim.board.devices.sd_card.registers import BLOCK
 
 
 class Cut(Enum):
-    """What is in a block that was being written when the power went."""
+    """Contents of a block that was being written when the power went."""
 
     OLD = "old"  # what was there before
     NEW = "new"
@@ -34,7 +34,7 @@ class CardFault(Enum):
 
 @dataclass(frozen=True)
 class Event:
-    """A fault, and when it comes."""
+    """A fault with its time."""
 
     kind: CardFault
     value: float = 0.0
@@ -45,14 +45,14 @@ class Event:
 
 
 class Events:
-    """The faults that are to come."""
+    """The pending faults."""
 
     def __init__(self) -> None:
         self._timed: list[Event] = []  # the next one first
         self._counted: list[Event] = []
 
     def add(self, event: Event) -> None:
-        """Let `event` come."""
+        """Add a fault."""
         assert (event.cycle is None) != (event.write is None), "a fault comes at a cycle or with a write"
         if event.cycle is None:
             self._counted.append(event)
@@ -62,17 +62,17 @@ class Events:
 
     @property
     def next_cycle(self) -> int | None:
-        """When the next one comes; None: none does by time."""
+        """Time of the next one; None: none is due by time."""
         return self._timed[0].cycle if self._timed else None
 
     def due(self, cycle: int) -> list[Event]:
-        """Those that come at `cycle` or before, taken out."""
+        """Remove and return the events due at `cycle` or before."""
         came = [event for event in self._timed if (event.cycle or 0) <= cycle]
         self._timed = self._timed[len(came) :]
         return came
 
     def with_write(self, number: int) -> list[Event]:
-        """Those that come with block write `number`, taken out."""
+        """Remove and return the events of block write `number`."""
         came = [event for event in self._counted if event.write == number]
         self._counted = [event for event in self._counted if event.write != number]
         return came
@@ -85,14 +85,14 @@ class Events:
 
 
 class LineErrors:
-    """Bits that turn over between host and card."""
+    """Bit errors between host and card."""
 
     def __init__(self, seed: int) -> None:
         self.rate = 0.0  # share of commands and blocks
         self._random = random.Random(f"line {seed}")
 
     def damaged(self, data: bytes) -> bytes:
-        """`data` as it arrives."""
+        """Return `data` as it arrives."""
         if not self.rate or self._random.random() >= self.rate:
             return data
         bit = self._random.randrange(8 * len(data))
@@ -107,7 +107,7 @@ class LineErrors:
 
 
 def left_of(old: bytes, new: bytes, cut: Cut | None, kept: int | None, choose: Callable[[int], int]) -> bytes:
-    """A block that was to become `new` from `old` when the power went; choose(n): a number below n."""
+    """Return the block between `old` and `new` at a power cut; choose(n): a number below n."""
     if cut is None:
         cut = list(Cut)[choose(len(Cut))]
     if cut is not Cut.TORN:

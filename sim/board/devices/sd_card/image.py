@@ -25,7 +25,7 @@ class CardImage:
     """
 
     def __init__(self, path: Path) -> None:
-        """Raises LinkError for a file that no card can be, that cannot be written, or that is in use."""
+        """Open the file. Raises LinkError if it cannot be a card, cannot be written, or is in use."""
         self.path = path
         try:
             size = file_size(path)
@@ -51,11 +51,11 @@ class CardImage:
         self._now: dict[int, bytes] = {}  # and as they are
 
     def read(self, block: int, count: int = 1) -> bytes:
-        """The content of `count` blocks from `block` on."""
+        """Read `count` blocks from `block` on."""
         return os.pread(self._file, count * BLOCK, block * BLOCK)
 
     def write(self, block: int, data: bytes) -> None:
-        """Change one block. Raises LinkError when the computer cannot keep it."""
+        """Change one block. Raises LinkError if the computer cannot store it."""
         if self._kept is not None:
             if block not in self._before:
                 self._before[block] = self.read(block)
@@ -66,7 +66,7 @@ class CardImage:
             raise LinkError(f"card {self.path}: {error.strerror}; make room for what is written") from None
 
     def erase(self, first: int, last: int, value: int) -> None:
-        """Make every byte of blocks `first` to `last` `value`; blocks that are so already are not touched."""
+        """Set every byte of blocks `first` to `last` to `value`, where it is another one."""
         erased = bytes([value]) * BLOCK
         whole, start = erased * _CHUNK, first
         while start <= last:
@@ -81,7 +81,7 @@ class CardImage:
             start += max(count, 1)
 
     def _next_data(self, block: int) -> int:
-        """The first block from `block` on that may be more than zeros: holes of the file are not."""
+        """Return the first block from `block` on that may be more than zeros: holes of the file are not."""
         try:
             return os.lseek(self._file, block * BLOCK, os.SEEK_DATA) // BLOCK
         except OSError as error:
@@ -90,19 +90,19 @@ class CardImage:
             return block  # a file system that does not know
 
     def close(self) -> None:
-        """Let the file go."""
+        """Close the file."""
         if self._file >= 0:
             os.close(self._file)
         self._file = -1
 
     def state(self) -> Any:  # noqa: ANN401
-        """What a later `restore` needs. From the first call on, what changes is kept in memory as well."""
+        """Return what a later `restore` needs. From the first call on, changes are kept in memory as well."""
         if self._kept is None:
             self._kept = uuid.uuid4().hex
         return (self._kept, dict(self._now))
 
     def restore(self, state: Any) -> None:  # noqa: ANN401
-        """Make the content what it was. Raises BoardError for a snapshot of another card."""
+        """Restore the content. Raises BoardError for a snapshot of another card."""
         kept, then = state
         if kept != self._kept:
             raise BoardError(

@@ -25,7 +25,7 @@ _VOLTAGE = 0x1  # of CMD8: 2.7 to 3.6 V
 
 
 class Protocol:
-    """Answers to whole commands and blocks. Times are cycles of 216 MHz."""
+    """The answers to whole commands and blocks. Times are cycles of 216 MHz."""
 
     def __init__(self, store: Store, delays: Delays, line: LineErrors, serial: int) -> None:
         self.state = State()
@@ -61,7 +61,7 @@ class Protocol:
         }
 
     def stall(self, at: int, cycles: int) -> None:
-        """What is waited for now, or next, takes so much longer."""
+        """Make the present wait, or the next one, longer by `cycles`."""
         state = self.state
         if at < state.busy_until:
             state.busy_until += cycles
@@ -72,7 +72,7 @@ class Protocol:
             self._stall += cycles
 
     def deselect(self) -> None:
-        """The select line has moved: what was being said is forgotten; the next block may be written."""
+        """Handle an edge of the select line: output is discarded; the next block may be written."""
         state = self.state
         state.out, state.data, state.wanted = b"", b"", 0
         state.reading = state.reading and state.multiple
@@ -81,7 +81,7 @@ class Protocol:
     # ---- commands ----
 
     def command(self, frame: bytes, at: int) -> None:
-        """A command of 6 bytes has come at cycle `at`."""
+        """Handle a command of 6 bytes that came at cycle `at`."""
         state = self.state
         frame = self._line.damaged(frame)
         index, argument = frame[0] & 0x3F, int.from_bytes(frame[1:5], "big")
@@ -104,7 +104,7 @@ class Protocol:
             self._run(index, argument, at, application=application)
 
     def _allowed(self, index: int, *, application: bool) -> bool:
-        """Whether the card takes this command as it is now."""
+        """Return True if the card accepts this command in its present state."""
         state = self.state
         if state.idle:
             return index in _IN_IDLE or (application and index == 41)
@@ -124,7 +124,7 @@ class Protocol:
         self._told = 0
 
     def _restart(self) -> None:
-        """CMD0: everything but what is stored is forgotten."""
+        """Handle CMD0: forget everything except stored data."""
         self.state = State(spi=True)
         self._answer()
 
@@ -132,11 +132,11 @@ class Protocol:
         return flags | self._told | (sd.IDLE if self.state.idle else 0)
 
     def _answer(self, flags: int = 0, more: bytes = b"") -> None:
-        """R1 with `flags`, and what follows it, after 1 to 3 bytes of thought (N_CR, 7.5.4: 1 to 8)."""
+        """Answer R1 with `flags` and `more` after 1 to 3 bytes (N_CR, 7.5.4: 1 to 8)."""
         self.state.out = b"\xff" * (1 + self._delays.choice(3)) + bytes([self._r1(flags)]) + more
 
     def _status(self) -> bytes:
-        """The second byte of R2, which is cleared."""
+        """Return and clear the second byte of R2."""
         status, self.state.status = self.state.status, 0
         return bytes([status])
 
@@ -160,7 +160,7 @@ class Protocol:
         self._answer()
 
     def _initialise(self, argument: int, at: int) -> None:
-        """ACMD41: a card of high capacity begins only for a host that knows such cards (4.2.3)."""
+        """Handle ACMD41: a card of high capacity starts only for a host that supports such cards (4.2.3)."""
         state = self.state
         if state.ready_at is None and state.voltage_told and argument & sd.HIGH_CAPACITY:
             state.ready_at = at + self._delays.start()
@@ -186,7 +186,7 @@ class Protocol:
         self._answer(0, more)
 
     def next_data(self, at: int) -> None:
-        """The data that were waited for go out: a token and a block, or what is wrong."""
+        """Send the awaited data: a token and a block, or an error."""
         state = self.state
         if state.payload:
             data = state.payload
@@ -203,7 +203,7 @@ class Protocol:
             state.data_at = at + self._delays.read(at, first=False) + self._stalled()
 
     def _stop(self, argument: int, at: int) -> None:
-        """CMD12: ends reading or writing of several blocks."""
+        """Handle CMD12: end reading or writing of several blocks."""
         state = self.state
         if not state.reading and not state.writing:
             self._answer(sd.ILLEGAL)
@@ -225,7 +225,7 @@ class Protocol:
         self._answer()
 
     def token(self, byte: int, at: int) -> bool:
-        """The host sends the first byte of a block, or of the end; false: it is neither."""
+        """Handle the first byte of a block, or of the end; return False if it is neither."""
         state = self.state
         if byte == (sd.START_MULTIPLE if state.multiple else sd.START):
             state.wanted, state.data = BLOCK_BYTES, b""
@@ -238,7 +238,7 @@ class Protocol:
         return False
 
     def receive(self, part: bytes, at: int) -> None:
-        """Bytes of a block, the last one of which has come at cycle `at`."""
+        """Receive bytes of a block, the last one of which came at cycle `at`."""
         state = self.state
         state.data += part
         state.wanted -= len(part)
@@ -293,7 +293,7 @@ class Protocol:
         return stall
 
     def kept(self) -> Any:  # noqa: ANN401
-        """All that changes, for a snapshot."""
+        """Return all that changes, for a snapshot."""
         return (asdict(self.state), self._stall)
 
     def restore(self, kept: Any) -> None:  # noqa: ANN401

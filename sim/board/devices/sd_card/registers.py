@@ -1,4 +1,4 @@
-"""What an SD card says in SPI mode: checksums, responses, tokens and registers.
+"""The registers of an SD card in SPI mode, its checksums, responses and tokens.
 
 Source: SD Specifications Part 1, Physical Layer Simplified Specification: 4.5 (checksums), 5 (registers), 7.3
 (responses and tokens).
@@ -40,7 +40,7 @@ _CRC7 = _crc7_table()
 
 
 def crc7(data: bytes) -> int:
-    """The last byte of a command and of CID and CSD: x^7 + x^3 + 1, then the end bit."""
+    """Compute the last byte of a command and of CID and CSD: x^7 + x^3 + 1, then the end bit."""
     value = 0
     for byte in data:
         value = _CRC7[value ^ byte]
@@ -48,12 +48,12 @@ def crc7(data: bytes) -> int:
 
 
 def crc16(data: bytes) -> bytes:
-    """Of a data block: x^16 + x^12 + x^5 + 1, the upper byte first."""
+    """Compute a data block's checksum: x^16 + x^12 + x^5 + 1, the upper byte first."""
     return binascii.crc_hqx(data, 0).to_bytes(2, "big")
 
 
 def csd(blocks: int) -> bytes:
-    """Card-specific data, version 2 (5.3.3), of so many blocks; it counts whole 512 KiB, rounded down."""
+    """Encode card-specific data, version 2 (5.3.3), of `blocks` blocks, rounded down to 512 KiB."""
     size = blocks * BLOCK // CAPACITY_UNIT - 1
     body = bytes(
         (
@@ -67,23 +67,23 @@ def csd(blocks: int) -> bytes:
 
 
 def cid(serial: int) -> bytes:
-    """Card identification (5.2): no maker's number, name EMUSD, revision 1.0, made in January 2026."""
+    """Encode the card identification (5.2): no maker's number, name EMUSD, revision 1.0, January 2026."""
     body = b"\x00NFEMUSD\x10" + (serial & 0xFFFFFFFF).to_bytes(4, "big") + bytes((0x01, 0xA1))
     return body + bytes([crc7(body)])
 
 
 def scr(erased: int) -> bytes:
-    """SD configuration (5.6): version 3; erased: what erased bytes are, 0x00 or 0xFF."""
+    """Encode the SD configuration (5.6): version 3; erased: value of erased bytes, 0x00 or 0xFF."""
     return bytes((0x02, (0x80 if erased else 0x00) | 0x35, 0x80, 0, 0, 0, 0, 0))
 
 
 def sd_status() -> bytes:
-    """SD status (4.10.2): speed class 10, allocation units of 4 MiB."""
+    """Encode the SD status (4.10.2): speed class 10, allocation units of 4 MiB."""
     status = bytearray(64)
     status[8], status[10] = 4, 9 << 4
     return bytes(status)
 
 
 def ocr(ready: bool) -> bytes:
-    """Operation conditions (5.1)."""
+    """Encode the operation conditions (5.1)."""
     return (VOLTAGES | (POWERED_UP | HIGH_CAPACITY if ready else 0)).to_bytes(4, "big")

@@ -1,4 +1,4 @@
-"""The slot on the board: what joins an SD card with SPI3, its select line, the supply and snapshots."""
+"""The slot on the board: connection of an SD card with SPI3, its select line, the supply and snapshots."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ CS = "PC1"  # pins.c knows it too
 
 
 class CardSlot:
-    """A slot with a card or, by default, without: then C answers 0xFF for every byte."""
+    """A slot with a card or, by default, without: then C answers 0xFF to every byte."""
 
     def __init__(self, native: Native, pins: Pins, card: SdCard | None) -> None:
         self._native, self._context = native, native.engine
@@ -28,13 +28,13 @@ class CardSlot:
         card.on_power_cut = lambda: self._context.system_reset("power")
 
     def power_on(self) -> None:
-        """The supply has gone and come back."""
+        """Handle a gap of the supply."""
         if self.card is not None:
             self.card.power_on(self._context.cycle)
             self._in_c.until = 0
 
     def strike(self, kind: CardFault, value: float = 0.0) -> None:
-        """Let a fault come now. Raises BoardError without a card."""
+        """Inject a fault now. Raises BoardError without a card."""
         if self.card is None:
             raise BoardError(f"the fault {kind.value} of a card: the board has none; put one in with --card")
         self._native.library.native_card_sync(self._native.handle)
@@ -52,7 +52,7 @@ class CardSlot:
         return got
 
     def close(self) -> None:
-        """Let the card's file go."""
+        """Close the card's file."""
         if self.card is not None:
             self.card.close()
 

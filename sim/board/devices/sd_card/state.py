@@ -1,4 +1,4 @@
-"""What an SD card is in the middle of."""
+"""The protocol's state of an SD card."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass
 class State:
-    """Plain values; as they are here after power-up."""
+    """Plain values, by default those after power-up."""
 
     spi: bool = False  # the first CMD0 has come
     idle: bool = True  # not initialised

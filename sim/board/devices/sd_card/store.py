@@ -1,4 +1,4 @@
-"""What an SD card keeps: blocks that are being written when the power goes, and blocks that are worn."""
+"""The memory of an SD card: unfinished blocks at a power cut, and worn blocks."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ class Store:
     """The card's memory."""
 
     def __init__(self, image: CardImage, delays: Delays, erased: int) -> None:
-        """erased: what erased bytes are, 0x00 or 0xFF."""
+        """erased: value of erased bytes, 0x00 or 0xFF."""
         self.image, self.erased = image, erased
         self.writes = 0  # blocks that were to be written since the card was made
         self.worn_after: int | None = None  # writes; those that follow fail
@@ -23,15 +23,15 @@ class Store:
 
     @property
     def blocks(self) -> int:
-        """How many there are."""
+        """Number of blocks."""
         return self.image.blocks
 
     def read(self, block: int) -> bytes:
-        """What block `block` holds."""
+        """Read a block."""
         return self.image.read(block)
 
     def write(self, block: int, data: bytes) -> bool:
-        """Begin to write a block, which `finish_at` says the end of; whether it can be written."""
+        """Begin to write a block, which `finish_at` ends; return True if it can be written."""
         self.writes += 1
         worn = self.worn_after is not None and self.writes > self.worn_after
         if worn or (self.worn_from is not None and block >= self.worn_from):
@@ -41,7 +41,7 @@ class Store:
         return True
 
     def finish_at(self, cycle: int) -> None:
-        """The block that was written last is safe from `cycle` on."""
+        """Make the last written block safe from `cycle` on."""
         if self._unfinished is not None:
             self._unfinished = (*self._unfinished[:3], cycle)
 
@@ -50,7 +50,7 @@ class Store:
         self.image.erase(first, last, self.erased)
 
     def lose_power(self, cycle: int, cut: Cut | None = None, kept_bytes: int | None = None) -> None:
-        """The power goes at `cycle`: a block that is not finished is old, new or torn."""
+        """Cut the power at `cycle`: an unfinished block is old, new or torn."""
         if self._unfinished is not None and cycle < self._unfinished[3]:
             block, old, new, _ = self._unfinished
             self.image.write(block, left_of(old, new, cut, kept_bytes, self._delays.choice))

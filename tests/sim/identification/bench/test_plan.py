@@ -10,7 +10,7 @@ import pytest
 
 from neuroflight.sim.aircraft.model import load_aircraft
 from neuroflight.sim.identification.bench.plan import (
-    Plan,
+    BenchPlan,
     begin_folder,
     check_folder,
     joined,
@@ -29,10 +29,10 @@ from neuroflight.sim.identification.dyno.bench import (
 from neuroflight.sim.identification.dyno.recording import Recording, read_recordings, write_recording
 from neuroflight.toolchain.errors import DynoError
 
-PLAN = Plan(KINDS, 3, 0.8, 1.0, 40.0, 1, 3, 0.02, ("time_us", "thrust_n"), {})
+PLAN = BenchPlan(KINDS, 3, 0.8, 1.0, 40.0, 1, 3, 0.02, ("time_us", "thrust_n"), {})
 
 
-def measured(plan: Plan, kind: str, seed: int, noise: float = 0.02) -> Recording:
+def measured(plan: BenchPlan, kind: str, seed: int, noise: float = 0.02) -> Recording:
     experiment = plan.experiment(kind)
     time = sample_times(duration(experiment), 200.0)
     clean = run(load_aircraft("nf1").propulsion, experiment, time)

@@ -1,0 +1,50 @@
+"""What `results` and `reproduce` share: lines about the steps that run, and the check of a page."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from neuroflight.toolchain.errors import NeuroflightError
+from neuroflight.training.reproduction.steps import Done, Watcher
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from neuroflight.training.reproduction.experiments import Step
+
+
+class Lines(Watcher):
+    """Tells each step on a line, and keeps why some failed in `reasons`."""
+
+    def __init__(self, console: Console, count: int) -> None:
+        self.reasons: dict[str, str] = {}
+        self._console, self._count, self._ended = console, count, 0
+
+    def started(self, step: Step) -> None:
+        """See Watcher."""
+        self._console.print(f"{step.name}: begins", style="dim")
+
+    def finished(self, done: Done, *, again: bool) -> None:
+        """See Watcher."""
+        self._end(f"{done.step.name}: {f'{done.seconds:.0f} s' if again else 'was there'}")
+
+    def outdated(self, step: Step, name: str) -> None:
+        """See Watcher."""
+        self._console.print(f"{step.name}: {name} has changed since it ran", markup=False)
+
+    def failed(self, step: Step, reason: str) -> None:
+        """See Watcher."""
+        self.reasons[step.name] = reason
+        self._end(f"{step.name}: failed: {reason}", "red")
+
+    def _end(self, line: str, style: str = "") -> None:
+        self._ended += 1
+        self._console.print(f"[{self._ended} of {self._count}] {line}", markup=False, style=style)
+
+
+def check_page(page: Path, text: str, stored: Path, command: str, told: str = "") -> None:
+    """Tell that the page is what the stored files give; raise NeuroflightError if it is not."""
+    if not page.is_file() or page.read_bytes() != text.encode():
+        raise NeuroflightError(f"{page}: not what the files in {stored} give; run `{command}`")
+    print(f"{page}: up to date{told}")

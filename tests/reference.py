@@ -1,0 +1,227 @@
+"""Writes the pages of docs/reference that the code knows: `python -m tests.reference`.
+
+Commands come from the parsers of the command line, targets from the Makefile, settings and MSP from the
+contract, keys of a training configuration from its dataclasses, whose comments are the page's words.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import dataclasses
+import inspect
+import re
+import textwrap
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+from neuroflight.cli.main import parser
+from neuroflight.toolchain.files import write_text_if_changed
+from neuroflight.toolchain.rendering.msp_page import msp_page
+from neuroflight.toolchain.rendering.settings_page import settings_page
+from neuroflight.training.config.algorithms import ALGORITHMS
+from neuroflight.training.config.randomization import Randomization
+from neuroflight.training.config.selection import SelectionLimits
+from neuroflight.training.config.training_config import OutputMap, TrainingConfig, WorldConfig
+from neuroflight.training.tasks.registry import TASKS
+from neuroflight.training.tasks.reward import REWARDS
+from tests.conftest import ROOT
+
+FOLDER = ROOT / "docs" / "reference"
+WRITTEN = "This page is written from the code by `python -m tests.reference`."
+
+
+# --- Commands ---------------------------------------------------------------------------------------
+def commands_page() -> str:
+    """Return the targets of make, and every command with its options."""
+    parts = [
+        "# Commands",
+        WRITTEN + " `neuroflight` is `.venv/bin/neuroflight`; every command has `--help`.",
+        "## make",
+        _table("target", "what it does", *(targets())),
+    ]
+    noun = ""
+    for words, leaf in leaves(parser()):
+        if words[0] != noun:
+            noun = words[0]
+            parts.append(f"## {noun}")
+        parts += _command(words, leaf)
+    return "\n\n".join(parts) + "\n"
+
+
+def targets() -> list[tuple[str, str]]:
+    """Return name and meaning of each target of the Makefile, as `make help` lists them."""
+    return [
+        (f"`make {name}`", _cell(meaning))
+        for name, meaning in re.findall(
+            r"^([a-z]+):.*?## (.*)$", (ROOT / "Makefile").read_text(), re.MULTILINE
+        )
+    ]
+
+
+def leaves(
+    of: argparse.ArgumentParser, words: tuple[str, ...] = ()
+) -> Iterator[tuple[tuple[str, ...], argparse.ArgumentParser]]:
+    """Yield words and parser of every command that has none below it."""
+    below = [action for action in of._actions if isinstance(action, argparse._SubParsersAction)]
+    if not below:
+        yield words, of
+    for action in below:
+        for name, sub in action.choices.items():
+            yield from leaves(sub, (*words, name))
+
+
+def _command(words: tuple[str, ...], leaf: argparse.ArgumentParser) -> Iterator[str]:
+    heading = " ".join(words)
+    yield f"### neuroflight {heading}" if len(words) > 1 else f"`neuroflight {heading}`"
+    if leaf.description:
+        yield _sentence(_cell(leaf.description))
+    rows = []
+    for group in leaf._action_groups:
+        shown = [
+            action
+            for action in group._group_actions
+            if action.help != argparse.SUPPRESS and not isinstance(action, argparse._HelpAction)
+        ]
+        if shown and group.title not in ("positional arguments", "options"):
+            rows.append((f"*{group.title}*", _cell(group.description or "")))
+        rows += [_option(leaf, action) for action in shown]
+    if rows:
+        yield _table("argument", "what it does", *rows)
+    if leaf.epilog:
+        yield _sentence(_cell(leaf.epilog))
+
+
+def _option(leaf: argparse.ArgumentParser, action: argparse.Action) -> tuple[str, str]:
+    formatter = leaf._get_formatter()
+    values = "" if action.nargs == 0 else formatter._format_args(action, _metavar(action))
+    name = action.option_strings[-1] if action.option_strings else ""
+    said = formatter._expand_help(action) if action.help else ""
+    default = action.default
+    known = default in (None, False, argparse.SUPPRESS) or isinstance(default, dict | list | tuple)
+    if isinstance(default, Path):
+        default = default.relative_to(ROOT) if default.is_relative_to(ROOT) else default
+    if not known and action.nargs != 0 and "default" not in said:
+        said = (
+            f"{said}; default: {default:g}" if isinstance(default, float) else f"{said}; default: {default}"
+        )
+    needed = " (required)" if action.option_strings and action.required else ""
+    return f"`{_cell(f'{name} {values}'.strip())}`{needed}", _cell(said.removeprefix("; "))
+
+
+def _metavar(action: argparse.Action) -> str:
+    if action.choices is not None and not isinstance(action.metavar, str):
+        return "|".join(str(choice) for choice in action.choices)
+    return str(action.metavar or action.dest.upper())
+
+
+# --- Training ---------------------------------------------------------------------------------------
+def training_page() -> str:
+    """Return every key of a training configuration with its default."""
+    config = (
+        ("", TrainingConfig),
+        ("output", OutputMap),
+        ("world", WorldConfig),
+        ("world.randomization", Randomization),
+        ("selection", SelectionLimits),
+    )
+    parts = [
+        "# Training configuration",
+        f"{WRITTEN} How to use it: [Training](../guides/training.md). A configuration is a TOML file; "
+        "`--set KEY=VALUE` sets one key.",
+    ]
+    for name, kind in config:
+        parts += [f"## [{name}]" if name else "## The run", *_keys(f"{name}.".lstrip("."), kind)]
+    named = (("task", TASKS), ("reward", REWARDS), ("algorithm", ALGORITHMS))
+    for table, registry in named:
+        for name, registered in registry.items():
+            parts += [f'## {table} "{name}"', *_keys(f"{table}.", registered)]
+    return "\n\n".join(parts) + "\n"
+
+
+def _keys(prefix: str, kind: type) -> Iterator[str]:
+    """Yield a class's words and the table of its fields."""
+    for paragraph in inspect.cleandoc(kind.__doc__ or "").split("\n\n"):
+        yield _sentence(" ".join(paragraph.split()))
+    said = comments(kind)
+    rows = []
+    for field in dataclasses.fields(kind):
+        make = field.default_factory
+        if not field.init or (make is not dataclasses.MISSING and dataclasses.is_dataclass(make())):
+            continue
+        default = "required" if field.default is dataclasses.MISSING else _toml(field.default)
+        rows.append((f"`{prefix}{field.name}`", default, _cell(said.get(field.name, ""))))
+    if rows:
+        yield _table("key", "default", "meaning", *rows)
+
+
+def comments(kind: type) -> dict[str, str]:
+    """Return the comment behind each field of a dataclass, its bases' too."""
+    found: dict[str, str] = {}
+    for base in reversed(kind.__mro__[:-1]):
+        if not dataclasses.is_dataclass(base):
+            continue
+        source = textwrap.dedent(inspect.getsource(base))
+        lines = source.splitlines()
+        [node] = ast.parse(source).body
+        assert isinstance(node, ast.ClassDef)
+        for field in node.body:
+            if isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name) and field.end_lineno:
+                statement = lines[field.lineno - 1 : field.end_lineno]
+                said = [line.partition("  # ")[2] for line in statement if "  # " in line]
+                found[field.target.id] = " ".join(said) or found.get(field.target.id, "")
+    return found
+
+
+def _toml(value: object) -> str:
+    match value:
+        case None:
+            return "none"
+        case bool():
+            return str(value).lower()
+        case str():
+            return f'"{value}"'
+        case float() | int():
+            return f"{value:g}" if isinstance(value, float) else f"{value:,}"
+        case tuple():
+            return f"[{', '.join(_toml(each) for each in value)}]"
+    return str(value)
+
+
+# --- Pages ------------------------------------------------------------------------------------------
+PAGES: dict[str, Callable[[], str]] = {
+    "commands": commands_page,
+    "settings": settings_page,
+    "msp": msp_page,
+    "training": training_page,
+}
+
+
+def _table(*cells: str | tuple[str, ...]) -> str:
+    heads = [cell for cell in cells if isinstance(cell, str)]
+    rows = [heads, ["---"] * len(heads), *(cell for cell in cells if not isinstance(cell, str))]
+    return "\n".join(f"| {' | '.join(row)} |" for row in rows)
+
+
+def _cell(text: str) -> str:
+    text = " ".join(text.split()).replace("|", "\\|").replace("<", "&lt;")
+    return re.sub(r"(?<!\()docs/(\w[\w/-]*\.md)", lambda page: f"[{_title(page[0])}](../{page[1]})", text)
+
+
+def _title(page: str) -> str:
+    return (ROOT / page).read_text().partition("\n")[0].removeprefix("# ")
+
+
+def _sentence(text: str) -> str:
+    text = text[:1].upper() + text[1:]
+    return text if text.endswith((".", ":")) else f"{text}."
+
+
+def main() -> None:
+    """Write the pages anew."""
+    for name, make in PAGES.items():
+        write_text_if_changed(FOLDER / f"{name}.md", make())
+
+
+if __name__ == "__main__":
+    main()
