@@ -7,11 +7,9 @@ contract, keys of a training configuration from its dataclasses, whose comments 
 from __future__ import annotations
 
 import argparse
-import ast
 import dataclasses
 import inspect
 import re
-import textwrap
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -156,20 +154,19 @@ def _keys(prefix: str, kind: type) -> Iterator[str]:
 
 
 def comments(kind: type) -> dict[str, str]:
-    """Return the comment behind each field of a dataclass, its bases' too."""
+    """Return the comment behind or above each field of a dataclass, its bases' too."""
     found: dict[str, str] = {}
     for base in reversed(kind.__mro__[:-1]):
         if not dataclasses.is_dataclass(base):
             continue
-        source = textwrap.dedent(inspect.getsource(base))
-        lines = source.splitlines()
-        [node] = ast.parse(source).body
-        assert isinstance(node, ast.ClassDef)
-        for field in node.body:
-            if isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name) and field.end_lineno:
-                statement = lines[field.lineno - 1 : field.end_lineno]
-                said = [line.partition("  # ")[2] for line in statement if "  # " in line]
-                found[field.target.id] = " ".join(said) or found.get(field.target.id, "")
+        above: list[str] = []
+        for line in inspect.getsource(base).splitlines():
+            if comment := re.fullmatch(r" +# (.*)", line):
+                above.append(comment[1])
+            elif field := re.match(r"    (\w+): .*?(?:  # (.*))?$", line):
+                said = field[2] or " ".join(above)
+                found[field[1]] = said or found.get(field[1], "")
+                above = []
     return found
 
 

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from neuroflight.cli.flash.known_policies import Known
     from neuroflight.flash.client import Client
     from neuroflight.flash.policy.candidate import Candidate
-    from neuroflight.flash.policy.slots import Place, Policies
+    from neuroflight.flash.policy.slots import Policies, Slot
     from neuroflight.flash.policy.swap import Board, Progress
 
 NOT_WRITTEN = "nothing was written"
@@ -95,21 +95,21 @@ def list_(args: argparse.Namespace) -> int:
         print_json(_list_document(policies, networks))
         return 0
     heads = ("place", "flown", "number", "aircraft", "sha256", "network", "state")
-    print_table(heads, [_row(place, policies, networks) for place in policies.places], frozenset({"number"}))
+    print_table(heads, [_row(place, policies, networks) for place in policies.slots], frozenset({"number"}))
     return 0
 
 
 def _known(policies: Policies) -> dict[str, Known]:
     from neuroflight.cli.flash.known_policies import known_policies
 
-    return known_policies((place.sha256 for place in policies.places if place.good), Path.cwd())
+    return known_policies((place.sha256 for place in policies.slots if place.good), Path.cwd())
 
 
 def _networks(policies: Policies) -> dict[str, str]:
     return {sha256: known.network for sha256, known in _known(policies).items()}
 
 
-def _row(place: Place, policies: Policies, networks: dict[str, str]) -> tuple[str, ...]:
+def _row(place: Slot, policies: Policies, networks: dict[str, str]) -> tuple[str, ...]:
     from neuroflight.flash.policy.slots import EMPTY, SHA_SHOWN
 
     if place.found == EMPTY and not place.flown:
@@ -125,7 +125,7 @@ def _row(place: Place, policies: Policies, networks: dict[str, str]) -> tuple[st
     )
 
 
-def _state(place: Place, policies: Policies) -> str:
+def _state(place: Slot, policies: Policies) -> str:
     from neuroflight.flash.policy_errors import policy_error
 
     if place.flown and policies.given_up:
@@ -147,7 +147,7 @@ def _list_document(policies: Policies, networks: dict[str, str]) -> list[dict[st
             "network": networks.get(place.sha256),
             "next": place is after,
         }
-        for place in policies.places
+        for place in policies.slots
     ]
 
 
@@ -262,7 +262,7 @@ def _carry_out(
 
 
 def _plan(
-    args: argparse.Namespace, candidate: Candidate, policies: Policies, held: Place | None
+    args: argparse.Namespace, candidate: Candidate, policies: Policies, held: Slot | None
 ) -> dict[str, Any]:
     """As --json prints it; `flown` tells whether the board flies it now."""
     from neuroflight.flash.policy import swap as swaps

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from neuroflight.sim.aircraft.model import Aircraft
     from neuroflight.sim.design.airworthiness import Verdict
-    from neuroflight.sim.design.figures import Figures
+    from neuroflight.sim.design.figures import AircraftFigures
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -107,7 +107,7 @@ def _check(args: argparse.Namespace) -> int:
     return int(any(verdict.level is Level.ERROR for verdict in verdicts))
 
 
-def _document(aircraft: Aircraft, figures: Figures, verdicts: list[Verdict]) -> dict[str, Any]:
+def _document(aircraft: Aircraft, figures: AircraftFigures, verdicts: list[Verdict]) -> dict[str, Any]:
     """The whole report in SI units; unknown or impossible values are null."""
     hover, endurance = figures.hover, figures.endurance
     return {
@@ -145,7 +145,7 @@ def _document(aircraft: Aircraft, figures: Figures, verdicts: list[Verdict]) -> 
     }
 
 
-def _print(aircraft: Aircraft, figures: Figures, verdicts: list[Verdict], drawn: Path | None) -> None:
+def _print(aircraft: Aircraft, figures: AircraftFigures, verdicts: list[Verdict], drawn: Path | None) -> None:
     from rich.console import Console
     from rich.table import Table
     from rich.text import Text
@@ -169,7 +169,7 @@ def _print(aircraft: Aircraft, figures: Figures, verdicts: list[Verdict], drawn:
         console.print(Text(f"\ndrawn: {drawn}"))
 
 
-def _rows(aircraft: Aircraft, figures: Figures) -> list[tuple[str, str]]:
+def _rows(aircraft: Aircraft, figures: AircraftFigures) -> list[tuple[str, str]]:
     """Label and text of each figure."""
     import numpy as np
 

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from neuroflight.toolchain.codegen.compiler import CompiledPolicy
-    from neuroflight.toolchain.verification.tolerance import Figures
+    from neuroflight.toolchain.verification.tolerance import GroupFigures
     from neuroflight.toolchain.verification.verify import Verification
 
 NOTHING = "-"
@@ -186,7 +186,7 @@ def _cells(error: float | None, ulp: float | None = None, share: float | None = 
     ]
 
 
-def _worst(figures: Sequence[Figures], name: str) -> float | None:
+def _worst(figures: Sequence[GroupFigures], name: str) -> float | None:
     values = [getattr(group, name) for group in figures]
     return max((value for value in values if value is not None), default=None)
 

@@ -33,7 +33,7 @@ FORMAT = (
 
 
 @dataclass(frozen=True)
-class Entry:
+class DirectoryEntry:
     """A file of the root directory."""
 
     name: str  # 8.3, in capitals
@@ -74,7 +74,7 @@ class Fat32:
         self._end = FIRST_CLUSTER + min((total - data) // per_cluster, table_sectors * SECTOR // 4 - 2)
         self._piece_of_table = lru_cache(TABLE_PIECES_KEPT)(self._read_table)
 
-    def files(self) -> list[Entry]:
+    def files(self) -> list[DirectoryEntry]:
         """List the root directory's files in its order. Raises CardError for a damaged one."""
         raw = b"".join(
             self._read(piece.at, piece.bytes) for piece in self._pieces(self._root, ROOT_BYTES_MAX)
@@ -89,10 +89,10 @@ class Fat32:
             base, suffix = entry[:8].decode("latin-1").rstrip(), entry[8:11].decode("latin-1").rstrip()
             high, low = struct.unpack_from("<H", entry, 20)[0], struct.unpack_from("<H", entry, 26)[0]
             size = struct.unpack_from("<I", entry, 28)[0]
-            found.append(Entry(f"{base}.{suffix}" if suffix else base, size, high << 16 | low))
+            found.append(DirectoryEntry(f"{base}.{suffix}" if suffix else base, size, high << 16 | low))
         return found
 
-    def pieces(self, entry: Entry) -> list[Piece]:
+    def pieces(self, entry: DirectoryEntry) -> list[Piece]:
         """Return the pieces of a file in order. Raises CardError if its chain of clusters is damaged."""
         if entry.bytes == 0:
             return []
@@ -104,7 +104,7 @@ class Fat32:
             )
         return found
 
-    def read(self, entry: Entry, offset: int, count: int) -> bytes:
+    def read(self, entry: DirectoryEntry, offset: int, count: int) -> bytes:
         """Read bytes of a file, fewer at its end."""
         parts, at = [], 0
         for piece in self.pieces(entry):

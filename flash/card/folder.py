@@ -6,7 +6,7 @@ import os
 from collections.abc import Callable
 from pathlib import Path
 
-from neuroflight.flash.card.fat32 import Entry, Fat32
+from neuroflight.flash.card.fat32 import DirectoryEntry, Fat32
 from neuroflight.flash.card.files import PIECE_BYTES, SECTOR, LogFile, is_blank, is_log_name
 from neuroflight.toolchain.errors import CardError
 
@@ -86,7 +86,7 @@ def _write_zeros(handle: int, size: int, progress: Callable[[int], None]) -> Non
     os.fsync(handle)
 
 
-def _in_one_piece(system: Fat32, entry: Entry) -> bool:
+def _in_one_piece(system: Fat32, entry: DirectoryEntry) -> bool:
     return len(system.pieces(entry)) <= 1
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from neuroflight.flash.client import Client, NoAnswerError
-from neuroflight.flash.policy.slots import Place, Policies, read_patiently
+from neuroflight.flash.policy.slots import Policies, Slot, read_patiently
 from neuroflight.flash.policy.swap import Board
 from neuroflight.flash.policy_errors import policy_error
 from neuroflight.flash.restart import restart
@@ -13,7 +13,7 @@ from neuroflight.toolchain.errors import LinkError
 UNTOUCHED = "nothing was changed"
 
 
-def plan(policies: Policies, *, other_aircraft: bool) -> tuple[Place, Place]:
+def plan(policies: Policies, *, other_aircraft: bool) -> tuple[Slot, Slot]:
     """Return the policy that a revert gives up, and the one that is flown after it.
 
     Raises LinkError if there is none to return to, if a newer one waits for its first start, or if the one \\
@@ -51,7 +51,7 @@ def revert(client: Client) -> None:
         ) from error
 
 
-def start(client: Client, flown: Place, before: Place, board: Board) -> Client:
+def start(client: Client, flown: Slot, before: Slot, board: Board) -> Client:
     """Restart the firmware and check that it flies `before`. Returns a client of the new start.
 
     Raises LinkError, the client closed.
@@ -65,14 +65,14 @@ def start(client: Client, flown: Place, before: Place, board: Board) -> Client:
     return client
 
 
-def check_reverted(name: str, policies: Policies, flown: Place, before: Place) -> None:
+def check_reverted(name: str, policies: Policies, flown: Slot, before: Slot) -> None:
     """Raise LinkError unless the board flies `before` and no longer `flown`; name: the board's line."""
     info = policies.info
     if (info.source, info.sha256) == (before.source, before.sha256) and info.good:
         return
-    now = next(each for each in policies.places if each.source is before.source)
+    now = next(each for each in policies.slots if each.source is before.source)
     why = "" if now.good else f" ({now.name}: {policy_error(now.found)})"
     raise LinkError(
         f"{name}: the board flies {policies.flown_text}, expected {before.text}{why} after "
-        f"{flown.text} was given up; `neuroflight flash --list` tells what each place holds"
+        f"{flown.text} was given up; `neuroflight flash --list` tells what each slot holds"
     )

@@ -26,7 +26,7 @@ SHA_SHOWN = 12  # digits of a SHA-256 that tell two policies apart for people
 
 
 @dataclass(frozen=True)
-class Place:
+class Slot:
     """A policy slot; without a whole policy in it, the fields after `flown` are 0."""
 
     source: PolicySource
@@ -62,12 +62,12 @@ class Policies:
     """All policies of a firmware, as of one moment."""
 
     info: PolicyInfo  # of the flown one
-    places: tuple[Place, ...]  # in the order of PLACES
+    slots: tuple[Slot, ...]  # in the order of PLACES
 
     @property
-    def flown(self) -> Place | None:
+    def flown(self) -> Slot | None:
         """The slot that is flown, or None if no policy is good."""
-        return next((place for place in self.places if place.flown), None)
+        return next((slot for slot in self.slots if slot.flown), None)
 
     @property
     def flown_text(self) -> str:
@@ -82,19 +82,19 @@ class Policies:
         """True if the flown slot was made invalid and the firmware has not started since."""
         return self.flown is not None and self.flown.found == EMPTY
 
-    def after_start(self, without: Place | None = None) -> Place | None:
+    def after_start(self, without: Slot | None = None) -> Slot | None:
         """Return the slot flown from the next start on, if it passes its self-test; None: none is good.
 
         without: a slot that will be empty. The firmware's rule: `policy_slots_best`.
         """
-        good = [place for place in self.places if place.good and place is not without]
+        good = [slot for slot in self.slots if slot.good and slot is not without]
         if len(good) == 2 and newer(good[1].sequence, good[0].sequence):
             return good[1]
         return next(iter(good), None)
 
-    def holding(self, sha256: str, sequence: int) -> Place | None:
+    def holding(self, sha256: str, sequence: int) -> Slot | None:
         """Return the slot that holds the policy with that hash and sequence number, or None."""
-        found = (place for place in self.places if (place.sha256, place.sequence) == (sha256, sequence))
+        found = (slot for slot in self.slots if (slot.sha256, slot.sequence) == (sha256, sequence))
         return next(found, None)
 
 
@@ -113,13 +113,13 @@ def slot_info(source: PolicySource) -> bytes:
     return struct.pack("<B", source)
 
 
-def place_of(source: PolicySource, payload: bytes) -> Place:
+def slot_of(source: PolicySource, payload: bytes) -> Slot:
     """Decode POLICY_SLOT_INFO of that slot. Raises LinkError."""
     reader = Reader(Msp.POLICY_SLOT_INFO, payload)
     found, flown, sequence, architecture, filters, rate, idle = reader.fields("bB4If")
     aircraft, sha256 = reader.counted_text(), reader.bytes(32).hex()
     build = reader.bytes(IMAGE_BUILD_BYTES).hex()
-    return Place(
+    return Slot(
         source=source,
         found=found,
         flown=bool(flown),
@@ -137,11 +137,11 @@ def place_of(source: PolicySource, payload: bytes) -> Place:
 def read_policies(client: Client) -> Policies:
     """Read all slots of a firmware. Raises LinkError."""
     info = messages.policy_info(client.request(Msp.POLICY_INFO))
-    places = []
+    slots = []
     for source in PLACES:
-        client.settle()  # the replies do not say which place they are of
-        places.append(place_of(source, client.request(Msp.POLICY_SLOT_INFO, slot_info(source))))
-    return Policies(info, tuple(places))
+        client.settle()  # the replies do not say which slot they are of
+        slots.append(slot_of(source, client.request(Msp.POLICY_SLOT_INFO, slot_info(source))))
+    return Policies(info, tuple(slots))
 
 
 def read_patiently(client: Client, clock: Callable[[], float]) -> Policies:

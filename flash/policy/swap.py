@@ -20,7 +20,7 @@ from neuroflight.flash import requests
 from neuroflight.flash.client import Client, NoAnswerError, RefusedError
 from neuroflight.flash.messages import PolicySource
 from neuroflight.flash.policy.candidate import Candidate
-from neuroflight.flash.policy.slots import OTHER_IMAGE, Place, Policies, read_patiently
+from neuroflight.flash.policy.slots import OTHER_IMAGE, Policies, Slot, read_patiently
 from neuroflight.flash.policy_errors import policy_error
 from neuroflight.flash.restart import restart
 from neuroflight.flash.transport import Transport
@@ -75,7 +75,7 @@ class Blob(Protocol):
 def target(policies: Policies) -> PolicySource:
     """Return the slot that a swap erases, as `policy_slots_to_be_written` does: the one not flown."""
     kept = policies.flown or policies.after_start()
-    return PolicySource.SLOT_B if kept is policies.places[0] else PolicySource.SLOT_A
+    return PolicySource.SLOT_B if kept is policies.slots[0] else PolicySource.SLOT_A
 
 
 def seconds(size: int, slot: PolicySource, baud: int | None, *, start: bool) -> float:
@@ -85,7 +85,7 @@ def seconds(size: int, slot: PolicySource, baud: int | None, *, start: bool) -> 
     return ERASE_S[slot] + line + size * PROGRAM_S + blocks * TURN_S + (START_S if start else 0.0)
 
 
-def write(client: Client, candidate: Blob, board: Board, progress: Progress) -> tuple[Client, Place]:
+def write(client: Client, candidate: Blob, board: Board, progress: Progress) -> tuple[Client, Slot]:
     """Write it into the slot that is not flown. Returns the client, a new one if the line was opened again,
     and the slot.
 
@@ -100,9 +100,9 @@ def write(client: Client, candidate: Blob, board: Board, progress: Progress) -> 
             _write_blocks(client, candidate.blob(sequence), progress)
             ending = True
             client.request(Msp.POLICY_SLOT_END, retries=RESENDS)
-            place = read_patiently(client, board.clock).holding(candidate.sha256, sequence)
-            if place is not None and _arrived(candidate, place):
-                return client, place
+            slot = read_patiently(client, board.clock).holding(candidate.sha256, sequence)
+            if slot is not None and _arrived(candidate, slot):
+                return client, slot
             failure = LinkError(
                 f"{client.name}: the slot of {size} bytes reads otherwise than it was written"
             )
@@ -125,10 +125,10 @@ def write(client: Client, candidate: Blob, board: Board, progress: Progress) -> 
     raise LinkError(f"{failure}; {_left(candidate, ending)}") from failure
 
 
-def _arrived(candidate: Blob, place: Place) -> bool:
+def _arrived(candidate: Blob, slot: Slot) -> bool:
     """Return True if the slot holds it whole; it may be for another image than the running one."""
-    return place.build == candidate.build.hex() and (
-        place.good or (any(candidate.build) and place.found == OTHER_IMAGE)
+    return slot.build == candidate.build.hex() and (
+        slot.good or (any(candidate.build) and slot.found == OTHER_IMAGE)
     )
 
 
@@ -167,8 +167,8 @@ def _left(candidate: Blob, ending: bool) -> str:
     return f"{candidate.file} was not written: the board goes on with the policy that it flew"
 
 
-def start(client: Client, candidate: Candidate, place: Place, board: Board) -> Client:
-    """Restart the firmware and check that it flies the policy in `place`. Returns a client of the new start.
+def start(client: Client, candidate: Candidate, slot: Slot, board: Board) -> Client:
+    """Restart the firmware and check that it flies the policy in `slot`. Returns a client of the new start.
 
     Raises LinkError, the client closed, when the board does not come back, and when it flies another policy.
     """
@@ -176,30 +176,30 @@ def start(client: Client, candidate: Candidate, place: Place, board: Board) -> C
         client = restart(client, board.reopen, board.clock, board.sleep)
     except LinkError as error:
         raise LinkError(
-            f"{error}; {candidate.file} stands in {place.name} and is flown from the next start on if it "
+            f"{error}; {candidate.file} stands in {slot.name} and is flown from the next start on if it "
             "passes its self-test: `neuroflight flash --list` tells"
         ) from error
     try:
-        check_flown(client.name, read_patiently(client, board.clock), candidate, place)
+        check_flown(client.name, read_patiently(client, board.clock), candidate, slot)
     except BaseException:
         client.close()
         raise
     return client
 
 
-def check_flown(name: str, policies: Policies, candidate: Candidate, place: Place) -> None:
-    """Raise LinkError unless the board flies the policy in `place`; name: the board's line."""
-    now = next(each for each in policies.places if each.source is place.source)
+def check_flown(name: str, policies: Policies, candidate: Candidate, slot: Slot) -> None:
+    """Raise LinkError unless the board flies the policy in `slot`; name: the board's line."""
+    now = next(each for each in policies.slots if each.source is slot.source)
     info = policies.info
     told = (info.source, info.sequence, info.sha256)
-    if now.flown and info.good and told == (place.source, place.sequence, candidate.sha256):
+    if now.flown and info.good and told == (slot.source, slot.sequence, candidate.sha256):
         return
     if not now.good:
-        why = f"the one in {place.name} {_was(now.found)}"
+        why = f"the one in {slot.name} {_was(now.found)}"
     elif now.flown and not info.good:
         why = "its self-test failed"
     else:
-        why = f"{place.name} holds the policy number {now.sequence}, expected {place.sequence}"
+        why = f"{slot.name} holds the policy number {now.sequence}, expected {slot.sequence}"
     raise LinkError(
         f"{name}: the board flies {policies.flown_text} and not {candidate.file}: {why}; "
         "the policies before it are untouched"

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from neuroflight.sim.analysis.confidence import Mean
 from neuroflight.sim.analysis.holding import DRIFT_S, Holding
-from neuroflight.sim.analysis.metrics import Figures
+from neuroflight.sim.analysis.metrics import FlightFigures
 from neuroflight.sim.analysis.response import ResponseFigures
 from neuroflight.sim.flight.trace import Trace
 from neuroflight.sim.plotting import (
@@ -52,7 +52,7 @@ class Flight:
 
     name: str  # of the controller that flew: "policy nf1", "PID flying"
     trace: Trace
-    figures: Figures  # of the time before its hover
+    figures: FlightFigures  # of the time before its hover
     holding: Holding | None = None  # of a flight that ends in a hover
     hover_rows: int = 0  # the rows of that
 

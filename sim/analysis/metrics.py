@@ -47,7 +47,7 @@ class Effort:
 
 
 @dataclass(frozen=True)
-class Figures:
+class FlightFigures:
     """All figures of one flight, averaged over its episodes."""
 
     tracking: Tracking  # against the true rate
@@ -116,7 +116,7 @@ def figures(
     episodes: int = 1,
     idle: float = IDLE_DEFAULT,
     mix: Mix | None = Mix.ATTITUDE_FIRST,
-) -> Figures:
+) -> FlightFigures:
     """Compute the figures of a flight of `episodes` equal episodes; mix: see `controller_output`.
 
     Raises ValueError if its rows do not divide.
@@ -131,7 +131,7 @@ def figures(
     held = hold(setpoint, rate, step_s)
     output = controller_output(trace.motors, trace.throttle, idle, mix)
     parts = components(output.reshape(episodes, -1, output.shape[1]), step_s)
-    return Figures(
+    return FlightFigures(
         tracking=tracking(setpoint, rate, step_s).mean(),
         gyro_mae=tracking(setpoint, gyro, step_s).mae.mean(axis=0),
         effort=effort(output, step_s),

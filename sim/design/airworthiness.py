@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from neuroflight.sim.aircraft.mass import MeshPose, rotation_angles, rotation_matrix
 from neuroflight.sim.aircraft.model import RPM, Aircraft, Propulsion
-from neuroflight.sim.design.figures import Figures, aircraft_figures, balanced_thrust, thrust_map
+from neuroflight.sim.design.figures import AircraftFigures, aircraft_figures, balanced_thrust, thrust_map
 from neuroflight.sim.physics.air import AIR_DENSITY
 from neuroflight.sim.physics.rotor import thrust_and_torque
 from neuroflight.toolchain.contract import AXES, GRAVITY
@@ -67,7 +67,7 @@ class Verdict:
     message: str
 
 
-def examine(aircraft: Aircraft) -> tuple[Figures, list[Verdict]]:
+def examine(aircraft: Aircraft) -> tuple[AircraftFigures, list[Verdict]]:
     """Compute the figures of an aircraft and the verdicts of all checks."""
     figures = aircraft_figures(aircraft)
     checks = (
@@ -77,7 +77,7 @@ def examine(aircraft: Aircraft) -> tuple[Figures, list[Verdict]]:
     return figures, [verdict for check in checks for verdict in check(aircraft, figures)]
 
 
-def _thrust(aircraft: Aircraft, figures: Figures) -> Iterator[Verdict]:
+def _thrust(aircraft: Aircraft, figures: AircraftFigures) -> Iterator[Verdict]:
     ratio = figures.thrust_to_weight
     message = f"{figures.thrust_max:.3g} N at full throttle, {ratio:.2f} times the weight"
     if ratio <= 1:
@@ -92,7 +92,7 @@ def _thrust(aircraft: Aircraft, figures: Figures) -> Iterator[Verdict]:
         yield Verdict(Level.OK, "thrust", message)
 
 
-def _grams(aircraft: Aircraft, figures: Figures) -> str:
+def _grams(aircraft: Aircraft, figures: AircraftFigures) -> str:
     """Suggest, if the aircraft would fly then, that its parts of more than a kilogram were meant in grams."""
     heavy = [part for part in aircraft.parts if part.mass > HEAVY]
     meant = figures.mass - 0.999 * sum(part.mass for part in heavy)
@@ -105,7 +105,7 @@ def _grams(aircraft: Aircraft, figures: Figures) -> str:
     )
 
 
-def _motors(aircraft: Aircraft, figures: Figures) -> Iterator[Verdict]:
+def _motors(aircraft: Aircraft, figures: AircraftFigures) -> Iterator[Verdict]:
     """Check places and turning directions of a quadcopter's motors, on which everything else depends."""
     hubs = np.array([rotor.position[:2] for rotor in aircraft.rotors])
     offset = (hubs - hubs.mean(axis=0)) / max(figures.reach, 1e-9)
@@ -136,7 +136,7 @@ def _motors(aircraft: Aircraft, figures: Figures) -> Iterator[Verdict]:
     yield Verdict(Level.OK, "motors", found + way)
 
 
-def _hover(aircraft: Aircraft, figures: Figures) -> Iterator[Verdict]:
+def _hover(aircraft: Aircraft, figures: AircraftFigures) -> Iterator[Verdict]:
     if figures.hover is not None:
         thrust = figures.hover.thrust
         share = thrust.max() / max(thrust.min(), 1e-9)
@@ -172,7 +172,7 @@ def _hover(aircraft: Aircraft, figures: Figures) -> Iterator[Verdict]:
         yield Verdict(Level.ERROR, "hover", problem)
 
 
-def _control(aircraft: Aircraft, figures: Figures) -> Iterator[Verdict]:
+def _control(aircraft: Aircraft, figures: AircraftFigures) -> Iterator[Verdict]:
     rows = thrust_map(aircraft, np.ones(aircraft.motor_count))
     rows[1:3] /= max(figures.reach, 1e-9)
     rank = int(np.linalg.matrix_rank(rows, tol=1e-3))
@@ -194,7 +194,7 @@ def _control(aircraft: Aircraft, figures: Figures) -> Iterator[Verdict]:
         yield Verdict(Level.OK, "control", message)
 
 
-def _size(aircraft: Aircraft, figures: Figures) -> Iterator[Verdict]:
+def _size(aircraft: Aircraft, figures: AircraftFigures) -> Iterator[Verdict]:
     loading = figures.mass / figures.wheelbase**2
     message = f"{figures.mass:.3g} kg on a wheelbase of {1000 * figures.wheelbase:.0f} mm"
     hint = "; masses are in kg, lengths in m"
@@ -211,7 +211,7 @@ def _size(aircraft: Aircraft, figures: Figures) -> Iterator[Verdict]:
             )
 
 
-def _inertia(aircraft: Aircraft, figures: Figures) -> Iterator[Verdict]:
+def _inertia(aircraft: Aircraft, figures: AircraftFigures) -> Iterator[Verdict]:
     radii = np.sqrt(figures.principal_moments / figures.mass)
     ratios = radii / max(figures.reach, 1e-9)
     worst = int(np.abs(np.log(ratios)).argmax())
@@ -221,7 +221,7 @@ def _inertia(aircraft: Aircraft, figures: Figures) -> Iterator[Verdict]:
     yield _graded("inertia", message, float(ratios[worst]), GYRATION_USUAL, GYRATION_POSSIBLE, hint)
 
 
-def _centre(aircraft: Aircraft, figures: Figures) -> Iterator[Verdict]:
+def _centre(aircraft: Aircraft, figures: AircraftFigures) -> Iterator[Verdict]:
     middle = np.mean([rotor.position for rotor in aircraft.rotors], axis=0)
     away = float(np.linalg.norm(np.array(aircraft.centre_of_thrust) - middle))
     message = f"centre_of_thrust_m lies {1000 * away:.0f} mm from the middle of the propellers"
@@ -233,7 +233,7 @@ def _centre(aircraft: Aircraft, figures: Figures) -> Iterator[Verdict]:
         yield Verdict(Level.OK, "centre of thrust", message)
 
 
-def _propeller(aircraft: Aircraft, figures: Figures) -> Iterator[Verdict]:
+def _propeller(aircraft: Aircraft, figures: AircraftFigures) -> Iterator[Verdict]:
     propulsion, diameter = aircraft.propulsion, aircraft.propulsion.propeller_diameter
     if diameter is None:
         return
@@ -266,7 +266,7 @@ def _propeller(aircraft: Aircraft, figures: Figures) -> Iterator[Verdict]:
             )
 
 
-def _propeller_part(aircraft: Aircraft, figures: Figures) -> Iterator[Verdict]:
+def _propeller_part(aircraft: Aircraft, figures: AircraftFigures) -> Iterator[Verdict]:
     """Check that the propeller lies flat, thin along the thrust axis z, and is balanced about its hub."""
     part = next((part for part in aircraft.parts if part.name == "propeller 1"), None)
     if part is None:
@@ -348,7 +348,7 @@ def _merit(propulsion: Propulsion, diameter: float) -> Array:
     return np.asarray(thrust**1.5 / math.sqrt(2 * AIR_DENSITY * area) / (torque * speed))
 
 
-def _rotor(aircraft: Aircraft, figures: Figures) -> Iterator[Verdict]:
+def _rotor(aircraft: Aircraft, figures: AircraftFigures) -> Iterator[Verdict]:
     inertia = aircraft.propulsion.rotor_inertia
     together, whole = aircraft.motor_count * inertia, float(figures.inertia[2, 2])
     hint = "check rotor_inertia_kg_m2: propeller and motor bell, about their axis, kg m²"
@@ -362,7 +362,7 @@ def _rotor(aircraft: Aircraft, figures: Figures) -> Iterator[Verdict]:
         yield Verdict(Level.WARNING, "rotor", message)
 
 
-def _battery(aircraft: Aircraft, figures: Figures) -> Iterator[Verdict]:
+def _battery(aircraft: Aircraft, figures: AircraftFigures) -> Iterator[Verdict]:
     battery, supply = aircraft.battery, aircraft.propulsion.supply_voltage
     if battery is None:
         yield Verdict(Level.OK, "battery", "none given: it flies at a constant voltage")
@@ -385,7 +385,7 @@ def _battery(aircraft: Aircraft, figures: Figures) -> Iterator[Verdict]:
             yield Verdict(Level.WARNING, "battery", f"a full pack {sag}; {hint}")
 
 
-def _body(aircraft: Aircraft, figures: Figures) -> Iterator[Verdict]:
+def _body(aircraft: Aircraft, figures: AircraftFigures) -> Iterator[Verdict]:
     if aircraft.body is None:
         yield Verdict(Level.OK, "body", "none given: no ground to stand on, no drag")
         return

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from neuroflight.sim.aircraft.mass import Part, rotation_matrix
 from neuroflight.sim.aircraft.mesh import cylinder, equal_box
 from neuroflight.sim.aircraft.model import RPM, Aircraft, Rotor
-from neuroflight.sim.design.figures import Figures
+from neuroflight.sim.design.figures import AircraftFigures
 from neuroflight.sim.plotting import GRID, INK, save_png
 
 Array = NDArray[np.float64]
@@ -37,7 +37,7 @@ LIGHT = np.array([0.35, 0.25, 0.9]) / np.linalg.norm([0.35, 0.25, 0.9])  # acros
 FROM_ABOVE, FROM_BEHIND = (1, 0, 2), (1, 2, 0)  # axes across the page, up it, and towards the reader
 
 
-def draw_aircraft(aircraft: Aircraft, figures: Figures) -> Figure:
+def draw_aircraft(aircraft: Aircraft, figures: AircraftFigures) -> Figure:
     """Draw the aircraft from above (x up the page, y to the left) and from behind, with its figures."""
     radius = propeller_radius(aircraft)
     points = _outline_points(aircraft, radius)
@@ -101,7 +101,7 @@ def draw_aircraft(aircraft: Aircraft, figures: Figures) -> Figure:
     return figure
 
 
-def save_drawing(path: Path, aircraft: Aircraft, figures: Figures) -> None:
+def save_drawing(path: Path, aircraft: Aircraft, figures: AircraftFigures) -> None:
     """Write the drawing as PNG."""
     save_png(path, draw_aircraft(aircraft, figures))
 
@@ -338,7 +338,7 @@ def _draw_scale_bar(view: Axes, across: float) -> None:
 
 
 def _write_figures(
-    figure: Figure, left: float, top: float, step: float, aircraft: Aircraft, figures: Figures
+    figure: Figure, left: float, top: float, step: float, aircraft: Aircraft, figures: AircraftFigures
 ) -> float:
     """Write the column of figures; return its lower end."""
     centre = ", ".join(f"{value:.0f}" for value in np.rint(MM * figures.centre) + 0.0)

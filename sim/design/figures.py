@@ -43,7 +43,7 @@ class Endurance:
 
 
 @dataclass(frozen=True)
-class Figures:
+class AircraftFigures:
     """Figures that follow from an aircraft file."""
 
     mass: float  # [kg]
@@ -61,7 +61,7 @@ class Figures:
     endurance: Endurance | None  # None: no battery, or no hover
 
 
-def aircraft_figures(aircraft: Aircraft) -> Figures:
+def aircraft_figures(aircraft: Aircraft) -> AircraftFigures:
     """Compute all figures of an aircraft."""
     properties, propulsion = aircraft.mass_properties, aircraft.propulsion
     weight = GRAVITY * properties.mass
@@ -71,7 +71,7 @@ def aircraft_figures(aircraft: Aircraft) -> Figures:
     hover = _hovering(aircraft, weight, thrust_max)
     speed = np.full(aircraft.motor_count, propulsion.speed_max) if hover is None else hover.speed
     rows = thrust_map(aircraft, coefficient(propulsion.torque_ratio, speed) * np.ones(aircraft.motor_count))
-    return Figures(
+    return AircraftFigures(
         mass=properties.mass,
         centre=properties.centre,
         inertia=properties.inertia,

@@ -26,7 +26,7 @@ QUARTER, HALF, WHOLE = 90.0, 180.0, 360.0  # of a turn [deg]
 
 
 @dataclass(frozen=True)
-class Leg:
+class ThrustSegment:
     """Sticks held still for a while."""
 
     duration_s: float
@@ -36,40 +36,42 @@ class Leg:
 
 @dataclass(frozen=True)
 class Manoeuvre:
-    """A flight in legs, behind SETTLE_S of hover."""
+    """A flight in segments, behind SETTLE_S of hover."""
 
     name: str
     about: str
-    legs: tuple[Leg, ...]
+    segments: tuple[ThrustSegment, ...]
 
     @property
     def commanded(self) -> tuple[bool, bool, bool]:
         """Axes that are commanded at some time."""
-        roll, pitch, yaw = (any(leg.rates[axis] for leg in self.legs) for axis in range(3))
+        roll, pitch, yaw = (any(segment.rates[axis] for segment in self.segments) for axis in range(3))
         return roll, pitch, yaw
 
     def then_hover(self) -> Manoeuvre:
         """Return the manoeuvre followed by HOVER_S of centred sticks."""
-        return replace(self, legs=(*self.legs, Leg(HOVER_S, 1.0)))
+        return replace(self, segments=(*self.segments, ThrustSegment(HOVER_S, 1.0)))
 
     def scenario(self, throttle: Callable[[float], float]) -> Scenario:
         """Return the sticks. throttle: a function from thrust over weight at rest to throttle, 0..1."""
-        legs = (Leg(SETTLE_S, 1.0), *self.legs)
-        segments = (Segment(leg.duration_s, leg.rates, throttle(leg.thrust)) for leg in legs)
-        return Scenario(self.name, tuple(segments), Mount.FREE)
+        segments = tuple(
+            Segment(held.duration_s, held.rates, throttle(held.thrust))
+            for held in (ThrustSegment(SETTLE_S, 1.0), *self.segments)
+        )
+        return Scenario(self.name, segments, Mount.FREE)
 
 
-def _turned(angle: float, rate: float, axis: int, thrust: float) -> Leg:
+def _turned(angle: float, rate: float, axis: int, thrust: float) -> ThrustSegment:
     """Return a segment that turns by `angle` [deg] about `axis` at `rate` [deg/s]."""
     rates = [0.0, 0.0, 0.0]
     rates[axis] = rate
-    return Leg(angle / abs(rate), thrust, (rates[0], rates[1], rates[2]))
+    return ThrustSegment(angle / abs(rate), thrust, (rates[0], rates[1], rates[2]))
 
 
-def _whole_turn(axis: int) -> tuple[Leg, ...]:
+def _whole_turn(axis: int) -> tuple[ThrustSegment, ...]:
     """Return a jump, a turn with little thrust, the fall caught, a hover."""
     turn = _turned(WHOLE, TURN_DEG_S, axis, 0.35)
-    return Leg(0.3, 2.0), turn, Leg(0.4, 2.0), Leg(0.4, 1.0)
+    return ThrustSegment(0.3, 2.0), turn, ThrustSegment(0.4, 2.0), ThrustSegment(0.4, 1.0)
 
 
 MANOEUVRES = (
@@ -80,36 +82,46 @@ MANOEUVRES = (
         "half a roll onto the back, half a loop pulled through",
         (
             _turned(HALF, TURN_DEG_S, 0, 0.35),
-            Leg(0.2, 0.35),
+            ThrustSegment(0.2, 0.35),
             _turned(HALF, -PULL_DEG_S, 1, 2.0),
-            Leg(0.4, 2.0),
-            Leg(0.4, 1.0),
+            ThrustSegment(0.4, 2.0),
+            ThrustSegment(0.4, 1.0),
         ),
     ),
     Manoeuvre(
         "punch-out",
         "full throttle from the hover, a full roll under four times the weight, back to the hover",
-        (Leg(0.7, FULL), _turned(WHOLE, TURN_DEG_S, 0, 4.0), Leg(0.3, 4.0), Leg(0.7, 1.0)),
+        (
+            ThrustSegment(0.7, FULL),
+            _turned(WHOLE, TURN_DEG_S, 0, 4.0),
+            ThrustSegment(0.3, 4.0),
+            ThrustSegment(0.7, 1.0),
+        ),
     ),
     Manoeuvre(
         "dive-recovery",
         "throttle closed, pitched over into a dive, throttle in and pulled level",
         (
-            Leg(0.1, CLOSED),
+            ThrustSegment(0.1, CLOSED),
             _turned(QUARTER, PITCH_DEG_S, 1, CLOSED),
-            Leg(0.8, CLOSED),
+            ThrustSegment(0.8, CLOSED),
             _turned(QUARTER, -PITCH_DEG_S, 1, 3.0),
-            Leg(0.4, 2.0),
-            Leg(0.4, 1.0),
+            ThrustSegment(0.4, 2.0),
+            ThrustSegment(0.4, 1.0),
         ),
     ),
     Manoeuvre(
         "wash",
         "level: down through its own wash at little throttle, then closed, caught with twice the weight",
-        (Leg(1.0, 0.6), Leg(0.4, CLOSED), Leg(0.7, 2.0), Leg(0.4, 1.0)),
+        (
+            ThrustSegment(1.0, 0.6),
+            ThrustSegment(0.4, CLOSED),
+            ThrustSegment(0.7, 2.0),
+            ThrustSegment(0.4, 1.0),
+        ),
     ),
 )
-DESCENT = Manoeuvre("descent", "level, the throttle closed from the hover", (Leg(10.0, CLOSED),))
+DESCENT = Manoeuvre("descent", "level, the throttle closed from the hover", (ThrustSegment(10.0, CLOSED),))
 STAIR = (0.0, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.5, 0.6, 0.7, 0.8, 1.0)  # throttles
 STAIR_S, STAIR_MEAN_S = 0.6, 0.3  # at each of them, and its last part of which the mean counts
 

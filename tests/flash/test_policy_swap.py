@@ -21,7 +21,7 @@ from neuroflight.flash.info import read_info
 from neuroflight.flash.messages import PolicySource
 from neuroflight.flash.msp import Decoder, Message, encode, error, reply
 from neuroflight.flash.policy import swap as swaps
-from neuroflight.flash.policy.slots import Policies, place_of, read_policies
+from neuroflight.flash.policy.slots import Policies, read_policies, slot_of
 from neuroflight.flash.policy.swap import Board
 from neuroflight.flash.policy_errors import POLICY_ERRORS, policy_error
 from neuroflight.flash.transport import Transport, open_transport
@@ -71,7 +71,7 @@ def run(board: HostBoard, capsys: pytest.CaptureFixture[str]) -> Run:
     return call
 
 
-def places(board: HostBoard) -> Policies:
+def slots(board: HostBoard) -> Policies:
     with Client(open_transport(board.port)) as client:
         return read_policies(client)
 
@@ -81,7 +81,7 @@ def sha(path: Path) -> str:
 
 
 def flown(board: HostBoard) -> tuple[PolicySource, int, str, bool]:
-    info = places(board).info
+    info = slots(board).info
     return info.source, info.sequence, info.sha256, info.good
 
 
@@ -442,7 +442,7 @@ def test_the_swap_starts_over_when_the_line_is_lost(
     code, out, _ = run("--policy", other, "--no-reboot", port=port)
     assert (code, lost) == (0, [])
     assert "stands in slot B" in out
-    assert places(board).after_start().sha256 == sha(other)  # type: ignore[union-attr]
+    assert slots(board).after_start().sha256 == sha(other)  # type: ignore[union-attr]
 
 
 def test_one_line_says_what_it_means_for_the_board_when_ctrl_c_stops_it(
@@ -456,13 +456,13 @@ def test_one_line_says_what_it_means_for_the_board_when_ctrl_c_stops_it(
     with pytest.raises(SystemExit, match="130"):
         main(words)
     assert "the board goes on with the policy that it flew, unless all was" in capsys.readouterr().err
-    assert places(board).after_start() == places(board).flown
+    assert slots(board).after_start() == slots(board).flown
     monkeypatch.undo()
     monkeypatch.setattr(swaps, "start", stop)
     with pytest.raises(SystemExit, match="130"):
         main(words)
     assert "other.onnx stands in slot B and is flown from the next start on" in capsys.readouterr().err
-    assert places(board).after_start().sha256 == sha(other)  # type: ignore[union-attr]
+    assert slots(board).after_start().sha256 == sha(other)  # type: ignore[union-attr]
 
 
 def test_it_is_told_what_flies_when_the_line_is_lost_for_good(
@@ -546,7 +546,7 @@ def test_the_swap_goes_on_when_the_line_stalls_for_ten_seconds(
     )
     client.close()
     assert line.at == -1 and line.now > STALL_S
-    assert (place.source, places(board).after_start()) == (PolicySource.SLOT_B, place)
+    assert (place.source, slots(board).after_start()) == (PolicySource.SLOT_B, place)
 
 
 class Pulled(Timed):
@@ -579,7 +579,7 @@ def test_the_swap_is_whole_when_the_cable_was_pulled_at_twenty_moments_before(
                 Board(gone, line.clock, line.sleep),
                 lambda done, total: None,
             )
-        after = places(board).after_start()
+        after = slots(board).after_start()
         assert after is not None and after.sha256 == sha(shipped_policy)
     plain = Board(lambda: open_transport(board.port))
     client, place = swaps.write(Client(plain.reopen()), candidate, plain, lambda done, total: None)
@@ -640,8 +640,8 @@ def test_the_board_flies_the_whole_policy_or_the_old_one_when_the_line_is_bad(
     except LinkError as failure:
         told = str(failure)
     else:
-        assert places(board).after_start().sha256 == candidate.sha256  # type: ignore[union-attr]
-    after = places(board).after_start()
+        assert slots(board).after_start().sha256 == candidate.sha256  # type: ignore[union-attr]
+    after = slots(board).after_start()
     assert after is not None
     assert after.sha256 in (candidate.sha256, sha(shipped_policy))
     assert down.done + up.done > 0
@@ -661,7 +661,7 @@ SLOT_REPLY = struct.pack("<bB4If", -10, 0, 7, 1, 2, 1000, 0.25) + b"\x03nf1" + b
 
 
 def test_a_place_is_read_field_by_field_when_told() -> None:
-    place = place_of(PolicySource.SLOT_B, SLOT_REPLY)
+    place = slot_of(PolicySource.SLOT_B, SLOT_REPLY)
     assert (place.found, place.flown, place.sequence, place.control_rate_hz) == (-10, False, 7, 1000)
     assert (place.architecture_hash, place.filters_hash, place.idle) == (1, 2, 0.25)
     assert (place.aircraft, place.sha256) == ("nf1", bytes(range(32)).hex())
@@ -669,7 +669,7 @@ def test_a_place_is_read_field_by_field_when_told() -> None:
     assert policy_error(place.found) == "damaged: its checksum does not hold"
     for size in range(len(SLOT_REPLY)):
         with pytest.raises(LinkError, match="MSP POLICY_SLOT_INFO reply has"):
-            place_of(PolicySource.SLOT_B, SLOT_REPLY[:size])
+            slot_of(PolicySource.SLOT_B, SLOT_REPLY[:size])
 
 
 def test_a_swap_takes_seconds_by_its_line_when_planned() -> None:
@@ -697,7 +697,7 @@ def test_a_policy_that_is_not_known_to_be_fit_is_not_written(
     words: dict[str, object] | None,
     said: str,
 ) -> None:
-    before = places(board).places
+    before = slots(board).slots
     policy = Path(shutil.copy(other, tmp_path / "policy.onnx"))
     if words is not None:
         write_stamp(policy, stamp_of(policy, **words))
@@ -705,7 +705,7 @@ def test_a_policy_that_is_not_known_to_be_fit_is_not_written(
     err = capsys.readouterr().err
     assert said in err and f"neuroflight policy check {policy}" in err and "or add --unchecked" in err
     assert err.count("\n") == 1 and err.endswith("nothing was written\n")
-    assert places(board).places == before
+    assert slots(board).slots == before
 
 
 def test_a_policy_that_a_check_found_fit_is_written_until_its_stamp_is_edited(

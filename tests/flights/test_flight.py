@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from neuroflight.sim.analysis.metrics import Figures, figures
+from neuroflight.sim.analysis.metrics import FlightFigures, figures
 from neuroflight.sim.flight.scenario import Scenario, Segment, load_scenario
 from neuroflight.sim.flight.trace import Trace
 from neuroflight.sim.ports.host import HostPort
@@ -24,7 +24,7 @@ SEED = 20_000  # commands that no training saw
 CROSSED = (0, 2, 1, 3)  # motors 2 and 3 swapped
 
 
-def passes(result: Figures) -> bool:
+def passes(result: FlightFigures) -> bool:
     """Whether a flight meets the limits of error and motor work."""
     return float(result.tracking.mae.mean()) <= MAE_MAX_DEG_S and result.effort.change <= CHANGE_MAX
 

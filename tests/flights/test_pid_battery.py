@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from neuroflight.sim.aircraft.model import Aircraft, load_aircraft
-from neuroflight.sim.analysis.metrics import Figures, figures
+from neuroflight.sim.analysis.metrics import FlightFigures, figures
 from neuroflight.sim.control.pid_table import pid_settings
 from neuroflight.sim.flight.loop import fly
 from neuroflight.sim.flight.scenario import load_scenario
@@ -75,7 +75,7 @@ def flown(
         return fly(twin, port, replace(scenario, segments=segments))
 
 
-def figures_of(trace: Trace) -> Figures:
+def figures_of(trace: Trace) -> FlightFigures:
     return figures(trace, COUNT, IDLE, pid_settings(NF1).mix)
 
 

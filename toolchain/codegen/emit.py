@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from neuroflight.toolchain.codegen.kernel_calls import Call, Place
+from neuroflight.toolchain.codegen.kernel_calls import BufferPlace, Call
 from neuroflight.toolchain.codegen.plan import CodePlan
 from neuroflight.toolchain.ir.float32 import Float32
 from neuroflight.toolchain.policy.blob import PolicyBlob, header_values, model_values, pack
@@ -110,7 +110,7 @@ def _call(call: Call) -> str:
     return f"{call.kernel}({', '.join(arguments)})"
 
 
-def _place(place: Place) -> str:
+def _place(place: BufferPlace) -> str:
     name = MEMORIES[place.memory]
     return f"({name} + {place.offset})" if place.offset else name
 

@@ -8,7 +8,7 @@ BLOCK = 8  # outputs summed at a time: 8 sums, 8 inputs and 16 weights fill the 
 
 
 @dataclass(frozen=True)
-class Place:
+class BufferPlace:
     """The place of a value in `struct policy`."""
 
     memory: str  # "scratch" or "state"
@@ -20,8 +20,8 @@ class Call:
     """One call of a kernel: target[0..count) from its sources, table and constants."""
 
     kernel: str
-    target: Place | None  # None: the action
-    sources: tuple[Place, ...]  # none: the observation
+    target: BufferPlace | None  # None: the action
+    sources: tuple[BufferPlace, ...]  # none: the observation
     count: int  # values; for "linear8" and "linear4" blocks
     table: int | None = None  # where in the table its part begins
     inputs: int = 0  # of a linear kernel, or how far apart a "copy" reads

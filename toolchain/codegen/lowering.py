@@ -8,7 +8,7 @@ from typing import assert_never
 
 import numpy as np
 
-from neuroflight.toolchain.codegen.kernel_calls import BLOCK, Call, Place
+from neuroflight.toolchain.codegen.kernel_calls import BLOCK, BufferPlace, Call
 from neuroflight.toolchain.codegen.scratch_allocation import PendingCall
 from neuroflight.toolchain.codegen.weight_table import block_part, lanes_part, padded_gates
 from neuroflight.toolchain.ir.activation_tables import ERF, EXPM1, SOFTPLUS, TANH, ActivationTable
@@ -53,7 +53,7 @@ TABLES = (  # of functions, and the operations that look them up
 class _Value:
     """A value under lowering: part of a buffer (scratch, numbered) or of the state."""
 
-    place: Place  # in scratch, `offset` counts from the begin of buffer `buffer`
+    place: BufferPlace  # in scratch, `offset` counts from the begin of buffer `buffer`
     count: int
     buffer: int | None  # None: in the state
     whole: bool  # the padding behind it is its own
@@ -262,10 +262,10 @@ class Lowering:
 
     def _new(self, count: int) -> _Value:
         self._buffers += 1
-        return _Value(Place("scratch", 0), count, self._buffers - 1, whole=True)
+        return _Value(BufferPlace("scratch", 0), count, self._buffers - 1, whole=True)
 
     def _state(self, units: int) -> _Value:
-        value = _Value(Place("state", self.state), units, None, whole=True)
+        value = _Value(BufferPlace("state", self.state), units, None, whole=True)
         self.state += padded(units)
         return value
 

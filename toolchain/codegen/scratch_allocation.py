@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from neuroflight.toolchain.codegen.kernel_calls import Call, Place
+from neuroflight.toolchain.codegen.kernel_calls import BufferPlace, Call
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ def place_buffers(pending: Sequence[PendingCall]) -> tuple[list[Call], int, int]
             place = max(place, high)
         places[buffer] = place
 
-    def put(place: Place, buffer: int | None) -> Place:
+    def put(place: BufferPlace, buffer: int | None) -> BufferPlace:
         return place if buffer is None else replace(place, offset=places[buffer] + place.offset)
 
     calls = [

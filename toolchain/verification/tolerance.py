@@ -33,7 +33,7 @@ class Standard:
 
 
 @dataclass(frozen=True)
-class Figures:
+class GroupFigures:
     """The differences of one machine from others on one group; None if no observation is compared."""
 
     inputs: str
@@ -68,12 +68,12 @@ def standard(network: Network, inputs: Inputs, rng: np.random.Generator) -> Stan
     )
 
 
-def figures(actions: Float32, expected: Standard, peer: Float32 | None) -> Figures:
+def figures(actions: Float32, expected: Standard, peer: Float32 | None) -> GroupFigures:
     """Compare `actions` (S, T, outputs) with the expected ones, and with onnxruntime's, `peer`."""
     use = expected.comparable
     name, count, compared = expected.inputs.name, expected.inputs.count, int(use.sum())
     if not compared:
-        return Figures(name, count, 0, None, None, None, None, None)
+        return GroupFigures(name, count, 0, None, None, None, None, None)
     exact = expected.reference[use]
     error = distance(actions[use], exact)
     ulp = error / np.spacing(np.maximum(np.abs(exact), DSHOT_STEP).astype(np.float32)).astype(np.float64)
@@ -83,7 +83,7 @@ def figures(actions: Float32, expected: Standard, peer: Float32 | None) -> Figur
         apart = distance(actions[use], peer[use]).max(axis=1)
         difference, scaled = float(apart.max()), float((apart / expected.scale[use]).max())
     worst, units, most = (float(values.max()) for values in (error, ulp, share))
-    return Figures(name, count, compared, worst, units, most, difference, scaled)
+    return GroupFigures(name, count, compared, worst, units, most, difference, scaled)
 
 
 def distance(actions: NDArray[np.floating], others: NDArray[np.floating]) -> Float64:

@@ -39,7 +39,7 @@ from neuroflight.toolchain.verification.machines import (
     open_onnxruntime,
     open_torch,
 )
-from neuroflight.toolchain.verification.tolerance import Figures, Standard, distance, figures, standard
+from neuroflight.toolchain.verification.tolerance import GroupFigures, Standard, distance, figures, standard
 
 Progress = Callable[[str, int, int], None]  # machine, groups done, groups in all
 
@@ -66,7 +66,7 @@ class MachineReport:
 
     name: str
     required: bool  # without it the verdict is incomplete
-    figures: tuple[Figures, ...] = ()
+    figures: tuple[GroupFigures, ...] = ()
     finding: Finding | None = None
     not_run: str | None = None  # the reason
 
@@ -179,7 +179,7 @@ def _examine(
     candidate: Candidate, standards: Sequence[Standard], bench: _Bench, progress: Callable[[int, int], None]
 ) -> MachineReport:
     name, required = candidate.name, candidate.required
-    measured: list[Figures] = []
+    measured: list[GroupFigures] = []
     finding: Finding | None = None
     progress(0, len(standards))
     try:

@@ -25,25 +25,24 @@ class PathwiseConfig:
     """
 
     name: ClassVar[str] = "pathwise"
-    aircraft: int = 64  # each flies one episode for an update
+    aircraft: int = 64  # each flies one episode for an update; a multiple of 16 leaves no lane empty
     learning_rate: float = 1e-2
     warm_up: int = 20  # updates in which the learning rate rises; then it falls to 2 % along half a cosine
-    square: float = 0.03  # [s/deg]
+    square: float = 0.03  # [s/deg], weight of the squared error
     soft: float = 0.0  # [deg/s]: |e| is rounded off to sqrt(e^2 + soft^2) - soft
     output: float = 8.0  # [deg/s], weight of the mean output; the initial one if there is a limit
-    output_limit: float | None = 0.085
+    output_limit: float | None = 0.085  # target of the mean output
     change: float = 15.0  # [deg/s], weight of the mean change, likewise
-    change_limit: float | None = 0.0095
-    change_of: str = (
-        "outputs"  # in a control step; or "motors": of the motors' fractions after the mix, in 1 ms
-    )
-    closed: float = (
-        0.0  # [deg/s], weight of the mean motor fraction above the idle while the throttle is closed
-    )
-    disturbance: float = (
-        0.0  # [rad/s^2], largest standard deviation of what moments from outside do to roll and pitch
-    )
-    wash: float = 0.0  # [rad/s^2], likewise, with the spectrum of prop wash; half the aircraft have it
+    change_limit: float | None = 0.0095  # target of the mean change
+    change_of: str = "outputs"  # in a control step; or "motors": of motor fractions after the mix, in 1 ms
+    # Weight of the mean motor fraction above the idle while the throttle is closed [deg/s].
+    closed: float = 0.0
+    # Largest standard deviation [rad/s^2] of angular accelerations by moments from outside, as of drag in
+    # fast air, that change within 0.15 s, and of one that stays; 30 % of the aircraft have none; a fifth of
+    # it in yaw.
+    disturbance: float = 0.0
+    # Likewise between 3 and 80 Hz, as of prop wash; half the aircraft have none; a tenth of it in yaw.
+    wash: float = 0.0
     adaption: float = 0.01  # greatest relative change of such a weight in an update
     adaption_start: float = 0.1  # part of the run before adaption starts; an early policy keeps no limit
     start_output: float = 0.1  # output of an untrained policy, motor fraction

@@ -21,8 +21,8 @@ from neuroflight.sim.analysis.limits import (
     ROUGHER,
     TRACKING,
 )
-from neuroflight.training.fitness.course import AXES, Leg, Turn
-from neuroflight.training.fitness.flying import Flown, LegFigures, TurnFigures
+from neuroflight.training.fitness.course import AXES, CommandFlight, Turn
+from neuroflight.training.fitness.flying import CommandFigures, CourseFigures, TurnFigures
 
 VARIED = 1.5  # likewise of an aircraft that differs from its file: two of the references are tuned for others
 SINK = 0.5  # of the weight: with more lift than that and the throttle closed it falls with less than g / 2
@@ -77,7 +77,7 @@ class Bar:
         return all(case.met for case in self.cases)
 
 
-def bars(policy: Flown, references: Sequence[Flown], lift: float) -> tuple[Bar, ...]:
+def bars(policy: CourseFigures, references: Sequence[CourseFigures], lift: float) -> tuple[Bar, ...]:
     """Return every bar that has a case. references: at least one; lift: of the aircraft, of its weight."""
     flown = _Beside(policy, tuple(references))
     better = f"the better of {' and '.join(each.label for each in references)}"
@@ -120,8 +120,8 @@ def bars(policy: Flown, references: Sequence[Flown], lift: float) -> tuple[Bar, 
 class _Beside:
     """A policy's figures beside those of its references, case by case."""
 
-    policy: Flown
-    references: tuple[Flown, ...]
+    policy: CourseFigures
+    references: tuple[CourseFigures, ...]
 
     def closed(self) -> Iterator[Case]:
         seen = self.policy.lift[0][1]
@@ -143,54 +143,56 @@ class _Beside:
             yield Case(f"{low:g} to {high:g}", max(0.0, before - after), FALL, told)
 
     def error(self, figure: str) -> Iterator[Case]:
-        for leg, own in self.policy.legs.items():
+        for flight, own in self.policy.flights.items():
             seen = float(getattr(own, figure))
-            each = {one.label: float(getattr(one.legs[leg], figure)) for one in self._flew(leg)}
+            each = {one.label: float(getattr(one.flights[flight], figure)) for one in self._flew(flight)}
             label = min(each, key=lambda name: each[name])
-            factor = TRACKING if leg.condition is None else VARIED
+            factor = TRACKING if flight.condition is None else VARIED
             unit = "deg/s" if figure == "mae" else "(deg/s)²"
             told = (
-                f"follows the sticks worse than {label} {leg.where}: {figure.upper()} {seen:.3g} {unit}, "
+                f"follows the sticks worse than {label} {flight.where}: {figure.upper()} {seen:.3g} {unit}, "
                 f"{label} {each[label]:.3g}"
             )
-            yield Case(leg.name, seen, factor * each[label], told)
+            yield Case(flight.name, seen, factor * each[label], told)
 
     def rest(self) -> Iterator[Case]:
-        for leg, axis, own in self._axes():
-            seen, least = own.late[axis], min(each.legs[leg].late[axis] for each in self._flew(leg))
+        for flight, axis, own in self._axes():
+            seen, least = own.late[axis], min(each.flights[flight].late[axis] for each in self._flew(flight))
             told = (
-                f"does not hold {leg.where}: with centred sticks it turns on in {AXES[axis]} by {seen:.2g} "
-                f"deg/s after half a minute of flight, the better reference by {least:.2g}"
+                f"does not hold {flight.where}: with centred sticks it turns on in {AXES[axis]} by "
+                f"{seen:.2g} deg/s after half a minute of flight, the better reference by {least:.2g}"
             )
-            yield Case(f"{leg.name}, {AXES[axis]}", seen, least + DRIFT_DEG_S, told)
+            yield Case(f"{flight.name}, {AXES[axis]}", seen, least + DRIFT_DEG_S, told)
 
     def growth(self) -> Iterator[Case]:
-        for leg, axis, own in self._axes():
+        for flight, axis, own in self._axes():
             early, late = own.early[axis], own.late[axis]
             told = (
-                f"holds worse the longer it flies {leg.where}: in {AXES[axis]} {early:.2g} deg/s at rest "
+                f"holds worse the longer it flies {flight.where}: in {AXES[axis]} {early:.2g} deg/s at rest "
                 f"early, {late:.2g} late"
             )
-            yield Case(f"{leg.name}, {AXES[axis]}", late - early, GROWTH_DEG_S, told)
+            yield Case(f"{flight.name}, {AXES[axis]}", late - early, GROWTH_DEG_S, told)
 
     def drift(self) -> Iterator[Case]:
-        for leg, axis, own in self._axes():
+        for flight, axis, own in self._axes():
             seen = abs(own.drift[axis])
-            least = min(abs(each.legs[leg].drift[axis]) for each in self._flew(leg))
+            least = min(abs(each.flights[flight].drift[axis]) for each in self._flew(flight))
             told = (
-                f"drifts {leg.where}: {seen:.0f} deg in {AXES[axis]} in 10 s of centred sticks, the better "
-                f"reference {least:.0f}"
+                f"drifts {flight.where}: {seen:.0f} deg in {AXES[axis]} in 10 s of centred sticks, the "
+                f"better reference {least:.0f}"
             )
-            yield Case(f"{leg.name}, {AXES[axis]}", seen, least + DRIFT_DEG, told)
+            yield Case(f"{flight.name}, {AXES[axis]}", seen, least + DRIFT_DEG, told)
 
     def rest_change(self) -> Iterator[Case]:
-        for leg, own in self.policy.legs.items():
-            limit = max(REST_CHANGE, ROUGHER * max(each.legs[leg].change for each in self._flew(leg)))
+        for flight, own in self.policy.flights.items():
+            limit = max(
+                REST_CHANGE, ROUGHER * max(each.flights[flight].change for each in self._flew(flight))
+            )
             told = (
-                f"the motors do not rest {leg.where}: their change is {own.change:.3g} a ms, at most "
+                f"the motors do not rest {flight.where}: their change is {own.change:.3g} a ms, at most "
                 f"{limit:.3g}"
             )
-            yield Case(leg.name, own.change, limit, told)
+            yield Case(flight.name, own.change, limit, told)
 
     def turn_change(self) -> Iterator[Case]:
         return self._turns(
@@ -262,14 +264,14 @@ class _Beside:
                 return self.references[0].idle + (1.0 - self.references[0].idle) * throttle
         return 1.0
 
-    def _flew(self, leg: Leg) -> list[Flown]:
+    def _flew(self, flight: CommandFlight) -> list[CourseFigures]:
         """Return the references that flew the segment."""
-        return [each for each in self.references if leg in each.legs]
+        return [each for each in self.references if flight in each.flights]
 
-    def _axes(self) -> Iterator[tuple[Leg, int, LegFigures]]:
-        for leg, own in self.policy.legs.items():
+    def _axes(self) -> Iterator[tuple[CommandFlight, int, CommandFigures]]:
+        for flight, own in self.policy.flights.items():
             for axis in range(len(AXES)):
-                yield leg, axis, own
+                yield flight, axis, own
 
     def _turns(
         self,

@@ -12,8 +12,8 @@ from neuroflight.sim.design.figures import aircraft_figures
 from neuroflight.toolchain.policy.check_stamp import stamp_document
 from neuroflight.training.evaluation.controllers import load_controller
 from neuroflight.training.fitness.bars import Bar, bars
-from neuroflight.training.fitness.course import SEED, Leg
-from neuroflight.training.fitness.flying import Flown, LegFigures, Progress, fly_course
+from neuroflight.training.fitness.course import SEED, CommandFlight
+from neuroflight.training.fitness.flying import CommandFigures, CourseFigures, Progress, fly_course
 from neuroflight.training.fitness.references import References
 
 WORDS_MAX = 3  # reasons that one bar gives, the worst first
@@ -25,17 +25,17 @@ class Verdict:
 
     policy_sha256: str
     aircraft: Aircraft
-    references: tuple[Flown, ...]
+    references: tuple[CourseFigures, ...]
     missing: tuple[str, ...]  # references that could not be flown, and why
     bars: tuple[Bar, ...]
-    legs: dict[Leg, LegFigures]  # of the policy
+    flights: dict[CommandFlight, CommandFigures]  # of the policy
 
     @property
     def above_least(self) -> list[tuple[str, float, float]]:
         """Segments, with the relative excess of their MAE and MSE over the least that motors allow."""
         return [
-            (leg.name, own.mae / own.mae_least - 1.0, own.mse / own.mse_least - 1.0)
-            for leg, own in self.legs.items()
+            (flight.name, own.mae / own.mae_least - 1.0, own.mse / own.mse_least - 1.0)
+            for flight, own in self.flights.items()
             if own.mae_least and own.mse_least
         ]
 
@@ -109,7 +109,7 @@ def check(
         references=others,
         missing=missing,
         bars=bars(flown, others, aircraft_figures(aircraft).thrust_to_weight),
-        legs=flown.legs,
+        flights=flown.flights,
     )
 
 

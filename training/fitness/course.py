@@ -54,7 +54,7 @@ EMPTY_RESERVE = 1.5  # times what a hover draws in a flight: so much an empty ba
 
 
 @dataclass(frozen=True)
-class Leg:
+class CommandFlight:
     """One of the flights of ten commands."""
 
     name: str
@@ -116,7 +116,7 @@ class Course:
     """All that is flown of one aircraft."""
 
     aircraft: Aircraft
-    legs: tuple[Leg, ...]
+    flights: tuple[CommandFlight, ...]
     turns: tuple[Turn, ...]
 
     def nominal(self) -> Course:
@@ -127,15 +127,15 @@ class Course:
         least = min(turn.thrust for turn in self.turns)
         return replace(
             self,
-            legs=tuple(leg for leg in self.legs if leg.condition is None),
+            flights=tuple(flight for flight in self.flights if flight.condition is None),
             turns=tuple(turn for turn in self.turns if turn.thrust == least),
         )
 
     def variation(self) -> Variation:
         """Return the differences of the flights' aircraft from the file."""
         delay = self.aircraft.propulsion.delay
-        nominal = Variation.nominal(len(self.legs), delay)
-        known = [leg.condition or Condition("") for leg in self.legs]
+        nominal = Variation.nominal(len(self.flights), delay)
+        known = [flight.condition or Condition("") for flight in self.flights]
         return replace(
             nominal,
             lag=np.array([each.lag for each in known]),
@@ -151,16 +151,16 @@ def course(aircraft: Aircraft, lift: float | None = None) -> Course:
     thrusts = [thrust for thrust in THRUSTS if thrust < most] or [most]
     if len(thrusts) < len(THRUSTS):
         thrusts.append(most)
-    legs = [Leg(f"{thrust:.3g} times the weight", thrust) for thrust in dict.fromkeys(thrusts)]
+    flights = [CommandFlight(f"{thrust:.3g} times the weight", thrust) for thrust in dict.fromkeys(thrusts)]
     hover = min(1.0, most)
     for condition in (*CONDITIONS, *_batteries(aircraft, figures.endurance)):
-        legs.append(Leg(condition.name, hover, condition))
+        flights.append(CommandFlight(condition.name, hover, condition))
     turn_thrusts = dict.fromkeys(min(thrust, most) for thrust in TURN_THRUSTS)
     turns = [
         Turn(axis, sign * rate, round(thrust, 2))
         for thrust, rate, axis, sign in product(turn_thrusts, TURN_RATES_DEG_S, range(3), (1, -1))
     ]
-    return Course(aircraft, tuple(legs), tuple(turns))
+    return Course(aircraft, tuple(flights), tuple(turns))
 
 
 def _batteries(aircraft: Aircraft, endurance: Endurance | None) -> tuple[Condition, ...]:

@@ -21,8 +21,8 @@ from neuroflight.training.fitness.course import (
     GROUND_AIRCRAFT,
     GROUND_S,
     SEED,
+    CommandFlight,
     Course,
-    Leg,
     Turn,
     TurnTask,
 )
@@ -38,7 +38,7 @@ REST_AIRCRAFT = 1  # at each throttle: thrusts need to be known to a few parts i
 
 
 @dataclass(frozen=True)
-class LegFigures:
+class CommandFigures:
     """The figures of a flight of ten commands and a hover."""
 
     mae: float  # [deg/s], mean of the axes, before the hover
@@ -64,19 +64,19 @@ class TurnFigures:
 
 
 @dataclass(frozen=True)
-class Flown:
+class CourseFigures:
     """All figures of one controller."""
 
     label: str
     idle: float
     lift: tuple[tuple[float, float], ...]  # throttle, and what it lifts at rest, of the weight
-    legs: dict[Leg, LegFigures]
+    flights: dict[CommandFlight, CommandFigures]
     turns: dict[Turn, TurnFigures]
     ground_motor: float  # the highest mean fraction of a motor on the ground
     ground_turned: float  # [deg], about any axis there
 
 
-def fly_course(controller: Contender, course: Course, progress: Progress | None = None) -> Flown:
+def fly_course(controller: Contender, course: Course, progress: Progress | None = None) -> CourseFigures:
     """Fly everything. progress: is called with the part that is done."""
     rate_hz = max(GYRO_RATE_DEFAULT_HZ, controller.control_rate_hz)
     base = Conditions(course.aircraft, FLIGHT, 1, SEED, gyro_rate_hz=rate_hz, sticks=True)
@@ -97,14 +97,14 @@ def fly_course(controller: Contender, course: Course, progress: Progress | None 
 
     rests = at_rest(controller, base, THROTTLES, part(0), REST_AIRCRAFT)
 
-    def throttles(parts: Sequence[Leg] | Sequence[Turn]) -> NDArray[np.float32]:
+    def throttles(parts: Sequence[CommandFlight] | Sequence[Turn]) -> NDArray[np.float32]:
         return np.array([throttle_of(rests, each.thrust) for each in parts], np.float32)
 
-    legs: tuple[LegFigures, ...] = ()
-    if course.legs:
-        flying = replace(base, episodes=len(course.legs))
-        flown = flying.fly(controller, throttles(course.legs), part(1), course.variation())
-        legs = with_least(leg_figures(flown), course, flown, controller.idle)
+    flights: tuple[CommandFigures, ...] = ()
+    if course.flights:
+        flying = replace(base, episodes=len(course.flights))
+        flown = flying.fly(controller, throttles(course.flights), part(1), course.variation())
+        flights = with_least(command_figures(flown), course, flown, controller.idle)
     turns: tuple[TurnFigures, ...] = ()
     if course.turns:
         flying = replace(base, task=turning, episodes=len(course.turns))
@@ -116,18 +116,18 @@ def fly_course(controller: Contender, course: Course, progress: Progress | None 
     assert ground.motors is not None
     last = slice(-round(TILT_LAST_S / ground.step_s), None)
     turned = np.rad2deg(ground.rate.sum(axis=1, dtype=np.float64) * ground.step_s)
-    return Flown(
+    return CourseFigures(
         label=controller.label,
         idle=controller.idle,
         lift=tuple((rest.throttle, float(rest.thrust.value)) for rest in rests),
-        legs=dict(zip(course.legs, legs, strict=True)),
+        flights=dict(zip(course.flights, flights, strict=True)),
         turns=dict(zip(course.turns, turns, strict=True)),
         ground_motor=float(ground.motors[:, last].mean(axis=1, dtype=np.float64).max()),
         ground_turned=float(np.abs(turned).max()),
     )
 
 
-def leg_figures(flights: Flights) -> tuple[LegFigures, ...]:
+def command_figures(flights: Flights) -> tuple[CommandFigures, ...]:
     """Compute the figures of each flight of ten commands."""
     held = holding(
         flights.setpoint,
@@ -139,7 +139,7 @@ def leg_figures(flights: Flights) -> tuple[LegFigures, ...]:
     assert flights.motors is not None
     hover = flights.motors[:, -round(FLIGHT.hover_s / flights.step_s) :]
     return tuple(
-        LegFigures(
+        CommandFigures(
             mae=float(held.mae[number].mean()),
             mse=float(held.mse[number].mean()),
             early=_axes(held.early[number]),
@@ -152,11 +152,11 @@ def leg_figures(flights: Flights) -> tuple[LegFigures, ...]:
 
 
 def with_least(
-    figures: Sequence[LegFigures], course: Course, flights: Flights, idle: float
-) -> tuple[LegFigures, ...]:
+    figures: Sequence[CommandFigures], course: Course, flights: Flights, idle: float
+) -> tuple[CommandFigures, ...]:
     """Add the least errors that motors could leave, for flights of the aircraft as its file says."""
     found = list(figures)
-    as_filed = [number for number, leg in enumerate(course.legs) if leg.condition is None]
+    as_filed = [number for number, flight in enumerate(course.flights) if flight.condition is None]
     assert flights.lift is not None
     part = replace(
         flights, setpoint=flights.setpoint[as_filed], rate=flights.rate[as_filed], lift=flights.lift[as_filed]

@@ -20,7 +20,7 @@ from neuroflight.training.fitness.course import Course, course
 
 if TYPE_CHECKING:
     from neuroflight.sim.ports.betaflight.build import Betaflight
-    from neuroflight.training.fitness.flying import Flown
+    from neuroflight.training.fitness.flying import CourseFigures
 
 
 class References:
@@ -47,7 +47,7 @@ class References:
             self._missing.append(f"the aircraft has no PID; `{tune}` finds one")
         self._process: multiprocessing.process.BaseProcess | None = None
         self._link: Connection | None = None
-        self._flown: tuple[Flown, ...] | None = None
+        self._flown: tuple[CourseFigures, ...] | None = None
 
     def __enter__(self) -> Self:
         return self
@@ -67,7 +67,7 @@ class References:
             self._process.start()
         theirs.close()
 
-    def flown(self) -> tuple[tuple[Flown, ...], tuple[str, ...]]:
+    def flown(self) -> tuple[tuple[CourseFigures, ...], tuple[str, ...]]:
         """Wait for the references; return their figures, and why one of them is missing."""
         self.begin()
         if self._flown is None:
@@ -109,7 +109,7 @@ def _work(link: Connection, aircraft: Aircraft, betaflight: Betaflight | None, w
 
 def fly_references(
     aircraft: Aircraft, betaflight: Betaflight | None, way: Course
-) -> tuple[tuple[Flown, ...], list[str]]:
+) -> tuple[tuple[CourseFigures, ...], list[str]]:
     """Fly the PID, if the aircraft has one, and Betaflight; return their figures and why that is missing."""
     from neuroflight.sim.ports.betaflight.fleet import ArmedBetaflight
     from neuroflight.training.evaluation.betaflight import BetaflightSpec

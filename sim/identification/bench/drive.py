@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from neuroflight.sim.identification.bench.guard import Guard, StoppedError
-from neuroflight.sim.identification.bench.sensor import LineReader, Row
+from neuroflight.sim.identification.bench.sensor import LineReader, SensorRow
 from neuroflight.sim.identification.dyno.bench import Phase, duration, throttle_at
 from neuroflight.toolchain.errors import DynoError
 
@@ -53,7 +53,7 @@ class Sensor:
         self._line, self._clock = line, clock
         self.reader = reader
 
-    def rows(self, timeout: float) -> list[Row]:
+    def rows(self, timeout: float) -> list[SensorRow]:
         """Return the rows that have arrived, or arrive first within `timeout` > 0 [s]."""
         data = self._line.read(timeout)
         return self.reader.feed(data, self._clock()) if data else []
@@ -110,7 +110,7 @@ def drive(
     Raises StoppedError and whatever motor and sensor raise.
     """
     length = duration(experiment)
-    rows: list[Row] = []
+    rows: list[SensorRow] = []
     commands: list[tuple[float, float]] = []
     begin = last = checked = clock()
     rested = False

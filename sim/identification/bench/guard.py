@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from neuroflight.sim.identification.bench.clocks import DRIFT_MAX
 from neuroflight.sim.identification.bench.quantities import Rig, pulse_wrap, thrust_of, torque_of
-from neuroflight.sim.identification.bench.sensor import TIMES, WRAP, Row
+from neuroflight.sim.identification.bench.sensor import TIMES, WRAP, SensorRow
 from neuroflight.toolchain.errors import DynoError
 
 Array = NDArray[np.float64]
@@ -57,7 +57,7 @@ class Guard:
         self.zeros: dict[str, float] = {}  # counts of load cells at rest, by column, once they are known
         self.rpm = 0.0
 
-    def take(self, row: Row) -> None:
+    def take(self, row: SensorRow) -> None:
         """Check a row as it comes. Raises StoppedError."""
         if self._moved(row):
             self._fresh = row.arrival
@@ -98,7 +98,7 @@ class Guard:
                 f"turns; check that it is free, and the optical sensor"
             )
 
-    def rest(self, rows: Sequence[Row]) -> None:
+    def rest(self, rows: Sequence[SensorRow]) -> None:
         """Take the zeros of the load cells from rows of a rotor at rest. Raises StoppedError."""
         if len(rows) < ZERO_ROWS_MIN:
             raise StoppedError(
@@ -119,10 +119,10 @@ class Guard:
                 )
             self.zeros[name] = zero
 
-    def _value(self, row: Row, name: str) -> float:
+    def _value(self, row: SensorRow, name: str) -> float:
         return row.values[self._rig.layout.names.index(name)]
 
-    def _moved(self, row: Row) -> bool:
+    def _moved(self, row: SensorRow) -> bool:
         """Return True if the sensor's clock has moved. Raises StoppedError if it went back, or lags."""
         name = self._rig.layout.time
         if name is None:
@@ -149,7 +149,7 @@ class Guard:
             )
         return step > 0
 
-    def _speed(self, row: Row) -> float:
+    def _speed(self, row: SensorRow) -> float:
         """Return the present rotor speed [1/min]."""
         if self._rig.layout.has("rpm"):
             return self._value(row, "rpm")

@@ -55,7 +55,7 @@ class Layout:
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
+class SensorRow:
     """One line: when it was read, and the values of the known columns in the layout's order."""
 
     arrival: float  # [s], of the host's clock
@@ -103,7 +103,7 @@ class LineReader:
         self._rest = b""
         self._torn = True  # the first line may have begun before we listened
 
-    def feed(self, data: bytes, arrival: float) -> list[Row]:
+    def feed(self, data: bytes, arrival: float) -> list[SensorRow]:
         """Return the rows that `data`, read at `arrival` [s], completes.
 
         Raises DynoError for a heading line that names too little, or other columns than before.
@@ -120,7 +120,7 @@ class LineReader:
         self._rest = rest
         return rows
 
-    def _read(self, line: bytes, arrival: float, torn: bool) -> Row | None:
+    def _read(self, line: bytes, arrival: float, torn: bool) -> SensorRow | None:
         text = line.decode("ascii", "replace").strip()
         if not text or text.startswith("#"):
             return None
@@ -135,7 +135,7 @@ class LineReader:
         if values is None:
             self.bad += not torn
             return None
-        return Row(arrival, values)
+        return SensorRow(arrival, values)
 
     def _head(self, cells: list[str], torn: bool) -> None:
         """Process a line that begins with a letter: a heading if it names a column, or noise."""

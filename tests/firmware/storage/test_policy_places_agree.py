@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from neuroflight.flash.policy.slots import PLACES, Place, Policies, newer
+from neuroflight.flash.policy.slots import PLACES, Policies, Slot, newer
 from neuroflight.flash.policy.swap import target
 from neuroflight.toolchain.contract import FLASH_POLICY_SLOTS
 from neuroflight.toolchain.policy.blob import pack
@@ -39,7 +39,7 @@ def told(s: Slots) -> Policies:
         header = s.core.new("struct nf_policy_blob_header *")
         found = int(s.core.lib.policy_slots_info(s.slots, int(source), header))
         flown = int(source) == s.slots.flown
-        rows.append(Place(source, found, flown, int(header.sequence), 0, 0, 1000, 0.0, "", "", "00" * 8))
+        rows.append(Slot(source, found, flown, int(header.sequence), 0, 0, 1000, 0.0, "", "", "00" * 8))
     info: Any = None
     return Policies(info, tuple(rows))
 

@@ -17,34 +17,39 @@ from neuroflight.training.fitness import bars as bars_module
 from neuroflight.training.fitness import course as course_module
 from neuroflight.training.fitness import flying as flying_module
 from neuroflight.training.fitness.bars import Bar, bars
-from neuroflight.training.fitness.course import Condition, Leg, Turn
-from neuroflight.training.fitness.flying import Flown, LegFigures, TurnFigures
+from neuroflight.training.fitness.course import CommandFlight, Condition, Turn
+from neuroflight.training.fitness.flying import CommandFigures, CourseFigures, TurnFigures
 
-HOVER, SLOW = Leg("1 times the weight", 1.0), Leg("slow rotors", 1.0, Condition("slow rotors", lag=1.5))
+HOVER, SLOW = (
+    CommandFlight("1 times the weight", 1.0),
+    CommandFlight("slow rotors", 1.0, Condition("slow rotors", lag=1.5)),
+)
 FLIP = Turn(1, 720.0, 1.0)
 LIFT = 6.0
-LEG = LegFigures(1.0, 100.0, (0.2, 0.2, 0.2), (0.2, 0.2, 0.2), (2.0, -2.0, 2.0), 0.0025)
+COMMANDS = CommandFigures(1.0, 100.0, (0.2, 0.2, 0.2), (0.2, 0.2, 0.2), (2.0, -2.0, 2.0), 0.0025)
 TURN = TurnFigures(0.006, 60.0, 0.003, 0.2, 0.05, 0.2)
 
 
-def flown(label: str = "policy", leg: LegFigures = LEG, turn: TurnFigures = TURN, **other: object) -> Flown:
+def flown(
+    label: str = "policy", commands: CommandFigures = COMMANDS, turn: TurnFigures = TURN, **other: object
+) -> CourseFigures:
     lift = ((0.0, 0.06), (0.2, 0.8), (0.3, 1.5), (1.0, LIFT))
-    found = Flown(label, 0.055, lift, {HOVER: leg, SLOW: leg}, {FLIP: turn}, 0.1, 0.2)
+    found = CourseFigures(label, 0.055, lift, {HOVER: commands, SLOW: commands}, {FLIP: turn}, 0.1, 0.2)
     return replace(found, **other)  # type: ignore[arg-type]
 
 
 PID = flown("PID flying")
 
 
-def failed(policy: Flown, *references: Flown) -> list[Bar]:
+def failed(policy: CourseFigures, *references: CourseFigures) -> list[Bar]:
     return [bar for bar in bars(policy, references or (PID,), LIFT) if not bar.met]
 
 
-def leg(**figures: object) -> Flown:
-    return flown(leg=replace(LEG, **figures))  # type: ignore[arg-type]
+def commands(**figures: object) -> CourseFigures:
+    return flown(commands=replace(COMMANDS, **figures))  # type: ignore[arg-type]
 
 
-def turn(**figures: float) -> Flown:
+def turn(**figures: float) -> CourseFigures:
     return flown(turn=replace(TURN, **figures))
 
 
@@ -63,12 +68,24 @@ def test_a_policy_like_its_reference_meets_every_bar() -> None:
             "lift lost as throttle rises",
             "from 0.2 to 0.3 lowers the lift from 0.90 to 0.80",
         ),
-        (leg(mae=1.6), "MAE of ten commands", "worse than PID flying at 1 times the weight: MAE 1.6 deg/s"),
-        (leg(mse=160.0), "MSE of ten commands", "MSE 160 (deg/s)²"),
-        (leg(late=(1.3, 0.2, 0.2), early=(1.0, 0.2, 0.2)), "rest, late", "turns on in roll by 1.3 deg/s"),
-        (leg(late=(0.2, 0.2, 0.9)), "rest, grown since early", "in yaw 0.2 deg/s at rest early, 0.9 late"),
-        (leg(drift=(2.0, -13.0, 2.0)), "drift in 10 s", "13 deg in pitch in 10 s of centred sticks"),
-        (leg(change=0.0061), "motors' change at rest", "the motors do not rest"),
+        (
+            commands(mae=1.6),
+            "MAE of ten commands",
+            "worse than PID flying at 1 times the weight: MAE 1.6 deg/s",
+        ),
+        (commands(mse=160.0), "MSE of ten commands", "MSE 160 (deg/s)²"),
+        (
+            commands(late=(1.3, 0.2, 0.2), early=(1.0, 0.2, 0.2)),
+            "rest, late",
+            "turns on in roll by 1.3 deg/s",
+        ),
+        (
+            commands(late=(0.2, 0.2, 0.9)),
+            "rest, grown since early",
+            "in yaw 0.2 deg/s at rest early, 0.9 late",
+        ),
+        (commands(drift=(2.0, -13.0, 2.0)), "drift in 10 s", "13 deg in pitch in 10 s of centred sticks"),
+        (commands(change=0.0061), "motors' change at rest", "the motors do not rest"),
         (turn(change=0.031), "motors' change in a turn", "at 60 Hz in a forward flip of 720 deg/s"),
         (turn(swing=0.06), "swing in a turn", "up and down by 6.0 % of their range, at most 5.0 %"),
         (turn(held=7.5), "error in a turn", "does not hold a forward flip"),
@@ -78,7 +95,7 @@ def test_a_policy_like_its_reference_meets_every_bar() -> None:
         (flown(ground_turned=5.1), "tilt on the ground", "tips by 5 deg on the ground"),
     ],
 )
-def test_a_bar_fails_alone_and_says_what_happens(policy: Flown, name: str, words: str) -> None:
+def test_a_bar_fails_alone_and_says_what_happens(policy: CourseFigures, name: str, words: str) -> None:
     (bar,) = failed(policy)
     assert bar.name == name
     assert words in bar.worst.reason
@@ -86,27 +103,27 @@ def test_a_bar_fails_alone_and_says_what_happens(policy: Flown, name: str, words
 
 @pytest.mark.parametrize("value", [math.nan, math.inf])
 def test_a_figure_that_is_no_number_fails(value: float) -> None:
-    assert {bar.name for bar in failed(leg(mae=value))} == {"MAE of ten commands"}
+    assert {bar.name for bar in failed(commands(mae=value))} == {"MAE of ten commands"}
     assert {bar.name for bar in failed(turn(swing=value))} == {"swing in a turn"}
 
 
 def test_an_aircraft_that_differs_from_its_file_has_its_own_factor() -> None:
-    policy = leg(mae=1.4)
+    policy = commands(mae=1.4)
     (bar,) = failed(policy)
     assert [case.where for case in bar.cases if not case.met] == [HOVER.name]
 
 
 def test_the_better_reference_sets_the_limit_of_errors_and_the_rougher_that_of_motors() -> None:
-    better = flown("Betaflight 4.6", leg=replace(LEG, mae=0.5, change=0.01))
-    names = {bar.name for bar in failed(leg(mae=1.0), PID, better)}
+    better = flown("Betaflight 4.6", commands=replace(COMMANDS, mae=0.5, change=0.01))
+    names = {bar.name for bar in failed(commands(mae=1.0), PID, better)}
     assert names == {"MAE of ten commands"}
-    assert not failed(leg(mae=0.6, change=0.014), PID, better)
+    assert not failed(commands(mae=0.6, change=0.014), PID, better)
 
 
 def test_a_reference_that_flew_less_sets_fewer_limits() -> None:
-    better = flown("Betaflight 4.6", leg=replace(LEG, mae=0.5))
-    better = replace(better, legs={HOVER: better.legs[HOVER]}, turns={})
-    (bar,) = failed(leg(mae=1.4), PID, better)
+    better = flown("Betaflight 4.6", commands=replace(COMMANDS, mae=0.5))
+    better = replace(better, flights={HOVER: better.flights[HOVER]}, turns={})
+    (bar,) = failed(commands(mae=1.4), PID, better)
     assert [case.limit for case in bar.cases] == [0.625, 1.5]
 
 

@@ -15,7 +15,7 @@ from neuroflight.toolchain.errors import AircraftError
 from neuroflight.toolchain.policy.check_stamp import STAMP_BYTES_MAX, read_stamp, stamp_path
 from neuroflight.training.fitness.check import check
 from neuroflight.training.fitness.course import THRUSTS, TURN_RATES_DEG_S, course
-from neuroflight.training.fitness.flying import Flown
+from neuroflight.training.fitness.flying import CourseFigures
 from neuroflight.training.fitness.references import References, fly_references
 from tests.training.fitness.mutilated import (
     ALL,
@@ -36,13 +36,13 @@ class Short(References):
 
     def __init__(self, aircraft: Aircraft) -> None:
         super().__init__(aircraft, aircraft.name, None, "not asked for")
-        self.course = replace(self.course, legs=(), turns=self.course.turns[:HOVER_TURNS])
-        self._kept: tuple[Flown, ...] | None = None
+        self.course = replace(self.course, flights=(), turns=self.course.turns[:HOVER_TURNS])
+        self._kept: tuple[CourseFigures, ...] | None = None
 
     def begin(self) -> None:
         """Nothing flies before it is asked for."""
 
-    def flown(self) -> tuple[tuple[Flown, ...], tuple[str, ...]]:
+    def flown(self) -> tuple[tuple[CourseFigures, ...], tuple[str, ...]]:
         """See References."""
         self._kept = self._kept or fly_references(self.aircraft, None, self.course)[0]
         return self._kept, ("not asked for",)
@@ -57,19 +57,21 @@ def short() -> Iterator[Short]:
 def test_the_course_covers_thrusts_and_turns_up_to_what_the_aircraft_lifts() -> None:
     aircraft = load_aircraft("nf1")
     whole, weak = course(aircraft), course(aircraft, 3.0)
-    assert [leg.thrust for leg in whole.legs if leg.condition is None] == list(THRUSTS)
-    assert [leg.thrust for leg in weak.legs if leg.condition is None] == pytest.approx([0.35, 1.0, 2.0, 2.4])
+    assert [flight.thrust for flight in whole.flights if flight.condition is None] == list(THRUSTS)
+    assert [flight.thrust for flight in weak.flights if flight.condition is None] == pytest.approx(
+        [0.35, 1.0, 2.0, 2.4]
+    )
     turns = {(turn.axis, turn.rate_deg_s) for turn in whole.turns if turn.thrust == 1.0}
     assert turns == {
         (axis, sign * rate) for axis in range(3) for rate in TURN_RATES_DEG_S for sign in (1, -1)
     }
-    conditions = [leg.name for leg in whole.legs if leg.condition is not None]
+    conditions = [flight.name for flight in whole.flights if flight.condition is not None]
     assert "an empty battery" in conditions and len(conditions) == 6
     varied = whole.variation()
     assert varied.lag[4:6].tolist() == [0.6, 1.5] and varied.charge[-1] == 1.0
     # A hover of 30 s takes 2 % of the pack: it lasts for the flight, and is about empty at its end.
     assert 0.02 < varied.charge[-2] < 0.05
-    assert len(whole.nominal().legs) == len(THRUSTS) and len(whole.nominal().turns) == 12
+    assert len(whole.nominal().flights) == len(THRUSTS) and len(whole.nominal().turns) == 12
 
 
 def test_a_good_policy_passes_the_turns(short: Short, shipped_policy: Path) -> None:

@@ -9,8 +9,8 @@ from neuroflight.sim.aircraft.model import load_aircraft
 from neuroflight.toolchain.contract import GRAVITY
 from neuroflight.training.evaluation.evaluation import Flights
 from neuroflight.training.evaluation.floor import floors
-from neuroflight.training.fitness.course import FLIGHT, Condition, Course, Leg
-from neuroflight.training.fitness.flying import LegFigures, with_least
+from neuroflight.training.fitness.course import FLIGHT, CommandFlight, Condition, Course
+from neuroflight.training.fitness.flying import CommandFigures, with_least
 
 NF1 = load_aircraft("nf1")
 IDLE = 0.055
@@ -18,7 +18,7 @@ NONE = (0.0, 0.0, 0.0)
 
 
 def test_legs_in_the_aircraft_of_the_file_have_a_least_error_and_others_have_none() -> None:
-    legs = (Leg("heavy", 2.0, Condition("slow rotors")), Leg("hover", 1.0))
+    flights = (CommandFlight("heavy", 2.0, Condition("slow rotors")), CommandFlight("hover", 1.0))
     setpoint = FLIGHT.episodes(2, np.random.default_rng(1), 1000)
     thrust = np.array([2.0, 1.0], np.float32)
     flown = Flights(
@@ -30,8 +30,8 @@ def test_legs_in_the_aircraft_of_the_file_have_a_least_error_and_others_have_non
         course=FLIGHT.course,
         samples=4,
     )
-    own = LegFigures(2.0, 200.0, NONE, NONE, NONE, 0.0)
-    varied, as_filed = with_least((own, own), Course(NF1, legs, ()), flown, IDLE)
+    own = CommandFigures(2.0, 200.0, NONE, NONE, NONE, 0.0)
+    varied, as_filed = with_least((own, own), Course(NF1, flights, ()), flown, IDLE)
     assert varied == own
     before_hover = setpoint[1:, flown.commanded]
     expected = floors(NF1, before_hover, 1e-3, thrust=1.0, idle=IDLE, samples=4)

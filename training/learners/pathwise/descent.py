@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from neuroflight.toolchain.errors import TrainingError
 from neuroflight.training.config.pathwise_config import PathwiseConfig
-from neuroflight.training.learners.pathwise.loss import Figures, Weights
+from neuroflight.training.learners.pathwise.loss import LossFigures, Weights
 
 Floats = NDArray[np.float32]
 
@@ -67,7 +67,7 @@ class State:
     mean: Floats  # Adam's, of the gradient
     square: Floats  # likewise of its square
     weights: Weights
-    figures: Figures | None  # running means; None before the first update
+    figures: LossFigures | None  # running means; None before the first update
     good: Good  # to go back to
     length: float = 0.0  # usual length of the gradient; 0 before the first
     skipped: int = 0  # updates whose gradient was not followed
@@ -116,7 +116,7 @@ def descended(state: State, found: Floats, rate: float, pathwise: PathwiseConfig
     return replace(state, parameters=state.parameters - step * way, mean=mean, square=square)
 
 
-def adapted(state: State, figures: Figures, pathwise: PathwiseConfig, adapting: bool) -> State:
+def adapted(state: State, figures: LossFigures, pathwise: PathwiseConfig, adapting: bool) -> State:
     """Add `figures` to the running means and, if `adapting`, adapt weights to their limits."""
     running = figures if state.figures is None else _blended(state.figures, figures)
     weights = state.weights
@@ -164,9 +164,9 @@ def guarded(state: State, found: float) -> State:
     )
 
 
-def _blended(old: Figures, new: Figures) -> Figures:
+def _blended(old: LossFigures, new: LossFigures) -> LossFigures:
     before, after = asdict(old), asdict(new)
-    return Figures(**{name: MEMORY * before[name] + (1.0 - MEMORY) * after[name] for name in before})
+    return LossFigures(**{name: MEMORY * before[name] + (1.0 - MEMORY) * after[name] for name in before})
 
 
 def _held(weight: float, mean: float, limit: float | None, adaption: float) -> float:

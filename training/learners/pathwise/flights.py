@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from neuroflight.sim.physics.rotor import response_rows
 from neuroflight.training.learners.pathwise.batch import Batch
 from neuroflight.training.learners.pathwise.library import aligned, library, pointer
-from neuroflight.training.learners.pathwise.loss import Figures, Weights
+from neuroflight.training.learners.pathwise.loss import LossFigures, Weights
 from neuroflight.training.learners.pathwise.plan import Surroundings
 
 Floats = NDArray[np.floating]
@@ -55,7 +55,7 @@ class Flights:
         """End the threads."""
         self._pool.shutdown()
 
-    def gradient(self, batch: Batch, parameters: Floats, weights: Weights) -> tuple[Figures, Floats]:
+    def gradient(self, batch: Batch, parameters: Floats, weights: Weights) -> tuple[LossFigures, Floats]:
         """Compute figures of the batch's flights, and the loss's derivatives by the parameters."""
         figures, gradients, _ = self._fly(batch, parameters, weights, wanted=True, recorded=False)
         total = gradients[0]
@@ -63,7 +63,7 @@ class Flights:
             total += gradient
         return figures, total
 
-    def record(self, batch: Batch, parameters: Floats, weights: Weights) -> tuple[Figures, Record]:
+    def record(self, batch: Batch, parameters: Floats, weights: Weights) -> tuple[LossFigures, Record]:
         """Compute figures of the batch's flights, and return the flights."""
         figures, _, records = self._fly(batch, parameters, weights, wanted=False, recorded=True)
         count = len(batch.setpoint)
@@ -72,7 +72,7 @@ class Flights:
 
     def _fly(
         self, batch: Batch, parameters: Floats, weights: Weights, *, wanted: bool, recorded: bool
-    ) -> tuple[Figures, list[Floats], list[list[Floats]]]:
+    ) -> tuple[LossFigures, list[Floats], list[list[Floats]]]:
         """Return figures, the blocks' gradients if `wanted`, and their records if `recorded`."""
         charged = not np.isnan(batch.variation.charge).all()
         plan = self._surroundings.plan(weights, charged, self._number)
@@ -103,7 +103,7 @@ class Flights:
         for own, _, _ in results[1:]:
             figures = figures + own
         gradients = [found for _, found, _ in results if found is not None]
-        return Figures(*figures.tolist()), gradients, [record for _, _, record in results]
+        return LossFigures(*figures.tolist()), gradients, [record for _, _, record in results]
 
     def _prepare(self, plan: Any) -> None:  # noqa: ANN401 - a struct of cffi
         """Allocate as much memory for each worker as the plan needs."""

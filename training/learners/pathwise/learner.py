@@ -33,7 +33,7 @@ from neuroflight.training.learners.pathwise.basis import Basis, steering
 from neuroflight.training.learners.pathwise.batch import draw_batch
 from neuroflight.training.learners.pathwise.descent import Good, Setback, State, adapted, descended, guarded
 from neuroflight.training.learners.pathwise.flights import Flights
-from neuroflight.training.learners.pathwise.loss import Figures, Weights
+from neuroflight.training.learners.pathwise.loss import LossFigures, Weights
 from neuroflight.training.learners.pathwise.plan import Surroundings
 from neuroflight.training.learners.protocol import Report, named_layers
 
@@ -78,7 +78,7 @@ class PathwiseLearner:
             figures = self._update(rng)
             report(self._report(figures, self._state.setbacks[before:]))
 
-    def _update(self, rng: np.random.Generator) -> Figures:
+    def _update(self, rng: np.random.Generator) -> LossFigures:
         """Fly a batch and update the policy; returns the batch's figures."""
         state, pathwise = self._state, self._pathwise
         batch = draw_batch(self._config, pathwise, self._delay_s, rng)
@@ -98,7 +98,7 @@ class PathwiseLearner:
         fall = 0.5 * (1.0 + math.cos(math.pi * done / self._updates))
         return pathwise.learning_rate * rise * (RATE_LAST + (1.0 - RATE_LAST) * fall)
 
-    def _report(self, figures: Figures, setbacks: Sequence[Setback]) -> Report:
+    def _report(self, figures: LossFigures, setbacks: Sequence[Setback]) -> Report:
         state = self._state
         return Report(
             self.steps,
@@ -161,7 +161,7 @@ class PathwiseLearner:
             updates=state["updates"],
             **{name: state[name].numpy().copy() for name in ("parameters", "mean", "square")},
             weights=Weights(**state["weights"]),
-            figures=None if figures is None else Figures(**figures),
+            figures=None if figures is None else LossFigures(**figures),
             length=state["length"],
             skipped=state["skipped"],
             begun=state["begun"],

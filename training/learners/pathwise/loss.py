@@ -16,7 +16,7 @@ class Weights:
 
 
 @dataclass(frozen=True)
-class Figures:
+class LossFigures:
     """Weighted means over the control steps of a batch, and over axes or motors."""
 
     mae: float  # [deg/s]

@@ -28,7 +28,7 @@ from neuroflight.training.learners.pathwise.descent import (
     descended,
     guarded,
 )
-from neuroflight.training.learners.pathwise.loss import Figures, Weights
+from neuroflight.training.learners.pathwise.loss import LossFigures, Weights
 from neuroflight.training.learners.protocol import Report
 from neuroflight.training.runs.checkpoint import snapshot
 from neuroflight.training.runs.make_learner import make_learner
@@ -168,14 +168,14 @@ def test_an_invalid_hyperparameter_is_rejected_by_name(field: str, value: Any) -
         config(algorithm=PathwiseConfig(**{field: value}), task=RandomStepsTask())
 
 
-def state(weights: Weights, figures: Figures | None = None) -> State:
+def state(weights: Weights, figures: LossFigures | None = None) -> State:
     start = State.fresh(np.zeros(20, np.float32), weights)
     return replace(start, figures=figures)
 
 
 def test_weights_rise_above_their_limits_and_fall_below_when_they_adapt() -> None:
     hyperparameters = PathwiseConfig(output_limit=0.1, change_limit=0.01, adaption=0.01)
-    figures = Figures(mae=1.0, mse=1.0, output=0.2, change=0.001)
+    figures = LossFigures(mae=1.0, mse=1.0, output=0.2, change=0.001)
     weights = adapted(state(Weights(0.1, 5.0, 6.0)), figures, hyperparameters, adapting=True).weights
     assert weights.output == pytest.approx(5.0 * 1.01, rel=1e-3)
     assert weights.change == pytest.approx(6.0 / 1.01, rel=1e-3)
@@ -183,7 +183,7 @@ def test_weights_rise_above_their_limits_and_fall_below_when_they_adapt() -> Non
 
 
 def test_weights_stay_when_there_is_no_limit_or_it_is_too_early() -> None:
-    figures = Figures(mae=1.0, mse=1.0, output=0.2, change=0.001)
+    figures = LossFigures(mae=1.0, mse=1.0, output=0.2, change=0.001)
     start = Weights(0.1, 5.0, 6.0)
     free = PathwiseConfig(output_limit=None, change_limit=None)
     assert adapted(state(start), figures, free, adapting=True).weights == start

@@ -1,0 +1,84 @@
+"""Commands that the pages print, run on files such as a user has, but for those of hardware or minutes."""
+
+from __future__ import annotations
+
+import os
+import shlex
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.cli.test_own_aircraft import five_inch
+from tests.conftest import ROOT, SHIPPED
+from tests.test_docs import commands
+
+pytestmark = pytest.mark.slow
+RUN = [sys.executable, "-m", "neuroflight.cli.main"]
+QUICK = {"aircraft", "dyno", "fly", "log", "timing", "twin", "verify", "view"}  # the first words of commands
+INPUTS = {".BBL", ".bbl", ".npz", ".onnx", ".toml", ".csv", ".img", ".bin", ".urdf", ".TXT", ".BFL", ".json"}
+PRODUCTS = {"--out", "--plot", "--csv", "--npz", "--draw", "--write", "--trace", "--blackbox", "--copies"}
+LEFT_OUT = {
+    "--port",
+    "--sensor",
+    "--gdb",
+    "/media/card",
+    "PLACE",
+    "FILE",
+    "DIR",
+}  # hardware, people, placeholders
+LIMIT_S = 300.0
+
+
+def run(folder: Path, words: str) -> None:
+    """Run a command as it is printed and see it end well."""
+    done = subprocess.run(
+        [*RUN, *shlex.split(words, comments=True)],
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        timeout=LIMIT_S,
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+    )
+    assert done.returncode == 0, f"{words}\n{done.stdout}{done.stderr}"
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a folder with a user's files: logs and a trace of flights, a policy, an aircraft, a table."""
+    folder = tmp_path_factory.mktemp("user")
+    for name in ("training", "sim", "build"):
+        (folder / name).symlink_to(ROOT / name)
+    shutil.copy(SHIPPED, folder / "policy.onnx")
+    (folder / "mine.toml").write_text(five_inch())
+    fly = f"fly --on host --build {ROOT / 'build' / 'HOST'} --scenario pulses --seed"
+    for number in (1, 2):
+        run(folder, f"{fly} {number} --count 8 --blackbox log.bbl --trace flight.npz")
+        (folder / "log.bbl").rename(folder / f"LOG0000{number}.BBL")
+    run(folder, "dyno run --aircraft nf1 --repeats 3 --hold 1 --out nf1.csv")
+    shutil.copy(ROOT / "training" / "reproduction" / "gws-5x4.3.csv", folder / "table.csv")
+    return folder
+
+
+def is_quick(words: list[str]) -> bool:
+    """Return whether a command needs neither hardware nor minutes."""
+    return words[0] in QUICK and not LEFT_OUT & set(words)
+
+
+def inputs(words: list[str]) -> list[str]:
+    """Return the files that a command reads."""
+    given = [word for before, word in zip(["", *words], words, strict=False) if before not in PRODUCTS]
+    return [word.partition(":")[0] for word in given if Path(word.partition(":")[0]).suffix in INPUTS]
+
+
+QUICK_ONES = [each for each in commands("neuroflight") if is_quick(each[1].split())]
+
+
+@pytest.mark.parametrize(("page", "words"), QUICK_ONES)
+def test_a_printed_command_runs(folder: Path, page: str, words: str) -> None:
+    missing = [name for name in inputs(shlex.split(words)) if not (folder / name).exists()]
+    if missing:
+        pytest.skip(f"{', '.join(missing)}: a file of the user's")
+    run(folder, words)
