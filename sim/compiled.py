@@ -21,12 +21,12 @@ from neuroflight.toolchain.errors import BuildError
 from neuroflight.toolchain.files import replacing
 
 CACHE = Path(__file__).resolve().parents[1] / "build" / "engine"
-# No product is fused with a sum but where the source says so: the same bits on every processor.
+# Products are fused with sums only where the source says so, which gives the same bits on every processor.
 FLAGS = (
     *("-std=c11", "-O2", "-ffp-contract=off", "-fno-semantic-interposition", "-fPIC", "-shared"),
     *("-Wall", "-Wextra", "-Werror"),
 )
-WHOLE = ("-flto",)  # across files, where the compiler brings all that it takes
+WHOLE = ("-flto",)  # optimization across files, if the compiler has all that it needs
 COMPILERS = ("cc", "gcc", "clang")
 
 

@@ -21,6 +21,7 @@ PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")])
 DECISIONS = [page for page in PAGES if page.parent.name == "decisions" and page.name != "index.md"]
 LINK = re.compile(r"\]\(([^)\s]+)\)")
 OURS = re.compile(r"^ *(?:\.venv/bin/)?(neuroflight|make) (.*)$")
+FILE = re.compile(r"`((?:cli|docs|firmware|flash|sim|tests|toolchain|training)/[a-z0-9_./-]+)`")
 SYNOPSIS = re.compile(r"…|\[-|\.\.\.")
 QUOTED = re.compile(r"(?<!`)`(?:\.venv/bin/)?neuroflight ([^`\n]+)`")
 WORD = re.compile(r"[a-z][a-z-]+")
@@ -141,6 +142,12 @@ def test_the_readme_is_short_and_its_first_command_needs_no_board() -> None:
     assert len(text.splitlines()) <= 60
     first = text.partition("```\n")[2].partition("\n")[0]
     assert first == "make fly" and len(text.partition("```\n")[0].split()) < 200
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_a_file_that_a_page_names_is_there(page: Path) -> None:
+    named = set(FILE.findall(page.read_text()))
+    assert not {name for name in named if not (ROOT / name).exists()}
 
 
 @pytest.mark.parametrize("page", DECISIONS, ids=lambda page: page.name)

@@ -1,4 +1,4 @@
-"""The plan of the house, held: imports and includes run one way, and files form no circle.
+"""The plan of the house, held: imports, includes and links run one way, and files form no circle.
 
 `ROOMS` and `C_ROOMS` list the folders from the bottom up. A file may import or include files of its own room
 and of rooms listed before it. What fails names the two files of the offending arrow.
@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import ast
 import re
+import subprocess
 from collections.abc import Iterable, Iterator, Sequence
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path, PurePosixPath
@@ -22,6 +23,7 @@ ROOMS = (
     "neuroflight.py",
     "toolchain/errors.py",
     "toolchain/files.py",
+    "toolchain/workers.py",
     "toolchain/contract",
     "toolchain/__init__.py",
     "toolchain/ir",
@@ -33,7 +35,10 @@ ROOMS = (
     "toolchain/cortex_m7",
     "toolchain/verification",
     "toolchain/image",
-    "flash",
+    "flash/__init__.py",
+    "flash/link",
+    "flash/board",
+    "flash/settings",
     "flash/betaflight",
     "flash/rom",
     "flash/policy",
@@ -41,8 +46,8 @@ ROOMS = (
     "flash/motors",
     "flash/channels",
     "flash/logs",
-    "flash/mavlink",
     "flash/monitoring",
+    "flash/mavlink",
     "flash/card",
     "sim/strict_toml.py",
     "sim/plotting.py",
@@ -90,7 +95,9 @@ ROOMS = (
 C_ROOMS = (
     "firmware/targets",
     "firmware/src/common",
-    "firmware/src/blackbox/log_device.h",
+    "firmware/src/port",
+    "firmware/hal/stm32f7/core",
+    "firmware/hal/stm32f7/peripherals",
     "firmware/src/storage",
     "firmware/src/storage/card",
     "firmware/src/sensing",
@@ -102,13 +109,10 @@ C_ROOMS = (
     "firmware/src/blackbox",
     "firmware/src/command_line",
     "firmware/src/msp",
-    "firmware/hal/stm32f7/core",
-    "firmware/hal",
-    "firmware/hal/stm32f7/peripherals",
-    "firmware/hal/stm32f7/startup",
     "firmware/hal/stm32f7/devices",
-    "firmware/src",
     "firmware/hal/stm32f7",
+    "firmware/src",
+    "firmware/hal/stm32f7/startup",
     "firmware/hal/host",
     "sim/physics/c",
     "sim/board/core/c",
@@ -116,7 +120,9 @@ C_ROOMS = (
     "sim/control/c",
     "sim/ports/c",
 )
-GROUND = ("toolchain/errors.py", "toolchain/files.py", "toolchain/contract")
+# A port inverts the direction: what hal.h and handlers.h declare is defined above; so is what a libc has.
+INVERTED = re.compile(r"hal_\w+|\w+_handler|main|mem(cpy|set|cmp|move)")
+GROUND = ("toolchain/errors.py", "toolchain/files.py", "toolchain/workers.py", "toolchain/contract")
 STRANGERS = {"flash": ("toolchain",), "training": ("flash",)}  # knows nothing of these, the ground excepted
 
 Arrow = tuple[str, str]  # from one file to another, paths in the repository
@@ -172,6 +178,25 @@ def c_arrows() -> list[Arrow]:
     files = sorted(path for room in ("firmware", "sim") for path in (ROOT / room).rglob("*.[ch]"))
     files = [path for path in files if "generated" not in path.parts]
     return [(str(path.relative_to(ROOT)), target) for path in files for target in includes(path)]
+
+
+def links(objects: Path, nm: str) -> list[Arrow]:
+    """Who calls whom across files, or takes its address: of the sources whose objects lie in `objects`."""
+    command = [nm, "--print-file-name", "--extern-only", *map(str, sorted(objects.rglob("*.o")))]
+    listing = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    defined: dict[str, str] = {}
+    needed = []
+    for place, kind, name in re.findall(r"^(.+)\.o:.* (\w) (\S+)$", listing, re.MULTILINE):
+        source = f"firmware/{Path(place).relative_to(objects)}.c"
+        if source.startswith("firmware/boot/") or not (ROOT / source).is_file():
+            continue  # the boot part has its own copies; the others were generated, or are left from before
+        if kind == "U":
+            needed.append((source, name))
+        else:
+            defined[name] = source
+    return [
+        (source, defined[name]) for source, name in needed if name in defined and not INVERTED.fullmatch(name)
+    ]
 
 
 def room_of(file: str, rooms: Sequence[str]) -> int:
@@ -232,6 +257,14 @@ def test_files_form_no_circle_when_they_include() -> None:
     assert not circle((source.rpartition(".")[0], target.rpartition(".")[0]) for source, target in c_arrows())
 
 
+def test_links_run_one_way_without_a_circle(host_program: Path, board_image: Path) -> None:
+    for folder, nm in ((host_program.parent, "nm"), (board_image.parent, "arm-none-eabi-nm")):
+        arrows = links(folder / "make" / "obj", nm)
+        assert len(arrows) > 500
+        assert not upward(arrows, C_ROOMS)
+        assert not circle(arrows)
+
+
 def test_help_loads_no_room() -> None:
     top = [
         (str(path.relative_to(ROOT)), target)
@@ -257,13 +290,13 @@ def test_ground_imports_nothing_of_the_rooms_when_read(name: str) -> None:
 @pytest.mark.parametrize(
     ("file", "line"),
     [
-        ("flash/client.py", "from neuroflight.toolchain.image.build import build"),
-        ("flash/client.py", "def f():\n    import neuroflight.sim.physics.twin"),
+        ("flash/link/client.py", "from neuroflight.toolchain.image.build import build"),
+        ("flash/link/client.py", "def f():\n    import neuroflight.sim.physics.twin"),
         ("toolchain/image/build.py", "from neuroflight.sim.physics import twin"),
         ("toolchain/ir/network.py", "import neuroflight.toolchain.codegen.plan"),
         ("sim/physics/twin.py", "from neuroflight.training.tasks.task import Task"),
         ("sim/board/core/engine.py", "from neuroflight.sim.board.board import Board"),
-        ("training/envs/sb3_vector.py", "import neuroflight.flash.msp"),
+        ("training/envs/sb3_vector.py", "import neuroflight.flash.link.msp"),
         ("training/runs/train.py", "import neuroflight.cli.main"),
     ],
 )

@@ -156,7 +156,7 @@ def users_class(name: str, methods: Sequence[str]) -> tuple[type[Any], str, Plug
 
 
 def users_own(kind: type[Any]) -> bool:
-    """Return whether a reward or task is a user's."""
+    """Return True if a reward or task is a user's."""
     return bool(getattr(kind, "users", False))
 
 
@@ -251,7 +251,7 @@ def _kind(kind: type[Any]) -> str:
 
 
 def _replaces(kind: type[Any], taken: type[Any]) -> bool:
-    """Return whether a class is a newer version of a registered one: of the same file, or typed anew."""
+    """Return True if a class is a newer version of a registered one: of the same file, or typed anew."""
     mine, its = (getattr(sys.modules.get(each.__module__), "__file__", None) for each in (kind, taken))
     return users_own(taken) and mine == its
 
@@ -282,7 +282,7 @@ def _read(path: Path) -> tuple[bytes, Plugin]:
 
 
 def _is_users(file: str) -> bool:
-    """Return whether a file is a user's: of none of ours and no installed package."""
+    """Return True if a file is a user's: of none of ours and no installed package."""
     path = Path(file)
     return (
         path.suffix == ".py"

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from neuroflight.flash.image.install import Installation, Installed
     from neuroflight.flash.image.messages import Bank
     from neuroflight.flash.image.plan import InstallPlan
-    from neuroflight.flash.setting_text import Value
+    from neuroflight.flash.settings.text import Value
 
 IMAGE = Path(__file__).resolve().parents[2] / "build" / "MATEKF722" / "neuroflight.nfi"
 WORDS = {
@@ -117,13 +117,13 @@ class _UnderWay:
 
 def _flash(args: argparse.Namespace, under_way: _UnderWay) -> int:
     with _nothing_written():
-        from neuroflight.flash.client import Client
         from neuroflight.flash.image.board import check_ready, read_board
         from neuroflight.flash.image.files import read_images
         from neuroflight.flash.image.install import Installation
         from neuroflight.flash.image.plan import plan_install
         from neuroflight.flash.image.settings_kept import read_settings
-        from neuroflight.flash.transport import open_transport
+        from neuroflight.flash.link.client import Client
+        from neuroflight.flash.link.transport import open_transport
 
         file = read_images(args.image)
         client = Client(open_transport(args.port))
@@ -308,7 +308,7 @@ def _policy_facts(plan: InstallPlan, policy: Policy) -> dict[str, object]:
 
 
 def _baud(port: str) -> int | None:
-    from neuroflight.flash.transport import SerialPort, parse_port
+    from neuroflight.flash.link.transport import SerialPort, parse_port
 
     parsed = parse_port(port)
     return parsed.baud if isinstance(parsed, SerialPort) else None

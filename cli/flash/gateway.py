@@ -62,10 +62,10 @@ def run(args: argparse.Namespace) -> int:
     import time
     from functools import partial
 
-    from neuroflight.flash.client import Client
+    from neuroflight.flash.link.client import Client
+    from neuroflight.flash.link.transport import open_transport
     from neuroflight.flash.mavlink.endpoint import UdpPeer, parse_address
     from neuroflight.flash.mavlink.session import Options, Session
-    from neuroflight.flash.transport import open_transport
 
     _check(args)
     addresses = [parse_address(text, remote=args.allow_remote) for text in args.mavlink]

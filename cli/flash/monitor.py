@@ -41,8 +41,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Show it until q or Ctrl-C. Returns 0; raises NeuroflightError where the first look finds nothing."""
+    from neuroflight.flash.link.transport import open_transport
     from neuroflight.flash.monitoring.watch import Watch
-    from neuroflight.flash.transport import open_transport
 
     if not 0.1 <= args.rate <= RATE_MAX:
         raise NeuroflightError(f"--rate got {args.rate:g}, expected 0.1 to {RATE_MAX:g} Hz")

@@ -15,16 +15,16 @@ from rich.table import Table
 from rich.text import Text
 
 from neuroflight.cli.flash.motor_places import motor_places
-from neuroflight.flash.hints import words
-from neuroflight.flash.messages import BatteryLevel
+from neuroflight.flash.board.hints import words
+from neuroflight.flash.link.messages import BatteryLevel
 from neuroflight.toolchain.contract import CHANNEL_MAX_US, CHANNEL_MIN_US
 from neuroflight.toolchain.errors import AircraftError
 
 if TYPE_CHECKING:
+    from neuroflight.flash.board.overview import Overview
+    from neuroflight.flash.link.records import Tasks
     from neuroflight.flash.monitoring.snapshot import Snapshot
     from neuroflight.flash.monitoring.watch import Sight
-    from neuroflight.flash.overview import Overview
-    from neuroflight.flash.records import Tasks
 
 UPPER, UPPER_MAX = 10, 12  # rows of the upper panels, with their frames
 LOWER = 18  # of the lower ones, where all channels are seen

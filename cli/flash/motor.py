@@ -18,7 +18,7 @@ from neuroflight.toolchain.errors import LinkError
 
 if TYPE_CHECKING:
     from neuroflight.cli.flash.motor_places import Place
-    from neuroflight.flash.client import Client
+    from neuroflight.flash.link.client import Client
     from neuroflight.flash.motors.readiness import Bench
     from neuroflight.flash.motors.spin import Spin
 
@@ -162,9 +162,9 @@ def spin(args: argparse.Namespace, desk: Desk) -> int:
 
 def stop(args: argparse.Namespace, desk: Desk) -> int:
     """Stop them all."""
-    from neuroflight.flash.client import Client
+    from neuroflight.flash.link.client import Client
+    from neuroflight.flash.link.transport import open_transport
     from neuroflight.flash.motors.stop import stop as stop_motors
-    from neuroflight.flash.transport import open_transport
 
     with Client(open_transport(args.port)) as client:  # nothing is asked before
         stop_motors(client, desk.clock, desk.sleep)
@@ -202,7 +202,7 @@ def order(args: argparse.Namespace, desk: Desk) -> int:
     """Ask which motor turned, for each output; show, set and store what follows."""
     from neuroflight.flash.motors.order import order_changes, outputs_of
     from neuroflight.flash.motors.readiness import await_standing
-    from neuroflight.flash.settings import Settings
+    from neuroflight.flash.settings.values import Settings
 
     with connect(args) as client:
         bench, places = _prepare(client, args, "order turns each motor")

@@ -16,7 +16,7 @@ from neuroflight.toolchain.errors import LinkError, PolicyError
 
 if TYPE_CHECKING:
     from neuroflight.cli.flash.known_policies import Known
-    from neuroflight.flash.client import Client
+    from neuroflight.flash.link.client import Client
     from neuroflight.flash.policy.candidate import Candidate
     from neuroflight.flash.policy.slots import Policies, Slot
     from neuroflight.flash.policy.swap import Board, Progress
@@ -75,8 +75,8 @@ def _connected(args: argparse.Namespace, unwritten: str) -> Iterator[Client]:
 
 
 def _board(args: argparse.Namespace) -> Board:
+    from neuroflight.flash.link.transport import open_transport
     from neuroflight.flash.policy.swap import Board
-    from neuroflight.flash.transport import open_transport
 
     return Board(lambda: open_transport(args.port))
 
@@ -84,7 +84,7 @@ def _board(args: argparse.Namespace) -> Board:
 # --- list --------------------------------------------------------------------------------------------
 def list_(args: argparse.Namespace) -> int:
     """Print what each place of a policy holds."""
-    from neuroflight.flash.info import check_ours
+    from neuroflight.flash.board.info import check_ours
     from neuroflight.flash.policy.slots import read_policies
 
     with _connected(args, "nothing is listed") as client:
@@ -126,7 +126,7 @@ def _row(place: Slot, policies: Policies, networks: dict[str, str]) -> tuple[str
 
 
 def _state(place: Slot, policies: Policies) -> str:
-    from neuroflight.flash.policy_errors import policy_error
+    from neuroflight.flash.link.policy_errors import policy_error
 
     if place.flown and policies.given_up:
         return "given up; flown until the next start"
@@ -188,7 +188,7 @@ def candidate_of(path: Path) -> Candidate:
 
 def swap(args: argparse.Namespace) -> int:
     """Write a policy into the slot that is not flown, and start the board with it."""
-    from neuroflight.flash import messages
+    from neuroflight.flash.link import messages
     from neuroflight.flash.policy import candidate as candidates
     from neuroflight.flash.policy.ready import check_ready, check_started
     from neuroflight.flash.policy.slots import read_policies
@@ -265,9 +265,9 @@ def _plan(
     args: argparse.Namespace, candidate: Candidate, policies: Policies, held: Slot | None
 ) -> dict[str, Any]:
     """As --json prints it; `flown` tells whether the board flies it now."""
+    from neuroflight.flash.link.transport import SerialPort, parse_port
     from neuroflight.flash.policy import swap as swaps
     from neuroflight.flash.policy.slots import NAMES
-    from neuroflight.flash.transport import SerialPort, parse_port
 
     port, slot = parse_port(args.port), swaps.target(policies)
     baud = port.baud if isinstance(port, SerialPort) else None

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from neuroflight.flash.channels.layout import Layout
     from neuroflight.flash.channels.sender import Sender
     from neuroflight.flash.channels.source import Source
-    from neuroflight.flash.client import Client
+    from neuroflight.flash.link.client import Client
 
 RATE_DEFAULT, RATE_MIN, RATE_MAX = 50, 20, 150  # Hz; below, the failsafe would hold between two frames
 LEAD_S, ARMED_S = 0.5, 0.5  # of a scenario: at rest, then armed with the throttle low
@@ -120,8 +120,8 @@ def carry_out(args: argparse.Namespace, desk: Desk) -> int:
 
 def _fly(client: Client, sender: Sender, source: Source) -> None:
     from neuroflight.flash.channels.receiver import not_listening
-    from neuroflight.flash.client import RefusedError
-    from neuroflight.flash.settings import Settings
+    from neuroflight.flash.link.client import RefusedError
+    from neuroflight.flash.settings.values import Settings
     from neuroflight.toolchain.contract import Refusal
 
     try:
@@ -136,9 +136,9 @@ def _fly(client: Client, sender: Sender, source: Source) -> None:
 
 def _layout(client: Client) -> Layout:
     """How the board reads channels. Raises LinkError for a firmware of another make."""
+    from neuroflight.flash.board.info import check_ours
     from neuroflight.flash.channels.layout import read_layout
-    from neuroflight.flash.info import check_ours
-    from neuroflight.flash.settings import Settings
+    from neuroflight.flash.settings.values import Settings
 
     check_ours(client, "nothing that acts was sent")
     return read_layout(Settings(client).get)

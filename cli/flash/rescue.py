@@ -75,11 +75,11 @@ def run(args: argparse.Namespace) -> int:
 
 def run_rom(args: argparse.Namespace) -> int:
     """The same; `args` has image, port, dry_run, and what `add_options` declares. A dry run comes first."""
+    from neuroflight.flash.link.transport import open_transport
     from neuroflight.flash.rom.client import RomClient
     from neuroflight.flash.rom.image_check import check_image
     from neuroflight.flash.rom.rescue import plan_flash, start, verify
     from neuroflight.flash.rom.segments import read_segments
-    from neuroflight.flash.transport import open_transport
 
     baud = _baud(args.port)
     segments = read_segments(args.image)
@@ -160,7 +160,7 @@ def _purpose(number: int) -> str:
 
 def _baud(port: str) -> int:
     """The speed that the user asks for. Raises LinkError for one that the ROM does not measure."""
-    from neuroflight.flash.transport import SerialPort, parse_port
+    from neuroflight.flash.link.transport import SerialPort, parse_port
 
     parsed = parse_port(port)
     baud = parsed.baud if isinstance(parsed, SerialPort) else BAUD_MAX

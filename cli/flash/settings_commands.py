@@ -13,14 +13,14 @@ from neuroflight.toolchain.contract import AT_ONCE
 from neuroflight.toolchain.errors import LinkError
 
 if TYPE_CHECKING:
-    from neuroflight.flash.client import Client
-    from neuroflight.flash.setting_text import Value
-    from neuroflight.flash.settings import Stored
+    from neuroflight.flash.link.client import Client
+    from neuroflight.flash.settings.text import Value
+    from neuroflight.flash.settings.values import Stored
 
 
 def when_flown(names: Iterable[str], *, saved: bool) -> str:
     """Tell when the firmware flies changes of the named settings, and what becomes of unsaved ones."""
-    from neuroflight.flash.setting_text import BY_NAME
+    from neuroflight.flash.settings.text import BY_NAME
 
     later = "from the next boot on" if saved else "after `save` and a restart"
     at_once = {name in BY_NAME and BY_NAME[name][1].at_once for name in names}
@@ -35,8 +35,8 @@ def when_flown(names: Iterable[str], *, saved: bool) -> str:
 
 def get(args: argparse.Namespace) -> int:
     """Print settings with their limits and defaults."""
-    from neuroflight.flash.setting_text import BY_NAME, value_text
-    from neuroflight.flash.settings import Settings
+    from neuroflight.flash.settings.text import BY_NAME, value_text
+    from neuroflight.flash.settings.values import Settings
 
     with connect(args) as client:
         found = Settings(client).read(dict.fromkeys(args.names))
@@ -60,7 +60,7 @@ def get(args: argparse.Namespace) -> int:
 
 def _plain(name: str, value: Value) -> str | int | float:
     """As JSON has it: numbers as numbers, choices and mode ranges as their texts."""
-    from neuroflight.flash.setting_text import value_text
+    from neuroflight.flash.settings.text import value_text
 
     if isinstance(value, str):
         return value
@@ -73,7 +73,7 @@ def _plain(name: str, value: Value) -> str | int | float:
 
 
 def _span(stored: Stored) -> str:
-    from neuroflight.flash.setting_text import BY_NAME, shortest
+    from neuroflight.flash.settings.text import BY_NAME, shortest
 
     info = stored.info
     if stored.name in BY_NAME and (choices := BY_NAME[stored.name][1].choices):
@@ -86,8 +86,8 @@ def _span(stored: Stored) -> str:
 
 def set_(args: argparse.Namespace) -> int:
     """Change settings, all of them or none."""
-    from neuroflight.flash.setting_text import STYLE, parse_setting
-    from neuroflight.flash.settings import Settings
+    from neuroflight.flash.settings.text import STYLE, parse_setting
+    from neuroflight.flash.settings.values import Settings
 
     if args.reboot and not args.save:
         raise LinkError("--reboot without --save forgets what is set; give both")
@@ -122,10 +122,10 @@ def dump(args: argparse.Namespace) -> int:
 
 
 def _print_lines(args: argparse.Namespace, wanted: Callable[[Stored], bool]) -> int:
-    from neuroflight.flash import messages
-    from neuroflight.flash.info import version_of
-    from neuroflight.flash.setting_text import set_line
-    from neuroflight.flash.settings import Settings, in_order
+    from neuroflight.flash.board.info import version_of
+    from neuroflight.flash.link import messages
+    from neuroflight.flash.settings.text import set_line
+    from neuroflight.flash.settings.values import Settings, in_order
     from neuroflight.toolchain.contract import Msp
 
     with connect(args) as client:
@@ -143,8 +143,8 @@ def _print_lines(args: argparse.Namespace, wanted: Callable[[Stored], bool]) -> 
 
 def restore(args: argparse.Namespace) -> int:
     """Set what a file says, check it and store it: all or nothing."""
-    from neuroflight.flash.settings import Settings
-    from neuroflight.flash.settings_file import read_file, restored
+    from neuroflight.flash.settings.files import read_file, restored
+    from neuroflight.flash.settings.values import Settings
 
     lines = read_file(args.file)
     with connect(args) as client:
@@ -158,8 +158,8 @@ def restore(args: argparse.Namespace) -> int:
 
 def save(args: argparse.Namespace) -> int:
     """Store all settings."""
-    from neuroflight.flash.setting_text import BY_NAME
-    from neuroflight.flash.settings import Settings
+    from neuroflight.flash.settings.text import BY_NAME
+    from neuroflight.flash.settings.values import Settings
 
     with connect(args) as client:
         Settings(client).save()
@@ -169,8 +169,8 @@ def save(args: argparse.Namespace) -> int:
 
 def defaults(args: argparse.Namespace) -> int:
     """Set every setting to its default, if the user is sure."""
-    from neuroflight.flash.setting_text import BY_NAME
-    from neuroflight.flash.settings import Settings
+    from neuroflight.flash.settings.text import BY_NAME
+    from neuroflight.flash.settings.values import Settings
 
     with connect(args) as client:
         if not args.yes:

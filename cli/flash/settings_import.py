@@ -12,18 +12,18 @@ from neuroflight.cli.flash.tables import print_table
 if TYPE_CHECKING:
     from neuroflight.flash.betaflight.diff_file import Diff
     from neuroflight.flash.betaflight.plan import ImportPlan
-    from neuroflight.flash.setting_text import Value
+    from neuroflight.flash.settings.text import Value
 
 
 def import_(args: argparse.Namespace) -> int:
     """Show which settings of a file have a counterpart, ask, then set and store all of them or none."""
-    from neuroflight.flash import messages
     from neuroflight.flash.betaflight.diff_file import read_diff
     from neuroflight.flash.betaflight.plan import fitted, needed
     from neuroflight.flash.betaflight.planner import plan_import
+    from neuroflight.flash.board.info import version_of
     from neuroflight.flash.image.settings_kept import write_backup
-    from neuroflight.flash.info import version_of
-    from neuroflight.flash.settings import Settings
+    from neuroflight.flash.link import messages
+    from neuroflight.flash.settings.values import Settings
     from neuroflight.toolchain.contract import Msp
 
     diff = read_diff(args.file, args.betaflight)
@@ -50,7 +50,7 @@ def import_(args: argparse.Namespace) -> int:
 
 def _show(diff: Diff, plan: ImportPlan, present: dict[str, Value], changes: dict[str, Value]) -> None:
     """Print what is left out and why, then what changes, and what the pilot has to check."""
-    from neuroflight.flash.setting_text import value_text
+    from neuroflight.flash.settings.text import value_text
 
     brought = sum(len(group.lines) for group in plan.groups)
     board = f" of {diff.board}" if diff.board else ""

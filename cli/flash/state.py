@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING
 from neuroflight.cli.flash.tables import print_facts, print_json, print_table
 
 if TYPE_CHECKING:
-    from neuroflight.flash.acknowledge import Acknowledged
-    from neuroflight.flash.client import Client
-    from neuroflight.flash.info import Info
-    from neuroflight.flash.overview import Overview
-    from neuroflight.flash.records import Fault, Tasks
+    from neuroflight.flash.board.acknowledge import Acknowledged
+    from neuroflight.flash.board.info import Info
+    from neuroflight.flash.board.overview import Overview
+    from neuroflight.flash.link.client import Client
+    from neuroflight.flash.link.records import Fault, Tasks
 
 
 PORT_HELP = "tcp:HOST:PORT, serial:DEVICE[:BAUD] or a device such as /dev/ttyUSB0"
@@ -24,9 +24,9 @@ PORT_HELP = "tcp:HOST:PORT, serial:DEVICE[:BAUD] or a device such as /dev/ttyUSB
 
 def connect(args: argparse.Namespace) -> Client:
     """A client on the port that the user named, whose other end speaks an MSP that this tool knows."""
-    from neuroflight.flash.client import Client
-    from neuroflight.flash.info import check_api
-    from neuroflight.flash.transport import open_transport
+    from neuroflight.flash.board.info import check_api
+    from neuroflight.flash.link.client import Client
+    from neuroflight.flash.link.transport import open_transport
 
     client = Client(open_transport(args.port))
     try:
@@ -40,7 +40,7 @@ def connect(args: argparse.Namespace) -> Client:
 # --- info ------------------------------------------------------------------------------------------
 def info(args: argparse.Namespace) -> int:
     """Print who the firmware is."""
-    from neuroflight.flash.info import read_info
+    from neuroflight.flash.board.info import read_info
 
     with connect(args) as client:
         told = read_info(client)
@@ -100,7 +100,7 @@ def _trained_on(name: str, sha256: str) -> str:
 # --- status ----------------------------------------------------------------------------------------
 def status(args: argparse.Namespace) -> int:
     """Print how the firmware does."""
-    from neuroflight.flash.overview import read_overview
+    from neuroflight.flash.board.overview import read_overview
 
     with connect(args) as client:
         told = read_overview(client)
@@ -113,7 +113,7 @@ def status(args: argparse.Namespace) -> int:
 
 def _status_rows(told: Overview) -> list[tuple[str, str]]:
     from neuroflight.cli.flash.image_aircraft import NO_PID
-    from neuroflight.flash.hints import brown_out, words
+    from neuroflight.flash.board.hints import brown_out, words
 
     flight, battery, attitude = told.flight, told.battery, told.attitude
     rows = [("armed", "yes" if told.armed else "no")]
@@ -161,7 +161,7 @@ def _status_rows(told: Overview) -> list[tuple[str, str]]:
 # --- tasks -----------------------------------------------------------------------------------------
 def tasks(args: argparse.Namespace) -> int:
     """Print the processor's time, task by task."""
-    from neuroflight.flash import records
+    from neuroflight.flash.link import records
     from neuroflight.toolchain.contract import Msp
 
     with connect(args) as client:
@@ -208,7 +208,7 @@ def task_rows(told: Tasks) -> list[dict[str, str | int | float]]:
 # --- faults, acknowledge ---------------------------------------------------------------------------
 def faults(args: argparse.Namespace) -> int:
     """Print the record of the newest fault; acknowledge it if asked to."""
-    from neuroflight.flash import records, requests
+    from neuroflight.flash.link import records, requests
     from neuroflight.toolchain.contract import Msp
 
     with connect(args) as client:
@@ -232,8 +232,8 @@ def faults(args: argparse.Namespace) -> int:
 
 
 def _fault_rows(fault: Fault, boots: int) -> list[tuple[str, str]]:
-    from neuroflight.flash.hints import FAULTS
-    from neuroflight.flash.records import FaultKind
+    from neuroflight.flash.board.hints import FAULTS
+    from neuroflight.flash.link.records import FaultKind
 
     rows = [
         ("fault", f"{fault.kind.name}: {FAULTS[fault.kind.name]}"),
@@ -253,7 +253,7 @@ def _fault_rows(fault: Fault, boots: int) -> list[tuple[str, str]]:
 
 def acknowledge(args: argparse.Namespace) -> int:
     """Acknowledge what keeps the board from arming, and say what it was."""
-    from neuroflight.flash.acknowledge import acknowledge
+    from neuroflight.flash.board.acknowledge import acknowledge
 
     with connect(args) as client:
         print(_acknowledged(acknowledge(client)))
@@ -274,7 +274,7 @@ def _acknowledged(known: Acknowledged) -> str:
 # --- calibrate, reboot -----------------------------------------------------------------------------
 def calibrate(args: argparse.Namespace) -> int:
     """Have the gyro's bias measured anew and wait until it is known."""
-    from neuroflight.flash.calibration import calibrate
+    from neuroflight.flash.board.calibration import calibrate
 
     with connect(args) as client:
         calibrate(client)
@@ -284,8 +284,8 @@ def calibrate(args: argparse.Namespace) -> int:
 
 def reboot(args: argparse.Namespace) -> int:
     """Start the firmware anew and wait until it answers, or the chip's ROM."""
-    from neuroflight.flash.restart import enter_rom, restart
-    from neuroflight.flash.transport import open_transport
+    from neuroflight.flash.board.restart import enter_rom, restart
+    from neuroflight.flash.link.transport import open_transport
 
     if getattr(args, "rom", False):
         with connect(args) as client:

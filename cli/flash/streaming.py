@@ -20,8 +20,8 @@ from neuroflight.toolchain.errors import LinkError, NeuroflightError
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from neuroflight.flash.recording import Shape
-    from neuroflight.flash.stream import Sample, Stream
+    from neuroflight.flash.monitoring.recording import Shape
+    from neuroflight.flash.monitoring.stream import Sample, Stream
 
 SHOWN_HZ = 10.0  # of the live table
 Show = Callable[["Sample"], None]
@@ -29,9 +29,9 @@ Show = Callable[["Sample"], None]
 
 def stream(args: argparse.Namespace) -> int:
     """Take samples until the time is over, or Ctrl-C; show or keep them."""
-    from neuroflight.flash import messages
-    from neuroflight.flash.recording import Shape, write_recording
-    from neuroflight.flash.stream import Stream, decode_sample
+    from neuroflight.flash.link import messages
+    from neuroflight.flash.monitoring.recording import Shape, write_recording
+    from neuroflight.flash.monitoring.stream import Stream, decode_sample
     from neuroflight.toolchain.contract import Msp
 
     _check(args)
@@ -86,7 +86,7 @@ def _check(args: argparse.Namespace) -> None:
 
 
 def _take(stream: Stream, seconds: float | None, taken: list[Sample] | None, show: Show) -> None:
-    from neuroflight.flash.stream import decode_sample
+    from neuroflight.flash.monitoring.stream import decode_sample
 
     for payload in stream.payloads(seconds):
         sample = decode_sample(payload)
@@ -111,7 +111,7 @@ def _showing(args: argparse.Namespace, stream: Stream, shape: Shape) -> Iterator
 
 def _rows(stream: Stream, shape: Shape) -> Show:
     """Lines of CSV on stdout."""
-    from neuroflight.flash.recording import columns, row
+    from neuroflight.flash.monitoring.recording import columns, row
 
     writer = csv.writer(sys.stdout, lineterminator="\n")
 
@@ -142,7 +142,7 @@ def _table(sample: Sample, stream: Stream) -> Table:
 
     from rich.table import Table
 
-    from neuroflight.flash.hints import words
+    from neuroflight.flash.board.hints import words
 
     def angles(rates: tuple[float, ...]) -> str:
         return "  ".join(f"{math.degrees(rate):8.1f}" for rate in rates)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from neuroflight.cli.flash.tables import print_facts, print_table
 
 if TYPE_CHECKING:
-    from neuroflight.flash.client import Client
+    from neuroflight.flash.link.client import Client
     from neuroflight.flash.logs.catalogue import Wait
     from neuroflight.flash.logs.messages import LogEntry, LogInfo
 

@@ -131,7 +131,7 @@ def run(args: argparse.Namespace) -> int:
 @contextmanager
 def open_sensor(args: argparse.Namespace) -> Iterator[Sensor]:
     """The sensor, once it sends readings."""
-    from neuroflight.flash.transport import open_transport
+    from neuroflight.flash.link.transport import open_transport
     from neuroflight.sim.identification.bench.drive import Sensor
     from neuroflight.sim.identification.bench.sensor import LineReader, parse_layout
 
@@ -276,10 +276,10 @@ def _turn(
     limits: Limits,
     sensor: Sensor,
 ) -> None:
-    from neuroflight.flash.client import Client
-    from neuroflight.flash.info import check_api
+    from neuroflight.flash.board.info import check_api
+    from neuroflight.flash.link.client import Client
+    from neuroflight.flash.link.transport import open_transport
     from neuroflight.flash.motors.bench import MotorBench
-    from neuroflight.flash.transport import open_transport
     from neuroflight.sim.identification.bench.session import run_session
 
     with Client(open_transport(args.port), monotonic) as client, _progress(args, plan, missing) as told:

@@ -19,7 +19,6 @@ from neuroflight.cli.sim.fly_emulator import (
     keep,
     say,
 )
-from neuroflight.cli.sim.fly_jobs import Crew, Show, usable_cores
 from neuroflight.cli.sim.fly_output import (
     Flown,
     conditions,
@@ -47,6 +46,7 @@ from neuroflight.cli.sim.fly_telemetry import (
 from neuroflight.cli.sim.fly_thrust import Thrust, add_throttle_argument, chosen_thrust
 from neuroflight.toolchain.contract import GYRO_RATE_DEFAULT_HZ, GYRO_RATES_HZ
 from neuroflight.toolchain.errors import NeuroflightError
+from neuroflight.toolchain.workers import Crew, Show, usable_cores
 
 if TYPE_CHECKING:
     from rich.progress import TaskID

@@ -145,7 +145,7 @@ def blackbox_baud(args: argparse.Namespace) -> int:
 
 
 def _changes(args: argparse.Namespace) -> dict[str, float]:
-    from neuroflight.flash.settings import parse_change
+    from neuroflight.flash.settings.values import parse_change
 
     return dict(parse_change(text) for text in args.set)
 

@@ -128,7 +128,7 @@ def attached(
     args: argparse.Namespace, board: Board, image: Path, ends: ExitStack, log: FlightLog | None = None
 ) -> Callable[[int], None]:
     """What runs `board` with the debugger and the serial lines that were asked for; waits for gdb."""
-    from neuroflight.flash.settings import parse_change
+    from neuroflight.flash.settings.values import parse_change
     from neuroflight.sim.board.debug.gdb import GdbServer
     from neuroflight.sim.board.peripherals.usart import Format
     from neuroflight.sim.board.serial.bridge import Bridge, UartLine

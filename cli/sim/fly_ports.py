@@ -109,7 +109,7 @@ def open_firmware(args: argparse.Namespace, aircraft: Aircraft) -> Entry:
 
 
 def _open_firmware(args: argparse.Namespace, aircraft: Aircraft, log: FlightLog | None) -> Entry:
-    from neuroflight.flash.settings import check_known, parse_change
+    from neuroflight.flash.settings.values import check_known, parse_change
     from neuroflight.sim.ports.host import HostPort
     from neuroflight.sim.ports.library import ReferencePort
     from neuroflight.sim.ports.port import flight_settings, twin_settings

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from neuroflight.training.reproduction.experiments import Experiments, Row
+    from neuroflight.training.reproduction.experiments import ExperimentRow, Experiments
     from neuroflight.training.reproduction.steps import Done
     from neuroflight.training.reproduction.stored import Kept, RowResult
 
@@ -103,22 +103,22 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _run(
-    args: argparse.Namespace, known: Experiments, rows: Sequence[Row]
+    args: argparse.Namespace, known: Experiments, rows: Sequence[ExperimentRow]
 ) -> tuple[Mapping[str, Kept], Mapping[str, str]]:
     """Run the steps of rows; what is kept of them, and why others failed."""
     from rich.console import Console
 
     from neuroflight.cli.training.pages import Lines
     from neuroflight.training.reproduction.ray_steps import on_ray
-    from neuroflight.training.reproduction.steps import Place, run_steps
+    from neuroflight.training.reproduction.steps import StepOutputs, run_steps
     from neuroflight.training.reproduction.stored import keep
 
-    place = Place(ROOT, args.out.resolve(), args.budget)
+    outputs = StepOutputs(ROOT, args.out.resolve(), args.budget)
     watcher = Lines(Console(stderr=True, highlight=False), len(known.plan(rows)))
     with nullcontext(None) if args.address is None else on_ray(args.address, args.jobs) as execute:
         done = run_steps(
             known.plan(rows),
-            place,
+            outputs,
             jobs=args.jobs,
             force=args.force,
             execute=execute,

@@ -83,7 +83,7 @@ def _make_again(folder: Path, names: Sequence[str]) -> None:
     from neuroflight.toolchain.errors import NeuroflightError
     from neuroflight.toolchain.files import write_text
     from neuroflight.training.reproduction.experiments import Step
-    from neuroflight.training.reproduction.steps import Done, Place, run_steps
+    from neuroflight.training.reproduction.steps import Done, StepOutputs, run_steps
     from neuroflight.training.results_page.stored_results import COMMANDS, compact, read_commands
     from neuroflight.training.results_page.summary import summary
 
@@ -105,6 +105,6 @@ def _make_again(folder: Path, names: Sequence[str]) -> None:
 
     console = Console(stderr=True, highlight=False, quiet=not sys.stderr.isatty())
     keeper = Keeper(console, len(steps))
-    run_steps(steps, Place(ROOT, OUTPUTS.resolve(), "full"), jobs=1, force=True, watcher=keeper)
+    run_steps(steps, StepOutputs(ROOT, OUTPUTS.resolve(), "full"), jobs=1, force=True, watcher=keeper)
     if keeper.reasons:
         raise NeuroflightError("; ".join(f"{name}.json: {why}" for name, why in keeper.reasons.items()))

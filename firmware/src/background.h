@@ -10,17 +10,17 @@
 #include "blackbox/blackbox.h"
 #include "common/status.h"
 #include "firmware.h"
-#include "hal/hal.h"
 #include "housekeeping/alert.h"
 #include "housekeeping/battery.h"
-#include "housekeeping/power_sample.h"
 #include "housekeeping/scheduler.h"
 #include "msp/msp_commands.h"
 #include "msp/msp_port.h"
 #include "nf_contract.h"
+#include "port/flash.h"
+#include "port/hal.h"
+#include "port/power_sample.h"
 #include "receiver/gesture.h"
 #include "storage/fault_log.h"
-#include "storage/flash.h"
 #include "storage/image_probation.h"
 #include "storage/image_update.h"
 #include "storage/policy_slots.h"
@@ -36,7 +36,7 @@ struct background_config {
 	enum gyro_chip gyro_chip;
 	uint8_t gyro_identity, brown_out; /* as in struct hal_info */
 	const struct pid_gains *pid;
-	const struct msp_identity *identity;
+	const struct board_identity *identity;
 	unsigned bank; /* of images, that this one runs from */
 	const struct fault_record *fault; /* what ended the run before; NULL: no fault did */
 	const struct setting_change *changes;
@@ -85,11 +85,6 @@ struct background {
  * firmware_init: do not run. */
 enum nf_err background_start(struct background *background, const struct background_config *config);
 
-/* Of background_blackbox.c, for the background alone: once, when settings, slots and firmware are as they will be flown, then a
- * slice of its work each round. */
-void background_init_blackbox(struct background *background);
-void background_run_blackbox(struct background *background);
-
 /* Runs at most one task that is due; called again and again. */
 void background_step(struct background *background);
 
@@ -111,5 +106,22 @@ bool background_link_busy(const struct background *background, unsigned port);
 
 /* Bytes of its were lost. */
 void background_link_lost(struct background *background, unsigned port);
+
+/* --- For the background's own files ------------------------------------------------------------------------------ */
+/* background_start.c: the settings of this boot, as stored, then changed; then the policy for them, and the firmware. */
+enum nf_err background_boot(struct background *background);
+
+/* background_services.c: fills in what MSP and the command line act by. */
+void background_offer_services(struct background *background);
+/* Flash is written only between background_storing(.., true), if that returns NF_REFUSAL_NONE, and (.., false): nothing can
+ * arm meanwhile. `context` is the background. */
+enum nf_refusal background_storing(void *context, bool busy);
+enum nf_refusal background_acknowledge(void *context);
+enum nf_refusal background_reboot(void *context, enum nf_reboot kind);
+
+/* background_blackbox.c: once, when settings, slots and firmware are as they will be flown, then a slice of its work each
+ * round. */
+void background_init_blackbox(struct background *background);
+void background_run_blackbox(struct background *background);
 
 #endif

@@ -3,35 +3,19 @@
 #include <string.h>
 
 #include "common/fence.h"
-#include "common/nf_math.h"
 #include "motors/dshot.h"
 #include "safety/chirp_interlock.h"
 
 #define REASON_IF(condition, name) ((condition) ? SAFETY_REASON(name) : 0u)
-#define ANY_TILT (-2.0f)          /* below every cosine */
 /* The thrust of the highest throttle stick that arms. */
 #define THROTTLE_LOW ((float)(NF_THROTTLE_LOW_US - NF_CHANNEL_MIN_US) / (float)(NF_CHANNEL_MAX_US - NF_CHANNEL_MIN_US))
-
-_Static_assert(POLICY_ACTION_COUNT <= NF_MOTOR_COUNT_MAX, "too many motors");
-_Static_assert(POLICY_OBSERVATION_COUNT <= NF_OBSERVATION_COUNT_MAX, "too many observations");
-_Static_assert(POLICY_WEIGHT_COUNT <= NF_POLICY_WEIGHT_COUNT_MAX, "too many weights for DTCM");
-
-static enum nf_err firmware_check_rates(unsigned gyro_rate_hz)
-{
-	static const unsigned known[] = NF_GYRO_RATES_HZ;
-
-	for (size_t i = 0; i < sizeof known / sizeof known[0]; ++i)
-		if (known[i] == gyro_rate_hz && gyro_rate_hz % POLICY_CONTROL_RATE_HZ == 0)
-			return NF_OK;
-	return NF_ERR_GYRO_RATE;
-}
 
 /* Does the tilt allow arming? Not evaluated while the motors turn. */
 static bool firmware_level(const struct firmware *fw)
 {
 	float up[3];
 
-	if (safety_motors(&fw->safety) || fw->level_cosine == ANY_TILT)
+	if (safety_motors(&fw->safety) || fw->level_cosine == FIRMWARE_ANY_TILT)
 		return true;
 	attitude_up(&fw->attitude, up);
 	return attitude_known(&fw->attitude) && up[2] >= fw->level_cosine;
@@ -112,8 +96,7 @@ static void firmware_update_safety(struct firmware *fw, uint32_t found)
 	}
 }
 
-/* Fills in the status that MSP reports beside the trace. */
-static void firmware_report(struct firmware *fw)
+void firmware_report(struct firmware *fw)
 {
 	struct firmware_status *status = &fw->status;
 	const struct control *control = &fw->control;
@@ -136,72 +119,6 @@ static void firmware_report(struct firmware *fw)
 		status->temperature_deg_c = gyro_temperature_c(&fw->gyro, fw->gyro_chip);
 	status->attitude_known = attitude_known(&fw->attitude);
 	status->airborne = fw->takeoff.airborne;
-}
-
-/* The output that each motor's ESC is wired to; the settings' rules make them a permutation. */
-static void firmware_outputs_init(struct firmware *fw, const struct nf_settings *settings)
-{
-	const uint32_t wired[NF_MOTOR_COUNT_MAX] = {
-		settings->motor1_output, settings->motor2_output, settings->motor3_output, settings->motor4_output,
-		settings->motor5_output, settings->motor6_output, settings->motor7_output, settings->motor8_output,
-	};
-
-	for (size_t i = 0; i < POLICY_ACTION_COUNT; ++i) {
-		fw->outputs[i] = (uint8_t)(wired[i] - 1u);
-		fw->rewired |= fw->outputs[i] != i;
-	}
-}
-
-enum nf_err firmware_init(struct firmware *fw, const struct firmware_config *config)
-{
-	const struct nf_settings *settings = config->settings;
-	const struct control_config control = {
-		.settings = settings,
-		.weights = config->weights,
-		.policy = config->policy,
-		.policy_good = config->policy_good,
-		.pid = config->pid,
-	};
-	enum nf_err err = firmware_check_rates(config->gyro_rate_hz);
-	if (err != NF_OK)
-		return err;
-
-	memset(fw, 0, sizeof *fw);
-	fw->gyro_rate_hz = config->gyro_rate_hz;
-	fw->gyro_chip = config->gyro_chip;
-	fw->control_divider = config->gyro_rate_hz / POLICY_CONTROL_RATE_HZ;
-	fw->grace_left = config->gyro_rate_hz * settings->arming_delay_ms / 1000u;
-	fw->level_cosine = settings->level_limit_deg > 0.0f ? nf_cos_turns(settings->level_limit_deg / 360.0f) :
-							      ANY_TILT;
-	fw->failsafe_throttle = settings->failsafe_throttle;
-	fw->doubts = settings->plausibility_detection != 0;
-	fw->trial = settings->policy_trial != 0;
-	fw->forbidden = SAFETY_REASON(BATTERY_UNKNOWN);
-	fw->voltage_gain = 1.0f;
-	fw->edges.forbidden = fw->forbidden;
-	fw->status.gyro_rate_hz = (uint16_t)config->gyro_rate_hz;
-	fw->status.trace.motor_count = POLICY_ACTION_COUNT;
-	if ((err = gyro_init(&fw->gyro, config->gyro_rate_hz, config->alignment, settings->gyro_stuck_ms)) != NF_OK)
-		return err;
-	gyro_board_init(&fw->gyro, settings->board_roll_deg, settings->board_pitch_deg, settings->board_yaw_deg);
-	if ((err = control_init(&fw->control, &control)) != NF_OK)
-		return err;
-	filters_init(&fw->filters, settings, config->gyro_rate_hz);
-	gyro_mean_init(&fw->mean, filters_take_mean(settings) ? fw->control_divider : 0);
-	attitude_init(&fw->attitude, POLICY_CONTROL_RATE_HZ);
-	receiver_init(&fw->receiver, settings, config->gyro_rate_hz);
-	rates_init(&fw->rates, settings);
-	chirp_init(&fw->chirp, settings, POLICY_CONTROL_RATE_HZ);
-	safety_init(&fw->safety, settings, POLICY_CONTROL_RATE_HZ);
-	takeoff_init(&fw->takeoff, settings, POLICY_CONTROL_RATE_HZ);
-	turning_init(&fw->turning, POLICY_CONTROL_RATE_HZ);
-	plausibility_init(&fw->plausibility, POLICY_CONTROL_RATE_HZ);
-	crash_init(&fw->crash, settings, POLICY_CONTROL_RATE_HZ);
-	motor_test_init(&fw->motor_test, POLICY_CONTROL_RATE_HZ, POLICY_ACTION_COUNT);
-	firmware_outputs_init(fw, settings);
-	dshot_command_init(&fw->dshot_command, config->gyro_rate_hz, POLICY_ACTION_COUNT, fw->outputs);
-	firmware_report(fw); /* a board whose gyro never speaks must still say why it does not arm */
-	return NF_OK;
 }
 
 bool firmware_control_due(const struct firmware *fw)
@@ -556,110 +473,4 @@ void firmware_deadline(struct firmware *fw, bool missed)
 const struct control_trace *firmware_trace(const struct firmware *fw)
 {
 	return &fw->status.trace;
-}
-
-void firmware_forbid(struct firmware *fw, enum nf_arming_reason reason, bool holds)
-{
-	const uint32_t bit = 1u << reason;
-
-	fw->forbidden = holds ? fw->forbidden | bit : fw->forbidden & ~bit;
-	fence();
-}
-
-void firmware_calibrate(struct firmware *fw)
-{
-	fw->calibrate = true;
-}
-
-void firmware_tune_init(struct firmware *fw, const struct nf_settings *settings)
-{
-	rates_init(&fw->rates, settings);
-	pid_init(&fw->control.pid, fw->control.pid.gains, settings);
-	fence();
-}
-
-void firmware_acknowledge(struct firmware *fw)
-{
-	fw->acknowledged = true;
-	fence();
-}
-
-void firmware_weights(struct firmware *fw, bool good)
-{
-	fw->weights = good ? WEIGHTS_RENEWED : WEIGHTS_BAD;
-	fence();
-}
-
-void firmware_power(struct firmware *fw, float voltage)
-{
-	fw->voltage_gain = pid_compensation(fw->control.pid.gains, voltage);
-}
-
-bool firmware_armed(const struct firmware *fw)
-{
-	fence();
-	return fw->status.trace.armed;
-}
-
-bool firmware_stopped(const struct firmware *fw)
-{
-	const struct motor_test *test = &fw->motor_test;
-
-	fence();
-	return !fw->status.trace.armed && !motor_test_open(test) && test->left == 0 &&
-	       !dshot_command_busy(&fw->dshot_command);
-}
-
-enum nf_refusal firmware_post(struct firmware *fw, const uint16_t channels_us[NF_CHANNEL_COUNT])
-{
-	if (fw->receiver.protocol != NF_RECEIVER_PROTOCOL_MSP)
-		return NF_REFUSAL_ABSENT;
-	if (fw->posted)
-		return NF_REFUSAL_ORDER;
-	memcpy(fw->posted_us, channels_us, sizeof fw->posted_us);
-	fence();
-	fw->posted = true;
-	return NF_REFUSAL_NONE;
-}
-
-uint32_t firmware_samples(const struct firmware *fw)
-{
-	return fw->samples;
-}
-
-void firmware_status(const struct firmware *fw, struct firmware_status *status)
-{
-	struct attitude attitude;
-	uint32_t before;
-
-	/* The writer interrupts the reader, never the other way round, and runs to its end: a copy is whole
-	 * if nothing was published during it. Control steps are far apart, the second copy is already good. */
-	do {
-		before = fw->published;
-		fence();
-		*status = fw->status;
-		attitude = fw->attitude;
-		fence();
-	} while (before != fw->published);
-	if (status->attitude_known)
-		attitude_euler_deg(&attitude, status->attitude_deg);
-}
-
-void firmware_record(const struct firmware *fw, const uint32_t *cycles, struct control_record *record)
-{
-	uint32_t before;
-
-	do { /* as firmware_status */
-		before = fw->published;
-		fence();
-		record->trace = fw->status.trace;
-		record->cycles = *cycles;
-		record->state = fw->status.state;
-		record->pid_flies = fw->status.pid_flies;
-		memcpy(record->observation, fw->control.seen, sizeof fw->control.seen);
-		memcpy(record->action, fw->control.action, sizeof fw->control.action);
-		fence();
-	} while (before != fw->published);
-	record->action_count = record->trace.armed ? POLICY_ACTION_COUNT : 0;
-	record->observation_count = record->trace.armed && !record->pid_flies ? POLICY_OBSERVATION_COUNT : 0;
 }

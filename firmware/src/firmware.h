@@ -10,7 +10,6 @@
 #include <stdint.h>
 
 #include "blackbox/log_record.h"
-#include "common/imu.h"
 #include "common/nf_err.h"
 #include "common/status.h"
 #include "control/chirp.h"
@@ -19,6 +18,7 @@
 #include "motors/dshot_command.h"
 #include "motors/motor_test.h"
 #include "nf_contract.h"
+#include "port/imu.h"
 #include "receiver/rates.h"
 #include "receiver/receiver.h"
 #include "safety/crash.h"
@@ -30,6 +30,8 @@
 #include "sensing/filters.h"
 #include "sensing/gyro.h"
 #include "sensing/gyro_mean.h"
+
+#define FIRMWARE_ANY_TILT (-2.0f) /* below every cosine */
 
 struct firmware_config {
 	unsigned gyro_rate_hz;              /* one of NF_GYRO_RATES_HZ, a multiple of POLICY_CONTROL_RATE_HZ */
@@ -83,7 +85,7 @@ struct firmware {
 	uint32_t overdue;               /* lost samples since it was due, less than control_divider */
 	volatile uint32_t control_steps; /* since boot */
 	uint32_t grace_left;            /* gyro samples until arming is allowed */
-	float level_cosine;             /* of the largest tilt that arms; below -1: any, known or not */
+	float level_cosine;             /* of the largest tilt that arms; FIRMWARE_ANY_TILT: any, known or not */
 	float failsafe_throttle;        /* 0..1 */
 	bool rested;                    /* take-off, turning, plausibility and crash know nothing of a flight */
 	bool doubts;                    /* the policy's outputs must be plausible */
@@ -117,6 +119,9 @@ struct firmware {
 /* Starts disarmed, the battery not known. NF_ERR_GYRO_RATE, NF_ERR_ALIGNMENT, NF_ERR_IDLE, NF_ERR_OBSERVATION: do
  * not run this firmware. */
 enum nf_err firmware_init(struct firmware *fw, const struct firmware_config *config);
+
+/* Of firmware.c, for firmware_init.c alone: fills in the status that MSP reports beside the trace. */
+void firmware_report(struct firmware *fw);
 
 /* Flies a control step without a sample, to measure how long controller and checks take: with the PID, or the policy. Only
  * between two firmware_init, as it leaves anything behind. */

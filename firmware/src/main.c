@@ -2,9 +2,9 @@
 #include "background.h"
 #include "control/pid.h"
 #include "firmware.h"
-#include "hal/hal.h"
 #include "housekeeping/scheduler.h"
-#include "program.h"
+#include "port/hal.h"
+#include "runtime.h"
 
 /* The only mutable state of the program outside the chip directory. What the gyro's interrupt works on... */
 static struct firmware firmware;
@@ -16,7 +16,7 @@ static struct fault_record fault;
 static struct background background;
 static struct log_ring log_ring;
 
-static struct program program = { .firmware = &firmware, .stats = stats, .background = &background, .log = &log_ring };
+static struct runtime runtime = { .firmware = &firmware, .stats = stats, .background = &background, .log = &log_ring };
 
 static enum nf_err boot(void)
 {
@@ -45,7 +45,7 @@ static enum nf_err boot(void)
 	};
 	const enum nf_err err = background_start(&background, &config);
 
-	program.hal = info.hal;
+	runtime.hal = info.hal;
 	log_ring_init(&log_ring, background.settings.blackbox_device != NF_BLACKBOX_DEVICE_NONE);
 	/* Without an entry in the log the record is all that is known of the fault: it waits for the next boot. */
 	if (faulted && background.faults.logged)
@@ -56,15 +56,15 @@ static enum nf_err boot(void)
 int main(int argc, char **argv)
 {
 	static const struct hal_handlers handlers = {
-		.context = &program,
-		.sample = program_sample,
-		.gyro_silent = program_gyro_silent,
-		.background = program_background,
-		.link = program_link,
-		.link_reset = program_link_reset,
-		.link_pause = program_link_pause,
-		.link_lost = program_link_lost,
-		.link_busy = program_link_busy,
+		.context = &runtime,
+		.sample = runtime_sample,
+		.gyro_silent = runtime_gyro_silent,
+		.background = runtime_background,
+		.link = runtime_link,
+		.link_reset = runtime_link_reset,
+		.link_pause = runtime_link_pause,
+		.link_lost = runtime_link_lost,
+		.link_busy = runtime_link_busy,
 	};
 
 	const int start = hal_init(argc, argv, &info);

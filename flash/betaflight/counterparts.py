@@ -10,7 +10,7 @@ import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
-from neuroflight.flash.setting_text import NO_TEXT, Value, check_text
+from neuroflight.flash.settings.text import NO_TEXT, Value, check_text
 from neuroflight.toolchain.errors import LinkError
 
 Changes = dict[str, Value]

@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from neuroflight.flash.betaflight.diff_file import Line
-from neuroflight.flash.client import NoAnswerError, RefusedError
-from neuroflight.flash.setting_text import RATES, STYLE, Value, same
-from neuroflight.flash.settings import Settings
+from neuroflight.flash.link.client import NoAnswerError, RefusedError
+from neuroflight.flash.settings.text import RATES, STYLE, Value, same
+from neuroflight.flash.settings.values import Settings
 from neuroflight.toolchain.errors import LinkError
 
 

@@ -22,7 +22,7 @@ from neuroflight.flash.betaflight.mode_ranges import HIGH_US, PREARM, box_name, 
 from neuroflight.flash.betaflight.motor_order import MOTORS, OUTPUT_PINS, motor_outputs, read_pin
 from neuroflight.flash.betaflight.plan import Group, ImportPlan, Left
 from neuroflight.flash.betaflight.rate_profiles import RateProfiles
-from neuroflight.flash.setting_text import STYLE, Value, known_setting
+from neuroflight.flash.settings.text import STYLE, Value, known_setting
 from neuroflight.toolchain.contract import MODE_LOW_US, Mode, ModeRange
 
 HOST = "HOST"  # the host program's target name, which takes any board's file

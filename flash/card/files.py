@@ -13,14 +13,14 @@ from neuroflight.toolchain.errors import CardError
 NAME = re.compile(rf"{LOG_FILE_PREFIX}(\d{{5}}){re.escape(LOG_FILE_SUFFIX)}", re.IGNORECASE)
 NUMBER_MAX = 99_999
 SECTOR = 512  # bytes; the firmware looks at a file's first sector
-BLANKS = (0x00, 0xFF)  # what a sector without a log is full of: written empty, erased by the card
+BLANKS = (0x00, 0xFF)  # bytes of a sector without a log: written as zeros, or erased by the card
 MEBIBYTE = 1 << 20
 FILE_BYTES = 64 * MEBIBYTE  # at 100 kB/s a flight of 11 minutes
-FILE_BYTES_MAX = 4095 * MEBIBYTE  # FAT32 has 4 GB less one byte
-FILES_MAX = 64  # unless told
-PIECE_BYTES = MEBIBYTE  # that are read, written or compared at a time
+FILE_BYTES_MAX = 4095 * MEBIBYTE  # FAT32's limit is 4 GB less one byte
+FILES_MAX = 64  # default
+PIECE_BYTES = MEBIBYTE  # read, written or compared at a time
 
-Progress = Callable[[str, int, int], None]  # what is done ("write", "compare", "clear"), bytes, of so many
+Progress = Callable[[str, int, int], None]  # action ("write", "compare", "clear"), bytes done, bytes in all
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,7 @@ class LogFile:
     name: str
     bytes: int
     blank: bool  # takes the next log
-    whole: bool | None  # lies in one piece; None: cannot be seen from here
+    whole: bool | None  # lies in one piece; None: unknown
 
     @property
     def number(self) -> int:

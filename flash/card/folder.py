@@ -58,7 +58,7 @@ class FolderCard:
         if path.exists():
             raise CardError(f"{path}: it is there already, expected a new name; nothing was overwritten")
         aside = path.with_suffix(UNFINISHED)
-        aside.unlink(missing_ok=True)  # of a run that was cut off
+        aside.unlink(missing_ok=True)  # left by an interrupted run
         try:
             with aside.open("xb") as file:
                 _write_zeros(file.fileno(), size, progress)

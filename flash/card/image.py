@@ -15,7 +15,7 @@ from neuroflight.flash.card.files import PIECE_BYTES, SECTOR, LogFile, is_blank,
 from neuroflight.flash.card.folder import in_pieces
 from neuroflight.toolchain.errors import CardError
 
-QUIET = {"MTOOLS_SKIP_CHECK": "1"}  # small FAT32 images, as tests have, are beyond what mtools finds usual
+QUIET = {"MTOOLS_SKIP_CHECK": "1"}  # mtools rejects small FAT32 images, such as those of tests, as unusual
 CREATE_S = 600.0  # for one file: a card writes 4 GB at 10 MB/s in 400 s
 
 

@@ -119,7 +119,7 @@ def _check_fat32(folder: Path, device: Path) -> None:
     try:
         with device.open("rb") as file:
             Fat32(file, str(folder))
-    except OSError:  # not for every user
+    except OSError:  # this user may not read it
         clusters = os.statvfs(folder).f_blocks
         if clusters <= FAT16_CLUSTERS_MAX:
             raise CardError(

@@ -31,7 +31,7 @@ class Axis:
 
     channel: int  # place in NAMES
     number: int
-    inverted: bool  # as axes whose upper end is -1
+    inverted: bool  # for axes whose upper end is -1
 
 
 @dataclass(frozen=True)
@@ -48,8 +48,8 @@ class Mapping:
 
     axes: tuple[Axis, ...]
     buttons: tuple[Button, ...]
-    # Sticks that spring back stand in the middle: there the throttle is down, and it rises above. False: the
-    # whole way of the stick, as of a transmitter.
+    # True: a stick that springs back, whose centre is throttle down and whose upper half raises it. False:
+    # the stick's whole travel, as on a transmitter.
     throttle_from_centre: bool = True
 
 
@@ -113,9 +113,9 @@ class Gamepad:
     def __init__(self, index: int, mapping: Mapping) -> None:
         """index: from 0, in the system's order. Raises LinkError if library, device or axis is missing."""
         self._mapping = mapping
-        self._gone = False  # for good, even if a device comes back in its place
+        self._gone = False  # permanent, even if another device takes its place
         self._game = _library()
-        self._game.display.init()  # whose events tell of removals; the dummy driver opens no window
+        self._game.display.init()  # its events report removals; the dummy driver opens no window
         self._game.joystick.init()
         try:
             self._device = self._open(index)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
-from neuroflight.flash.setting_text import Value
+from neuroflight.flash.settings.text import Value
 from neuroflight.toolchain.contract import (
     AUX_COUNT,
     CHANNEL_AUX1,
@@ -43,7 +43,7 @@ class Layout:
 
     wire: tuple[int, ...]  # the place on the wire of each of NAMES
     arm: tuple[ModeRange, ...]  # ranges of the mode arm
-    disarmed_us: tuple[tuple[int, int], ...]  # channel and width at which none of them holds
+    disarmed_us: tuple[tuple[int, int], ...]  # channel and width at which no range of `arm` holds
 
     def on_wire(self, channels: Channels) -> list[int]:
         """Sort `channels` into the order of SET_RAW_RC."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from neuroflight.flash.setting_text import Value, value_text
+from neuroflight.flash.settings.text import Value, value_text
 from neuroflight.toolchain.errors import LinkError
 
 SETTING, MSP = "receiver_protocol", "msp"

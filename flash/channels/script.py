@@ -38,7 +38,7 @@ class Script:
 
     name: str
     times_s: tuple[float, ...]  # rising, from 0
-    rows: tuple[Channels, ...]  # what holds from each time on; the last is the end
+    rows: tuple[Channels, ...]  # channels from each time on; the last row is the end
 
     def at(self, elapsed_s: float) -> Channels | Instead:
         """See Source."""

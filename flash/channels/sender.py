@@ -12,22 +12,22 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
-from neuroflight.flash import messages, records, requests
 from neuroflight.flash.channels.layout import Channels, Layout, throttle_low
 from neuroflight.flash.channels.source import Instead, Source
-from neuroflight.flash.client import Client, NoAnswerError, RefusedError
+from neuroflight.flash.link import messages, records, requests
+from neuroflight.flash.link.client import Client, NoAnswerError, RefusedError
 from neuroflight.toolchain.contract import ArmingReason, Msp, Refusal
 from neuroflight.toolchain.errors import LinkError
 
 RATE_HZ = 50.0
 ANSWER_S = 0.25  # for the reply to a frame
-LOST_S = 1.0  # without any frame that was taken: the line is lost
-LINK_S = 5.0  # in which the board comes to believe the receiver
+LOST_S = 1.0  # without an accepted frame until the line counts as lost
+LINK_S = 5.0  # until the board accepts the receiver's link
 ENDING_FRAMES = 10  # with the switch off, at least; the board needs two in a row
-ENDING_S = 1.0  # in which it must say that it is disarmed
+ENDING_S = 1.0  # until it must report that it is disarmed
 LOOK_S = 0.5  # between two looks at whether it is armed
 BEHIND_TOLD_S = 1.0  # between two warnings
-BEHIND_SHARE = 0.1  # of the frames of that time: as many late ones are told
+BEHIND_SHARE = 0.1  # share of late frames in that time that causes a warning
 
 
 @dataclass
@@ -35,8 +35,8 @@ class Count:
     """Numbers of frames sent, refused, unanswered and late."""
 
     taken: int = 0
-    passed_over: int = 0  # the board had not yet taken up the one before
-    late: int = 0  # whose time had passed before they could be sent: never sent
+    passed_over: int = 0  # rejected because the board had not processed the one before
+    late: int = 0  # due but never sent, because their time had passed
     unanswered: int = 0
 
 
@@ -56,7 +56,7 @@ class Sender:
     ) -> None:
         """may_arm: False: no frame that arms is sent. tell: called with each warning, one line."""
         self.count = Count()
-        self.disarmed = False  # at the end: the board has said so
+        self.disarmed = False  # at the end: the board has reported it
         self.began = False  # a frame went out
         self._client, self._layout, self._may_arm = client, layout, may_arm
         self._period, self._tell, self._clock, self._sleep = 1 / rate_hz, tell, clock, sleep
@@ -67,7 +67,7 @@ class Sender:
         return self
 
     def __exit__(self, *_: object) -> None:
-        with contextlib.suppress(LinkError):  # then the board's failsafe acts
+        with contextlib.suppress(LinkError):  # the board's failsafe acts instead
             self._end()
 
     # --- Begin ---------------------------------------------------------------------------------------

@@ -14,7 +14,7 @@ class Timeline:
     """A Source: at rest for a while, then armed with the throttle low, then `rate_hz` rows a second."""
 
     rest: Channels
-    lead_s: float  # of rest, in which the receiver comes to be believed
+    lead_s: float  # of rest, until the board accepts the receiver's link
     armed: Channels  # sticks as in `rest`, the arm switch on
     armed_s: float  # so long, before the first row
     rate_hz: float

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from neuroflight.flash import messages
-from neuroflight.flash.client import Client, RefusedError
+from neuroflight.flash.board.info import check_api
 from neuroflight.flash.image.messages import Banks, image_info
-from neuroflight.flash.info import check_api
-from neuroflight.flash.messages import BatteryLevel, BatteryState
+from neuroflight.flash.link import messages
+from neuroflight.flash.link.client import Client, RefusedError
+from neuroflight.flash.link.messages import BatteryLevel, BatteryState
 from neuroflight.flash.policy.slots import Policies, read_policies
 from neuroflight.toolchain.contract import IMAGE_LAYOUT, MSP_FIRMWARE, Msp
 from neuroflight.toolchain.errors import LinkError

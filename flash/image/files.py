@@ -32,7 +32,7 @@ from neuroflight.toolchain.contract import (
 from neuroflight.toolchain.errors import ImageError
 from neuroflight.toolchain.files import file_size
 
-BOTH = "neuroflight.nfi"  # beside the other files of a build
+BOTH = "neuroflight.nfi"  # of the file beside a build's other files
 SUFFIXES = (".nfi", ".elf", ".hex", ".bin")
 NFI_BYTES_MAX = sum(part.size for part in (*FLASH_BANKS, FLASH_POLICY_SLOTS[0]))
 _WORD_BYTES = 4

@@ -14,16 +14,16 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import Enum, auto
 
-from neuroflight.flash.client import Client
+from neuroflight.flash.board.restart import restart
 from neuroflight.flash.image.files import bank_name
 from neuroflight.flash.image.plan import InstallPlan
 from neuroflight.flash.image.settings_kept import Kept, keep_settings, read_settings
 from neuroflight.flash.image.trial import Ending, Trial, await_image
 from neuroflight.flash.image.update import Clock, Progress, patiently, switch, write_image
+from neuroflight.flash.link.client import Client
+from neuroflight.flash.link.transport import Transport
 from neuroflight.flash.policy import swap
-from neuroflight.flash.restart import restart
-from neuroflight.flash.setting_text import Value
-from neuroflight.flash.transport import Transport
+from neuroflight.flash.settings.text import Value
 from neuroflight.toolchain.errors import LinkError
 
 
@@ -134,7 +134,7 @@ class Installation:
         now = patiently(self.client, lambda: read_settings(self.client), self._clock)
         kept = keep_settings(self.client, settings, now)
         if kept.restored:
-            self._restart()  # they are flown from the next boot on
+            self._restart()  # settings take effect at the next boot
         return Installed(trial, kept, 2 if kept.restored else 1)
 
     def _restart(self) -> None:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import struct
 from dataclasses import dataclass
 
-from neuroflight.flash.payload import Reader
-from neuroflight.flash.requests import WORD_BYTES
+from neuroflight.flash.link.payload import Reader
+from neuroflight.flash.link.requests import WORD_BYTES
 from neuroflight.toolchain.contract import IMAGE_BUILD_BYTES, MSP_PAYLOAD_MAX, Msp
 
 OFFSET_BYTES = 4  # before the data in IMAGE_WRITE
@@ -20,11 +20,11 @@ class Bank:
     """The state of the image in one of a board's banks."""
 
     fits: bool  # the header is one of an image for this board and bank; else the rest says nothing
-    numbered: bool  # it was written whole and chosen
+    numbered: bool  # written completely and chosen
     confirmed: bool  # it has run well
-    rejected: bool  # it is not started any more where there is another one
+    rejected: bool  # no longer started if there is another image
     installed: bool  # by the chip's ROM
-    starts: int  # counted ones of an image that was not confirmed
+    starts: int  # starts of an image that is not confirmed yet
     sequence: int
     image_bytes: int
     crc: int

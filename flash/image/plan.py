@@ -8,10 +8,10 @@ from math import ceil
 from neuroflight.flash.image.board import Board
 from neuroflight.flash.image.files import Image, ImageFile, Policy, image_for
 from neuroflight.flash.image.messages import DATA_BYTES_MAX, OFFSET_BYTES, Bank
-from neuroflight.flash.messages import PolicySource
-from neuroflight.flash.msp import FRAME_OVERHEAD_MAX
+from neuroflight.flash.link.messages import PolicySource
+from neuroflight.flash.link.msp import FRAME_OVERHEAD_MAX
+from neuroflight.flash.link.requests import WORD_BYTES
 from neuroflight.flash.policy import swap
-from neuroflight.flash.requests import WORD_BYTES
 from neuroflight.toolchain.contract import FLASH_BANKS, FLASH_SECTORS, MSP_PAYLOAD_MAX
 from neuroflight.toolchain.errors import ImageError
 
@@ -29,7 +29,7 @@ class InstallPlan:
 
     board: Board
     image: Image
-    policy: Policy | None  # None: it flies the one that the board flies
+    policy: Policy | None  # None: keep the board's policy
     same_build: bool  # the board runs it already
     failed_before: bool  # the board tried this very build and went back
 

@@ -10,9 +10,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from neuroflight.flash.client import Client
-from neuroflight.flash.setting_text import Value, same, set_line, value_text
-from neuroflight.flash.settings import Settings, in_order
+from neuroflight.flash.link.client import Client
+from neuroflight.flash.settings.text import Value, same, set_line, value_text
+from neuroflight.flash.settings.values import Settings, in_order
 from neuroflight.toolchain.errors import LinkError
 from neuroflight.toolchain.files import write_text
 
@@ -21,10 +21,10 @@ from neuroflight.toolchain.files import write_text
 class Kept:
     """The changes of settings across an update."""
 
-    restored: dict[str, Value]  # that the new version read otherwise, and have their values again
-    unknown: dict[str, Value]  # that the new version has no more
-    refused: dict[str, str]  # that it does not take any more: why
-    new: tuple[str, ...]  # that the old version had not; they have their defaults
+    restored: dict[str, Value]  # read differently by the new version, and set back
+    unknown: dict[str, Value]  # missing in the new version
+    refused: dict[str, str]  # refused by the new version, with the reason
+    new: tuple[str, ...]  # missing in the old version; at their defaults
 
     @property
     def lines(self) -> list[str]:

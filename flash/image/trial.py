@@ -6,20 +6,20 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum, auto
 
-from neuroflight.flash import messages, records
-from neuroflight.flash.client import Client, NoAnswerError, RefusedError
-from neuroflight.flash.hints import FAULTS
+from neuroflight.flash.board.hints import FAULTS
+from neuroflight.flash.board.info import version_of
+from neuroflight.flash.board.restart import opened
 from neuroflight.flash.image.files import Image, bank_name
 from neuroflight.flash.image.messages import Banks, image_info
 from neuroflight.flash.image.update import Clock, hash_of
-from neuroflight.flash.info import version_of
-from neuroflight.flash.messages import PolicyInfo
-from neuroflight.flash.restart import opened
-from neuroflight.flash.transport import Transport
+from neuroflight.flash.link import messages, records
+from neuroflight.flash.link.client import Client, NoAnswerError, RefusedError
+from neuroflight.flash.link.messages import PolicyInfo
+from neuroflight.flash.link.transport import Transport
 from neuroflight.toolchain.contract import Msp
 from neuroflight.toolchain.errors import LinkError
 
-WAIT_S = 30.0  # in which an image proves itself, or has failed all its starts
+WAIT_S = 30.0  # until an image has proven itself, or has failed all its starts
 ASK_S = 0.5  # for one answer
 POLL_S = 0.1
 

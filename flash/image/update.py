@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TypeVar
 
-from neuroflight.flash.client import Client, NoAnswerError, RefusedError
 from neuroflight.flash.image.files import Image, bank_name
 from neuroflight.flash.image.messages import (
     DATA_BYTES_MAX,
@@ -23,15 +22,16 @@ from neuroflight.flash.image.messages import (
     image_switched,
     image_write,
 )
+from neuroflight.flash.link.client import Client, NoAnswerError, RefusedError
 from neuroflight.toolchain.contract import Msp, Refusal
 from neuroflight.toolchain.errors import LinkError
 
-Progress = Callable[[str, int, int], None]  # what is done ("erase", "write", "check"), so much, of so much
+Progress = Callable[[str, int, int], None]  # action ("erase", "write", "check"), done, in all
 Clock = Callable[[], float]
 
 FLASH_TIMEOUT_S = 5.0  # for one answer: erasing a bank stalls the board for up to 2 s
-PATIENCE_S = 30.0  # without any progress, in which the line may stall
-ANEW = 2  # times that an image which arrives damaged is written
+PATIENCE_S = 30.0  # without progress until the update is given up
+ANEW = 2  # times that a damaged image is written again
 
 
 Reply = TypeVar("Reply")

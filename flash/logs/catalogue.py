@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TypeVar
 
-from neuroflight.flash.client import Client, RefusedError
+from neuroflight.flash.link.client import Client, RefusedError
 from neuroflight.flash.logs.messages import (
     ERRORS,
     STATES,
@@ -21,9 +21,9 @@ from neuroflight.flash.logs.messages import (
 from neuroflight.toolchain.contract import LogError, LogState, Msp, Refusal
 from neuroflight.toolchain.errors import LinkError
 
-PAUSE_S = 0.01  # between two questions whose answer takes the device a while
-STARTING_S = 10.0  # until a card has been looked at: a second by its specification
-ENTRY_S = 10.0  # for one entry: the device looks where its log ends
+PAUSE_S = 0.01  # between two polls of a slow operation
+STARTING_S = 10.0  # until a card is ready: a second by its specification
+ENTRY_S = 10.0  # for one entry: the device searches the log's end
 ERASE_S = 300.0  # for all: a card takes up to 250 ms for each piece that it erases
 
 Reply = TypeVar("Reply")

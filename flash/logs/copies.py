@@ -6,11 +6,11 @@ import os
 from collections.abc import Callable
 from pathlib import Path
 
-from neuroflight.flash.client import Client
+from neuroflight.flash.link.client import Client
 from neuroflight.flash.logs.messages import LogEntry
 from neuroflight.flash.logs.reading import read_bytes
 
-PROBE_BYTES = 2048  # that are compared at both ends; a log's first ones hold the state that it began with
+PROBE_BYTES = 2048  # compared at both ends; a log's first bytes hold its initial state, which differs
 SAME_NAMES_MAX = 1000
 
 
@@ -48,7 +48,7 @@ def take_name(part: Path, folder: Path, name: str) -> Path:
             os.link(part, path)
         except FileExistsError:
             continue
-        except OSError:  # a file system without links
+        except OSError:  # the file system has no links
             if path.exists():
                 continue
             part.rename(path)

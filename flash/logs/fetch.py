@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from neuroflight.flash.client import Client, RefusedError
+from neuroflight.flash.link.client import Client, RefusedError
 from neuroflight.flash.logs.catalogue import refusal_words
 from neuroflight.flash.logs.copies import find_copy, same_so_far, take_name
 from neuroflight.flash.logs.messages import LogEntry
@@ -17,7 +17,7 @@ from neuroflight.toolchain.errors import LinkError
 from neuroflight.toolchain.files import claimed_file
 
 PART = ".part"
-KEPT_BYTES = 1 << 20  # of which a crash of this computer loses the last ones at most
+KEPT_BYTES = 1 << 20  # between two syncs: a crash of this computer loses no more
 NAME = re.compile(r"[A-Za-z0-9_-]{1,8}(\.[A-Za-z0-9_-]{1,3})?")
 
 Progress = Callable[[int], None]  # bytes that are there
@@ -28,7 +28,7 @@ class Fetched:
     """A log in a file."""
 
     path: Path
-    there: bool  # already before
+    there: bool  # complete before this fetch
     resumed: int  # bytes that were there from an earlier try
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import struct
 from dataclasses import dataclass
 
-from neuroflight.flash.payload import Reader
+from neuroflight.flash.link.payload import Reader
 from neuroflight.toolchain.contract import (
     LOG_ERASE_MAGIC,
     LOG_INFO_LOGGING,
@@ -52,10 +52,10 @@ class LogInfo:
 
     device: LogDevice  # as set
     state: LogState
-    error: LogError  # the last one, until a log begins well
+    error: LogError  # last error, until a log begins without one
     logging: bool
     lossy: bool  # the current or last log lacks control steps
-    looking: bool  # for files: there may be more logs
+    looking: bool  # still looking for files: there may be more logs
     logs: int  # that can be read
     empty: int  # files that can take a log
     capacity_kib: int  # of all files for logs

@@ -15,16 +15,16 @@ from collections import deque
 from collections.abc import Callable, Iterable
 from heapq import heappop, heappush
 
-from neuroflight.flash.client import Client
+from neuroflight.flash.link.client import Client
 from neuroflight.flash.logs.messages import log_block, read_request
 from neuroflight.toolchain.contract import Msp
 from neuroflight.toolchain.errors import LinkError
 
 WINDOW = 16  # requests on their way: 43 ms of replies at 921,600 baud, beyond what USB adapters wait
 SECTOR = 512  # bytes of a card; no request reaches into the next one
-FIRST_COUNT = SECTOR  # what comes tells how many the firmware puts into an answer
-SHORTEST_S = 1e-3  # that is waited for an answer
-SILENCE_S = 0.5  # after which what is on its way is asked for again
+FIRST_COUNT = SECTOR  # the answer's size shows how many bytes the firmware sends at once
+SHORTEST_S = 1e-3  # shortest wait for an answer
+SILENCE_S = 0.5  # after which pending requests are repeated
 PATIENCE_S = 15.0  # without a new byte: a card that stalls takes half a second
 
 
@@ -40,15 +40,15 @@ class LogReader:
         clock: Callable[[], float],
     ) -> None:
         self._client, self._index, self._clock, self._limit = client, index, clock, WINDOW
-        self._at, self._end = start, end  # what was handed out; what is wanted
-        self._asked = start  # as far as anything was ever asked for
-        self._block, self._largest = FIRST_COUNT, 1  # bytes that are asked for; that came at once so far
+        self._at, self._end = start, end  # next byte to return; end of the request
+        self._asked = start  # end of all requests so far
+        self._block, self._largest = FIRST_COUNT, 1  # bytes per request; most bytes in one answer so far
         self._again: list[
             tuple[int, int]
         ] = []  # a heap of (offset, count) that were lost, or asked too early
         self._under_way: deque[tuple[int, int]] = deque()
-        self._arrived: dict[int, bytes] = {}  # by offset: behind a gap
-        self._window, self._early = 1, 0  # the first answer tells the size of a block
+        self._arrived: dict[int, bytes] = {}  # by offset, behind a gap
+        self._window, self._early = 1, 0  # the first answer shows the size of a block
         self._one_sector, self._prepared = (
             False,
             0,
@@ -125,7 +125,7 @@ class LogReader:
             self._one_sector = True
             self._window = min(self._window, self._most)
             self._early += 1
-            if self._early > self._window:  # they may be in each other's way
+            if self._early > self._window:  # the requests may hinder each other
                 self._window, self._early = max(1, self._window // 2), 0
         elif not block.data:
             raise LinkError(
@@ -149,7 +149,7 @@ class LogReader:
 
     def _prepare(self, sector: int) -> None:
         """Request a sector in advance while the bytes of the one before are on the line."""
-        place = sector * SECTOR + 1  # from where no other request asks: the answer is passed over
+        place = sector * SECTOR + 1  # no other request has this offset: the answer is ignored
         asked = not self._again and self._asked >= sector * SECTOR  # all of the sector before
         if self._one_sector and asked and sector > self._prepared and place < self._end:
             self._prepared = sector

@@ -23,7 +23,7 @@ EVERYBODY = (0, 0)  # system and component
 # The head of FILE_TRANSFER_PROTOCOL's payload, and what of it is used.
 FTP_BYTES, FTP_HEAD = 251, 12
 FTP_OPCODE, FTP_SIZE, FTP_REQUEST = 3, 4, 5
-# Requests that end a session succeed, as there never is one.
+# Requests to end a session succeed, because there is none.
 FTP_ENDS = frozenset(
     {
         mavlink.MAV_FTP_OPCODE_NONE,

@@ -15,12 +15,12 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from neuroflight.flash.mavlink.offboard import Source
 
-SOURCES_MAX = 64  # whose customs are kept; a client that is forgotten reads floats
+SOURCES_MAX = 64  # sources remembered; a forgotten client gets floats
 
 CUSTOM_MODE = mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
 
 # The autopilot's modes: in HEARTBEAT.custom_mode, MAV_CMD_DO_SET_MODE and SET_MODE.
-MODE_RECEIVER = 0  # whoever the firmware's receiver hears; the gateway sends no channels
+MODE_RECEIVER = 0  # the firmware's receiver steers; the gateway sends no channels
 MODE_OFFBOARD = 1  # a companion steers through the gateway
 
 PX4_AUTO, PX4_OFFBOARD = 4, 6  # main modes
@@ -38,7 +38,7 @@ class Mode:
 
 
 RECEIVER = Mode(False, MODE_RECEIVER)
-# MAVSDK's offboard.stop() asks for it, but so does whoever wants the aircraft to hover, which it cannot.
+# MAVSDK's offboard.stop() requests it, but so does a client that wants to hover, which is impossible here.
 HOLD = Mode(False, MODE_RECEIVER, owner_only=True)
 
 
@@ -50,7 +50,7 @@ class Customs:
     """The custom of each source, as its messages have shown it so far."""
 
     def __init__(self) -> None:
-        self._in_bytes: dict[Source, bool] = {}  # from its first question on: told bytewise
+        self._in_bytes: dict[Source, bool] = {}  # by source: sent bytewise
         self._ardupilot: dict[Source, bool] = {}
 
     def hear_request(self, source: Source) -> None:
@@ -67,7 +67,7 @@ class Customs:
         _note(self._ardupilot, source, True)
 
     def reads_bytes(self, source: Source | None) -> bool:
-        """Return whether `source` is told whole numbers bytewise."""
+        """Return True if `source` is told whole numbers bytewise."""
         return source is not None and self._in_bytes.get(source, False)
 
     def offboard_number(self, peer: int) -> int:

@@ -15,8 +15,8 @@ from neuroflight.toolchain.errors import LinkError
 
 FORM = "udp:HOST:PORT, such as udp:127.0.0.1:14550"
 DATAGRAM_MAX = 2048  # bytes; a MAVLink frame has 280 at most, ground stations join a few
-REFUSALS_MAX = 8  # of earlier packets, told before the next one that came
-MESSAGES_MAX = 64  # of a datagram; what is behind them is dropped
+REFUSALS_MAX = 8  # errors of earlier packets, reported before the next packet
+MESSAGES_MAX = 64  # in a datagram; further ones are dropped
 
 
 class Peer(Protocol):

@@ -7,20 +7,20 @@ import math
 from collections.abc import Callable
 from functools import cached_property
 
-from neuroflight.flash import messages, records, requests
+from neuroflight.flash.board.info import check_api, is_ours, version_of
 from neuroflight.flash.channels import receiver
-from neuroflight.flash.client import Client, NoAnswerError, RefusedError
-from neuroflight.flash.info import check_api, is_ours, version_of
+from neuroflight.flash.link import messages, records, requests
+from neuroflight.flash.link.client import Client, NoAnswerError, RefusedError
+from neuroflight.flash.link.messages import Attitude, BatteryState, PolicyInfo, StatusEx
+from neuroflight.flash.link.records import FaultKind, Safety
+from neuroflight.flash.link.transport import LineGoneError
 from neuroflight.flash.mavlink.parameters import Parameter, parameter_list
 from neuroflight.flash.mavlink.sticks import Sticks, sticks_of
 from neuroflight.flash.mavlink.telemetry import Inertial, Vehicle
 from neuroflight.flash.mavlink.texts import Condition
-from neuroflight.flash.messages import Attitude, BatteryState, PolicyInfo, StatusEx
-from neuroflight.flash.records import FaultKind, Safety
-from neuroflight.flash.setting_text import Value, value_text
-from neuroflight.flash.settings import Settings
-from neuroflight.flash.stream import Sample, Stream, decode_sample
-from neuroflight.flash.transport import LineGoneError
+from neuroflight.flash.monitoring.stream import Sample, Stream, decode_sample
+from neuroflight.flash.settings.text import Value, value_text
+from neuroflight.flash.settings.values import Settings
 from neuroflight.toolchain.contract import MSP_ACCELERATION_COUNTS, Msp, Refusal
 from neuroflight.toolchain.errors import LinkError
 
@@ -28,7 +28,7 @@ ASK_S = 0.5  # for one answer: a board takes milliseconds, the emulated one tent
 CHANNELS_S = 0.1  # for the answer to channels, while a companion waits
 SAMPLES_HZ_MIN, SAMPLES_HZ_MAX = 10, 100
 COUNTS_PER_G_BEFORE = 512  # of RAW_IMU, before messages.RAW_IMU_COUNTS_SINCE
-DRIFT = 1e-3  # by which clocks may differ, with room: crystals do by 1e-4 at most
+DRIFT = 1e-3  # relative difference of clocks, with margin: crystals differ by 1e-4 at most
 
 
 class Firmware:
@@ -39,7 +39,7 @@ class Firmware:
         """Read all that does not change. clock: seconds, never going back. Raises LinkError for another make
         of firmware."""
         self._client, self._clock = client, clock
-        self._started = self._seen = clock()  # when it did, as far as is known; when that was looked at last
+        self._started = self._seen = clock()  # estimated start of the firmware; time of the last estimate
         old = check_api(client).minor < messages.RAW_IMU_COUNTS_SINCE
         self._counts_per_g = COUNTS_PER_G_BEFORE if old else MSP_ACCELERATION_COUNTS
         if not is_ours(client):
@@ -109,7 +109,7 @@ class Firmware:
             first, self.sample = self.sample is None, decode_sample(payload)
             now = self._clock()
             started = now - self.sample.step / self.policy.control_rate_hz
-            # A sample may have waited, so the earliest time is the best; but clocks differ.
+            # A sample may be delayed, so the earliest estimate is the best, but for the clocks' drift.
             if first or started < self._started + DRIFT * (now - self._seen):
                 self._started, self._seen = started, now
 
@@ -186,8 +186,8 @@ class Firmware:
         try:
             self._client.request(Msp.SET_RAW_RC, requests.set_raw_rc(frame), timeout=CHANNELS_S)
         except RefusedError as error:
-            # Refusal.ORDER: the last ones were not taken yet; the next frame makes up for it.
+            # Refusal.ORDER: the last channels were not processed yet; the next frame replaces this one.
             return error.reason != Refusal.ABSENT
         except NoAnswerError:
-            pass  # looking at the firmware tells whether it is gone
+            pass  # the next look shows whether the firmware is gone
         return True

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from neuroflight.flash.messages import Attitude
+from neuroflight.flash.link.messages import Attitude
 
 Vector = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]  # w x y z

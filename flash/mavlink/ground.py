@@ -11,7 +11,7 @@ from neuroflight.flash.mavlink.endpoint import Peer, Wire
 from neuroflight.flash.mavlink.offboard import Source
 from neuroflight.flash.mavlink.texts import Text, status_texts
 
-PACKETS_MAX = 32  # of a peer at a time: none keeps the others waiting
+PACKETS_MAX = 32  # read from a peer at a time, so that none delays the others
 COMPLAINT_PERIOD_S = 1.0  # between two complaints
 REFUSALS_MAX = 8  # in it
 EVERYBODY = 0  # as a target's id

@@ -14,7 +14,7 @@ from typing import Any
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from neuroflight.flash.client import Client, NoAnswerError, RefusedError
+from neuroflight.flash.link.client import Client, NoAnswerError, RefusedError
 from neuroflight.flash.logs.catalogue import check_readable, read_info, refusal_words
 from neuroflight.flash.logs.messages import LogEntry, entry_request, log_entry
 from neuroflight.flash.logs.reading import LogReader
@@ -25,12 +25,12 @@ from neuroflight.toolchain.errors import LinkError
 
 MESSAGES = frozenset({"LOG_REQUEST_LIST", "LOG_REQUEST_DATA", "LOG_REQUEST_END", "LOG_ERASE"})
 PACKET_BYTES = 90  # of a log in LOG_DATA
-TURN_S, TURN_PACKETS = 0.01, 24  # 216 kB/s at most: what a slow ground station's socket still keeps
-WAIT_S = 0.005  # for bytes within a turn, in which nothing else is done
+TURN_S, TURN_PACKETS = 0.01, 24  # 216 kB/s at most, which a slow ground station's socket can buffer
+WAIT_S = 0.005  # longest wait for bytes in a turn, which blocks other work
 # Blocks on their way at once: so many as the line brings in AHEAD_S, as answers to others wait behind them;
 # one while a companion steers. What the line brings is measured for MEASURE_S.
 WINDOW_MAX, AHEAD_S, BLOCK_BYTES, MEASURE_S = 16, 0.04, 171, 0.1
-HELD_S = 5.0  # after a peer's last request others get their turn
+HELD_S = 5.0  # after a peer's last request until others get their turn
 UNKNOWN_TIME = 0  # the firmware has no clock
 
 
@@ -41,7 +41,7 @@ class Transfer:
     index: int
     at: int  # of the next packet
     end: int
-    reader: LogReader | None = None  # None: how long the log is must be asked first
+    reader: LogReader | None = None  # None: the log's length is not known yet
     bytes: bytes = b""  # read and not sent
     window: int = 1  # blocks
     measured: int = 0  # bytes since `since`
@@ -163,7 +163,7 @@ class LogServer:
             if entry is None:
                 return
             transfer.end = min(transfer.end, entry.bytes)
-            if transfer.at >= transfer.end:  # a peer that did not see the end of the log looks for it so
+            if transfer.at >= transfer.end:  # a peer that missed the end of the log asks for it in this way
                 self._send_packet(transfer, b"")
                 self._transfer = None
                 return

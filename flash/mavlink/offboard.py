@@ -23,8 +23,8 @@ Source = tuple[int, int, int]  # peer, system id, component id
 
 TIMEOUT_S = 0.3  # default; the firmware holds after 0.1 s of silence more, and stops after 1 s
 TIMEOUT_MIN_S, TIMEOUT_MAX_S = 0.05, 1.0
-SOURCES_MAX = 8  # whose setpoints are known at a time
-OFF_S = 0.3  # for so long channels say "off" after a disarm while no companion steers
+SOURCES_MAX = 8  # sources whose setpoints are kept
+OFF_S = 0.3  # time after a disarm in which channels send "off" while no companion steers
 IDLE: Mapping[int, int] = {
     CHANNEL_ROLL: CHANNEL_MID_US,
     CHANNEL_PITCH: CHANNEL_MID_US,

@@ -8,7 +8,7 @@ from typing import Any
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from neuroflight.flash.client import NoAnswerError
+from neuroflight.flash.link.client import NoAnswerError
 from neuroflight.flash.mavlink.customs import Customs
 from neuroflight.flash.mavlink.firmware import Firmware
 from neuroflight.flash.mavlink.ground import Ground
@@ -20,12 +20,12 @@ from neuroflight.flash.mavlink.parameters import (
     decode_value,
     encode_value,
 )
-from neuroflight.flash.setting_text import RATES, STYLE
+from neuroflight.flash.settings.text import RATES, STYLE
 from neuroflight.toolchain.errors import LinkError
 
 MESSAGES = frozenset({"PARAM_REQUEST_LIST", "PARAM_REQUEST_READ", "PARAM_SET"})
 BY_NAME = -1  # as the index of PARAM_REQUEST_READ
-ANSWERS_MAX = 256  # that wait to be told; what is asked for beyond is lost
+ANSWERS_MAX = 256  # waiting answers; further requests are dropped
 UNKNOWN, OUT_OF_RANGE, FORBIDDEN = (
     mavlink.MAV_PARAM_ERROR_DOES_NOT_EXIST,
     mavlink.MAV_PARAM_ERROR_VALUE_OUT_OF_RANGE,
@@ -40,7 +40,7 @@ class _Answer:
 
     parameter: Parameter
     source: Source
-    name: str  # as it was asked for: a client looks for just this one
+    name: str  # as requested, because the client waits for this name
     in_bytes: bool
 
 
@@ -49,8 +49,8 @@ class ParameterServer:
 
     def __init__(self, firmware: Firmware, ground: Ground, customs: Customs) -> None:
         self._firmware, self._ground, self._customs = firmware, ground, customs
-        self._queue: deque[Parameter] = deque()  # to tell everybody
-        self._answers: dict[_Answer, None] = {}  # in their order, which go first
+        self._queue: deque[Parameter] = deque()  # to be sent to all peers
+        self._answers: dict[_Answer, None] = {}  # in order of the requests; sent before `_queue`
         self._readers: dict[int, Source] = {}  # who asked last, by peer
 
     @property

@@ -16,9 +16,9 @@ from dataclasses import dataclass
 
 from pymavlink.dialects.v20 import common as mavlink
 
+from neuroflight.flash.link.requests import SettingInfo
 from neuroflight.flash.mavlink.parameter_names import parameter_name
-from neuroflight.flash.requests import SettingInfo
-from neuroflight.flash.setting_text import Value
+from neuroflight.flash.settings.text import Value
 
 REAL32, INT32 = mavlink.MAV_PARAM_TYPE_REAL32, mavlink.MAV_PARAM_TYPE_INT32
 # How the first bytes of the field hold a whole number, by param_type.
@@ -66,7 +66,7 @@ def encode_value(parameter: Parameter, value: Value, *, in_bytes: bool) -> tuple
 
 
 def came_in_bytes(field: float, told: int) -> bool:
-    """Return whether the field of a PARAM_SET holds a whole number bytewise. told: the param_type.
+    """Return True if the field of a PARAM_SET holds a whole number bytewise. told: the param_type.
 
     Clients that put the value there as a float may tell INT32 as well; but no float that is a whole number
     has the bytes of one that a setting can have.

@@ -12,7 +12,8 @@ from typing import Any
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from neuroflight.flash.client import Client, NoAnswerError
+from neuroflight.flash.link.client import Client, NoAnswerError
+from neuroflight.flash.link.transport import LineGoneError, Transport
 from neuroflight.flash.mavlink import commands, telemetry, texts
 from neuroflight.flash.mavlink.answers import ANSWERS
 from neuroflight.flash.mavlink.commands import Request
@@ -29,7 +30,6 @@ from neuroflight.flash.mavlink.setpoints import STEERING
 from neuroflight.flash.mavlink.steering import Steering
 from neuroflight.flash.mavlink.streams import DEFAULT_HZ, HEARTBEAT, SAMPLED, default_period, streamed
 from neuroflight.flash.mavlink.texts import Condition
-from neuroflight.flash.transport import LineGoneError, Transport
 from neuroflight.toolchain.errors import LinkError
 
 LOOK, LOOK_FURTHER = "look", "look further"  # at the firmware: tasks beside the messages of DEFAULT_HZ
@@ -97,7 +97,7 @@ class Session:
     def step(self) -> float:
         """Do the next due task; return the seconds until the next one. Raises LinkError on a lost line."""
         try:
-            self._steering.expire()  # before later setpoints are heard that came while the firmware was slow
+            self._steering.expire()  # before setpoints are processed that arrived while the firmware was slow
             for source, message in self._ground.heard():
                 self._handle(source, message)
             self._steering.send()
@@ -201,7 +201,7 @@ class Session:
         self.firmware = Firmware(self._client, self._clock)
         allowed = self._options.offboard and self.firmware.hears_msp
         if allowed:
-            _ = self.firmware.sticks  # raises now where it would later
+            _ = self.firmware.sticks  # raise the error now rather than later
         offboard = Offboard(
             allowed=allowed, may_arm=self._options.allow_arm, timeout_s=self._options.timeout_s
         )
@@ -239,7 +239,7 @@ class Session:
             told = mavlink.MAVLink_command_ack_message(mavlink.MAVLINK_MSG_ID_SET_MODE, result)
             told.target_system, told.target_component = source[1:]
             self._ground.answer(source, told)
-        elif kind == "REQUEST_DATA_STREAM":  # rates stay: the request cannot say which messages it means
+        elif kind == "REQUEST_DATA_STREAM":  # rates are unchanged: the request does not name messages
             self._customs.hear_stream_request(source)
         elif kind in ANSWERS:
             if (answer := ANSWERS[kind](source, message, self.firmware.now_ns)) is not None:

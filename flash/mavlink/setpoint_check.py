@@ -7,10 +7,10 @@ from __future__ import annotations
 
 from collections import deque
 
-from neuroflight.flash.stream import Sample
+from neuroflight.flash.monitoring.stream import Sample
 from neuroflight.toolchain.contract import FlightState
 
-WINDOW_S = 0.4  # a sample is so old at most
+WINDOW_S = 0.4  # age of a sample, at most
 PAUSE_S = 0.1  # without channels, after which the firmware centres the sticks
 TOLERANCE = 0.02  # rad/s, and of the rate
 SAMPLES = 3  # in a row
@@ -25,7 +25,7 @@ class SetpointCheck:
     def __init__(self) -> None:
         self.wrong = False  # for good
         self._asked: deque[tuple[float, Rates]] = deque()
-        self._since = 0.0  # the first of an unbroken row of channels
+        self._since = 0.0  # time of the first of an unbroken sequence of channels
         self._misses = 0
 
     def sent(self, setpoint: Rates, now: float) -> None:

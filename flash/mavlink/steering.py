@@ -14,7 +14,7 @@ from neuroflight.flash.mavlink.ground import Ground
 from neuroflight.flash.mavlink.offboard import Offboard, Source
 from neuroflight.flash.mavlink.setpoint_check import SetpointCheck
 from neuroflight.flash.mavlink.setpoints import STEERING
-from neuroflight.flash.stream import Sample
+from neuroflight.flash.monitoring.stream import Sample
 from neuroflight.toolchain.contract import RECEIVER_OFF_FRAMES, FlightState
 
 PERIOD_S = 0.02  # between channels that say the same; new ones go at once
@@ -133,7 +133,7 @@ class Steering:
             self._ground.tell(texts.ERROR, "Rates flown are not those of the settings: disarm, reboot")
         armed, switching = self._firmware.armed, self._switching
         if switching is None:
-            # Whoever disarmed, a crash say: arming again takes a new command.
+            # Disarmed by something else, such as a crash: arming again takes a new command.
             self._offboard.armed &= armed
         elif armed == switching.armed:
             self._answer(commands.ACCEPTED)
@@ -158,7 +158,7 @@ class Steering:
         why = self._offboard.why_not(source, self._clock())
         if (
             not why
-        ):  # a question to the firmware takes time, which who steers has not while others ask in vain
+        ):  # asking the firmware takes time, which the steering companion must not lose to failing requests
             self._firmware.look()
             flies = self._firmware.safety.state in FLYING
             why = self._offboard.enable(source, self._clock(), armed=flies)

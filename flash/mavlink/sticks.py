@@ -12,8 +12,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from neuroflight.flash.channels.layout import read_layout
-from neuroflight.flash.setting_rules import steep_rc_rate
-from neuroflight.flash.setting_text import STYLE, STYLE_BETAFLIGHT, Value
+from neuroflight.flash.settings.rules import steep_rc_rate
+from neuroflight.flash.settings.text import STYLE, STYLE_BETAFLIGHT, Value
 from neuroflight.toolchain.contract import (
     CHANNEL_AUX1,
     CHANNEL_COUNT,
@@ -34,7 +34,7 @@ HALF_STICK_US = CHANNEL_MAX_US - CHANNEL_MID_US
 AXES = ("roll", "pitch", "yaw")
 CHANNELS = (CHANNEL_ROLL, CHANNEL_PITCH, CHANNEL_YAW)
 SIGNS = (1, 1, -1)  # of the rate about the house's axes, for the upper half of the channel
-ROUNDING = 1e-6  # relative: so far the firmware's float32 and this float64 may be apart
+ROUNDING = 1e-6  # relative difference of the firmware's float32 from this float64
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from neuroflight.flash.mavlink.firmware import Firmware
 
 HEARTBEAT = mavlink.MAVLINK_MSG_ID_HEARTBEAT  # Session makes it, as it differs from peer to peer
 ATTITUDE = mavlink.MAVLINK_MSG_ID_ATTITUDE
-DEFAULT_HZ = {  # all that can be sent; 0: only on request
+DEFAULT_HZ = {  # all messages that can be sent; 0: only on request
     HEARTBEAT: 1.0,
     ATTITUDE: 10.0,
     mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: 10.0,
@@ -32,7 +32,7 @@ def streamed(number: int, fw: Firmware) -> Any:  # noqa: ANN401 - pymavlink's ar
     """Ask the firmware for the content of a message of DEFAULT_HZ, by number, and return the message."""
     match number:
         case mavlink.MAVLINK_MSG_ID_ATTITUDE:
-            told = fw.attitude()  # before the time and the rates beside it
+            told = fw.attitude()  # read before the time and rates that are sent with it
             return telemetry.attitude(fw.boot_ms, told, fw.gyro)
         case mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION:
             told = fw.attitude()

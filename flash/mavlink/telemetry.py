@@ -8,10 +8,10 @@ from typing import Any
 
 from pymavlink.dialects.v20 import common as mavlink
 
+from neuroflight.flash.link.messages import Attitude, BatteryLevel, BatteryState, StatusEx
+from neuroflight.flash.link.records import Safety
 from neuroflight.flash.mavlink.customs import MODE_RECEIVER
 from neuroflight.flash.mavlink.frames import Vector, euler_frd, quaternion_frd, swap_frame
-from neuroflight.flash.messages import Attitude, BatteryLevel, BatteryState, StatusEx
-from neuroflight.flash.records import Safety
 from neuroflight.toolchain.contract import GRAVITY, FallbackCause, FlightState, GyroHealth
 
 Msg = Any  # a message of pymavlink, which has no types

@@ -8,9 +8,9 @@ from typing import Any
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from neuroflight.flash.hints import HINTS, words
-from neuroflight.flash.messages import BatteryLevel, arming_reasons
-from neuroflight.flash.records import FaultKind, Safety
+from neuroflight.flash.board.hints import HINTS, words
+from neuroflight.flash.link.messages import BatteryLevel, arming_reasons
+from neuroflight.flash.link.records import FaultKind, Safety
 from neuroflight.toolchain.contract import FallbackCause, FlightState, GyroHealth, StopCause
 
 CHUNK = 50  # characters of one STATUSTEXT

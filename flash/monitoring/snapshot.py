@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from neuroflight.flash import messages, records
-from neuroflight.flash.client import Client
-from neuroflight.flash.info import Info
-from neuroflight.flash.overview import Overview, read_overview
-from neuroflight.flash.records import Tasks
+from neuroflight.flash.board.info import Info
+from neuroflight.flash.board.overview import Overview, read_overview
+from neuroflight.flash.link import messages, records
+from neuroflight.flash.link.client import Client
+from neuroflight.flash.link.records import Tasks
 from neuroflight.toolchain.contract import (
     CHANNEL_COUNT,
     GYRO_COUNTS,

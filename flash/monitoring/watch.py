@@ -6,10 +6,10 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from neuroflight.flash.client import Client, NoAnswerError
-from neuroflight.flash.info import Info, read_info
+from neuroflight.flash.board.info import Info, read_info
+from neuroflight.flash.link.client import Client, NoAnswerError
+from neuroflight.flash.link.transport import Transport
 from neuroflight.flash.monitoring.snapshot import Snapshot, read_snapshot
-from neuroflight.flash.transport import Transport
 from neuroflight.toolchain.errors import LinkError
 
 ANSWER_S = 0.5  # for one answer: a display must not stand still for long
@@ -20,9 +20,9 @@ class Sight:
     """The result of one look: the state and the quality of the link."""
 
     info: Info | None  # None: nobody has answered yet
-    snapshot: Snapshot | None  # the newest there is
-    problem: str  # why this look found nothing new; "": it did
-    silent_s: float  # since the last one that did
+    snapshot: Snapshot | None  # newest
+    problem: str  # reason why this look found nothing new; "": none
+    silent_s: float  # since the last successful look
     looks: int  # so far
     failed: int  # of them
     corrupt: int  # frames so far

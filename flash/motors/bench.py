@@ -9,10 +9,10 @@ from __future__ import annotations
 
 from types import TracebackType
 
-from neuroflight.flash import messages, records, requests
-from neuroflight.flash.client import Client, RefusedError
-from neuroflight.flash.hints import words
-from neuroflight.flash.info import check_ours
+from neuroflight.flash.board.hints import words
+from neuroflight.flash.board.info import check_ours
+from neuroflight.flash.link import messages, records, requests
+from neuroflight.flash.link.client import Client, RefusedError
 from neuroflight.flash.motors.readiness import UNSENT, check_ready
 from neuroflight.flash.motors.session import close_test
 from neuroflight.toolchain.contract import (
@@ -56,7 +56,7 @@ class MotorBench:
         magic = MOTOR_TEST_MAGIC if self._most <= MOTOR_TEST_MAX else MOTOR_BENCH_MAGIC
         try:
             self._open(magic)
-        except BaseException as error:  # it may have been opened all the same
+        except BaseException as error:  # the test may be open nevertheless
             self.__exit__(type(error), error, None)
             raise
         return self

@@ -5,8 +5,8 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 
-from neuroflight.flash import requests
-from neuroflight.flash.client import Client, RefusedError
+from neuroflight.flash.link import requests
+from neuroflight.flash.link.client import Client, RefusedError
 from neuroflight.toolchain.contract import DshotCommand, Msp, Refusal
 from neuroflight.toolchain.errors import LinkError
 
@@ -14,7 +14,7 @@ DIRECTIONS = {  # as users say them
     "normal": DshotCommand.DIRECTION_NORMAL,
     "reversed": DshotCommand.DIRECTION_REVERSED,
 }
-BUSY_S = 2.0  # a command takes some 50 ms on the wire; the emulated board is slower than its time
+BUSY_S = 2.0  # a command takes some 50 ms on the wire; the emulated board runs slower than real time
 PAUSE_S = 0.01  # between two tries
 
 

@@ -6,18 +6,18 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from neuroflight.flash import messages, records
-from neuroflight.flash.client import Client
-from neuroflight.flash.hints import HINTS, words
-from neuroflight.flash.info import check_ours
-from neuroflight.flash.messages import BatteryLevel
-from neuroflight.flash.settings import Settings
+from neuroflight.flash.board.hints import HINTS, words
+from neuroflight.flash.board.info import check_ours
+from neuroflight.flash.link import messages, records
+from neuroflight.flash.link.client import Client
+from neuroflight.flash.link.messages import BatteryLevel
+from neuroflight.flash.settings.values import Settings
 from neuroflight.toolchain.contract import ARMING_FLAG_SWITCH, FlightState, Msp
 from neuroflight.toolchain.errors import LinkError
 
 UNSENT = "nothing that acts was sent"
-STANDING_US = (0, 1000)  # what MOTOR tells of a motor that stands, or is not there
-STAND_S = 3.0  # within which stopped motors are told as standing, and a closed test is forgotten
+STANDING_US = (0, 1000)  # MOTOR's values for a motor that is stopped, or missing
+STAND_S = 3.0  # until MOTOR reports stopped motors, and a closed test is over
 PAUSE_S = 0.02  # between two looks
 TEST = "MOTOR_TEST"  # the arming reason from the opening of a test until MOTOR_TEST_TIMEOUT_MS after its end
 
@@ -45,7 +45,7 @@ class Bench:
     motor_count: int
     outputs: tuple[int, ...]  # that each motor's ESC is wired to, motor order, from 1
     reversed: bool  # by the setting motors_reversed: all turn the other way than in the aircraft's file
-    warning: str  # what does not forbid it and should be known, "" for nothing
+    warning: str  # note that does not forbid turning them; "" for none
 
 
 def read_bench(client: Client) -> Bench:

@@ -10,8 +10,8 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Sequence
 
-from neuroflight.flash import requests
-from neuroflight.flash.client import Client, NoAnswerError, RefusedError
+from neuroflight.flash.link import requests
+from neuroflight.flash.link.client import Client, NoAnswerError, RefusedError
 from neuroflight.toolchain.contract import (
     CHANNEL_MAX_US,
     CHANNEL_MIN_US,
@@ -26,8 +26,8 @@ from neuroflight.toolchain.contract import (
 from neuroflight.toolchain.errors import LinkError
 
 LIMIT_DEFAULT = 0.15  # motor fraction: turns every motor, moves no clamped aircraft
-REFRESH_S = 0.05  # between two values: ten are lost before the firmware stops the motors
-STOP_TIMEOUT_S, STOP_RETRIES = 0.3, 5  # of the request that stops: doing it twice is doing it once
+REFRESH_S = 0.05  # between two values: the firmware stops the motors after ten lost ones
+STOP_TIMEOUT_S, STOP_RETRIES = 0.3, 5  # of the stop request, which may be repeated
 CLOSED = 0  # as the magic of MOTOR_TEST
 
 
@@ -50,7 +50,7 @@ class MotorTest:
                     error.reason,
                 ) from None
             raise
-        except BaseException:  # it may be open all the same
+        except BaseException:  # the test may be open nevertheless
             self._close()
             raise
         return self
@@ -71,7 +71,7 @@ class MotorTest:
         span = CHANNEL_MAX_US - CHANNEL_MIN_US
         values_us = [CHANNEL_MIN_US + round(span * fraction) for fraction in fractions]
         try:
-            # The same values twice are the values: asked again if the reply is lost.
+            # Sending the same values twice is harmless, so a request whose reply is lost is repeated.
             self._client.request(Msp.SET_MOTOR, requests.set_motor(values_us), retries=1)
         except RefusedError as error:
             if error.reason not in (Refusal.ORDER, Refusal.ARMED):

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Collection
 from dataclasses import dataclass
 
-from neuroflight.flash.client import Client
+from neuroflight.flash.link.client import Client
 from neuroflight.flash.motors.session import (
     LIMIT_DEFAULT,
     REFRESH_S,
@@ -32,7 +32,7 @@ class Spin:
     fraction: float  # motor fraction at the end of the ramp
     seconds: float = SECONDS_DEFAULT  # from the first value to the stop, the ramp included
     ramp_s: float = RAMP_DEFAULT_S
-    limit: float = LIMIT_DEFAULT  # that `fraction` must not be above
+    limit: float = LIMIT_DEFAULT  # maximum of `fraction`
 
     def __post_init__(self) -> None:
         check_limit(self.limit)

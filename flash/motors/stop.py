@@ -5,8 +5,8 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
-from neuroflight.flash.client import Client, RefusedError
-from neuroflight.flash.info import check_ours
+from neuroflight.flash.board.info import check_ours
+from neuroflight.flash.link.client import Client, RefusedError
 from neuroflight.flash.motors.readiness import UNSENT, await_standing
 from neuroflight.flash.motors.session import close_test, end_commands
 from neuroflight.toolchain.contract import Refusal

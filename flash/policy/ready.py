@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from neuroflight.flash import messages, records
-from neuroflight.flash.client import Client
-from neuroflight.flash.info import check_ours
-from neuroflight.flash.messages import BatteryLevel
+from neuroflight.flash.board.info import check_ours
+from neuroflight.flash.link import messages, records
+from neuroflight.flash.link.client import Client
+from neuroflight.flash.link.messages import BatteryLevel
 from neuroflight.flash.policy.slots import Policies
 from neuroflight.toolchain.contract import ArmingReason, FlightState, Msp
 from neuroflight.toolchain.errors import LinkError
 
-# FAULT stops the motors until the next start, with which a swap ends.
+# FAULT stops the motors until the next start, and a swap ends with a start.
 STANDING = (FlightState.BOOT, FlightState.CALIBRATING, FlightState.DISARMED, FlightState.FAULT)
 TESTING = 1 << ArmingReason.MOTOR_TEST
 

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from neuroflight.flash.client import Client, NoAnswerError
+from neuroflight.flash.board.restart import restart
+from neuroflight.flash.link.client import Client, NoAnswerError
+from neuroflight.flash.link.policy_errors import policy_error
 from neuroflight.flash.policy.slots import Policies, Slot, read_patiently
 from neuroflight.flash.policy.swap import Board
-from neuroflight.flash.policy_errors import policy_error
-from neuroflight.flash.restart import restart
 from neuroflight.toolchain.contract import Msp
 from neuroflight.toolchain.errors import LinkError
 

@@ -6,10 +6,10 @@ import struct
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from neuroflight.flash import messages
-from neuroflight.flash.client import Client, NoAnswerError
-from neuroflight.flash.messages import PolicyInfo, PolicySource
-from neuroflight.flash.payload import Reader
+from neuroflight.flash.link import messages
+from neuroflight.flash.link.client import Client, NoAnswerError
+from neuroflight.flash.link.messages import PolicyInfo, PolicySource
+from neuroflight.flash.link.payload import Reader
 from neuroflight.toolchain.contract import IMAGE_BUILD_BYTES, Msp
 
 PLACES = (PolicySource.SLOT_A, PolicySource.SLOT_B)
@@ -20,9 +20,9 @@ NAMES = {
 }
 # Of firmware/src/common/nf_err.h: no error; no blob begins there; it came with another image.
 GOOD, EMPTY, OTHER_IMAGE = 0, -7, -27
-PATIENCE_S = 15.0  # in which a line that stalls carries an answer
+PATIENCE_S = 15.0  # for a line that stalls to carry an answer
 SEQUENCE_SPAN = 1 << 32
-SHA_SHOWN = 12  # digits of a SHA-256 that tell two policies apart for people
+SHA_SHOWN = 12  # digits of a SHA-256 that are shown
 
 
 @dataclass(frozen=True)
@@ -139,7 +139,7 @@ def read_policies(client: Client) -> Policies:
     info = messages.policy_info(client.request(Msp.POLICY_INFO))
     slots = []
     for source in PLACES:
-        client.settle()  # the replies do not say which slot they are of
+        client.settle()  # replies do not name their slot
         slots.append(slot_of(source, client.request(Msp.POLICY_SLOT_INFO, slot_info(source))))
     return Policies(info, tuple(slots))
 

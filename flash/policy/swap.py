@@ -16,25 +16,25 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Protocol
 
-from neuroflight.flash import requests
-from neuroflight.flash.client import Client, NoAnswerError, RefusedError
-from neuroflight.flash.messages import PolicySource
+from neuroflight.flash.board.restart import restart
+from neuroflight.flash.link import requests
+from neuroflight.flash.link.client import Client, NoAnswerError, RefusedError
+from neuroflight.flash.link.messages import PolicySource
+from neuroflight.flash.link.policy_errors import policy_error
+from neuroflight.flash.link.transport import Transport
 from neuroflight.flash.policy.candidate import Candidate
 from neuroflight.flash.policy.slots import OTHER_IMAGE, Policies, Slot, read_patiently
-from neuroflight.flash.policy_errors import policy_error
-from neuroflight.flash.restart import restart
-from neuroflight.flash.transport import Transport
 from neuroflight.toolchain.contract import Msp, Refusal
 from neuroflight.toolchain.errors import LinkError
 
 ATTEMPTS = 3  # of a whole swap
 RESENDS = 2  # of a block or the end whose reply did not come
-REOPEN_S = 10.0  # in which a line that went comes again
+REOPEN_S = 10.0  # for a lost line to come back
 PAUSE_S = 0.2  # between two attempts to open it
-# What a frame that was damaged on its way, and passed its checksum of 8 bits, may be answered with.
+# Answers that a damaged frame may cause whose 8-bit checksum happens to match.
 DAMAGE = frozenset({Refusal.ORDER, Refusal.PAYLOAD, Refusal.SEQUENCE, Refusal.BLOB})
 
-# What erasing and programming take: STM32F722 datasheet, 32 bits at a time, typical.
+# Times of erasing and programming: STM32F722 datasheet, 32 bits at a time, typical.
 ERASE_S = {PolicySource.SLOT_A: 0.55, PolicySource.SLOT_B: 1.0}
 PROGRAM_S = 16e-6 / 4  # a byte
 LINE_BITS = 10  # of a byte on a serial line
@@ -92,7 +92,7 @@ def write(client: Client, candidate: Blob, board: Board, progress: Progress) -> 
     Raises LinkError, `client` closed, after ATTEMPTS, and at once where the firmware refuses for good: then
     the board goes on with the policy that it flies.
     """
-    ending = False  # the end was sent and nobody knows whether it came
+    ending = False  # the end was sent; it is unknown whether it arrived
     for attempt in range(1, ATTEMPTS + 1):
         try:
             sequence, size = _begin(client, candidate)

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from functools import reduce
 from operator import xor
 
-from neuroflight.flash.transport import Transport
+from neuroflight.flash.link.transport import Transport
 from neuroflight.toolchain.contract import FLASH_BASE, FLASH_BYTES, FLASH_SECTORS
 from neuroflight.toolchain.errors import LinkError
 
@@ -25,7 +25,7 @@ DATA_MAX = 256  # bytes of one read or write
 TIMEOUT_S = 1.0  # for an acknowledgement; the program answers at once, USB adapters within tens of ms
 # Longest erasures by bytes (data sheet DS11853, flash memory programming), with half as much again.
 ERASE_TIMEOUT_S = {16: 2.4, 64: 3.6, 128: 6.0}  # by sector size [KiB]
-SILENCE_S = 0.1  # after which nothing more is taken to come
+SILENCE_S = 0.1  # after which the line counts as silent
 TRIES = 3  # of a command
 SYNC_TRIES, SYNC_BURST = 7, 48  # more bytes than the longest command that may have been cut short
 DRAIN_BYTES_MAX = 1 << 16
@@ -61,7 +61,7 @@ class RomClient:
     def __init__(self, transport: Transport, clock: Callable[[], float] = time.monotonic) -> None:
         """clock: monotonic [s]."""
         self._transport, self._clock = transport, clock
-        self._pending = bytearray()  # come, but not taken
+        self._pending = bytearray()  # received, not consumed
         self.repeated = 0  # tries beyond the first, so far
 
     def __enter__(self) -> RomClient:

@@ -31,7 +31,7 @@ BOARD = "MATEKF722"
 FLASH_ALIAS = 0x00200000  # the same flash as the core fetches it
 _RAM_BYTES = 256 * 1024  # from DTCM on, without a gap
 _WORD = 4
-SHA_SHOWN = 12  # digits of a SHA-256 that tell two policies apart for people
+SHA_SHOWN = 12  # digits of a SHA-256 that are shown
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,7 @@ ERASE_S = {16: 0.4, 64: 1.2, 128: 2.0}  # typical, by sector size [KiB]
 PROGRAM_S = 16e-6  # a byte
 _WORD = 4
 
-Progress = Callable[[str, int, int], None]  # what is being done, how much of it, of how much
+Progress = Callable[[str, int, int], None]  # action, done, in all
 
 
 @dataclass(frozen=True)
@@ -97,7 +97,7 @@ def verify(client: RomClient, plan: FlashPlan, progress: Progress = lambda what,
             progress("verify", compared, plan.bytes)
             try:
                 found = client.read(address, len(data))
-                if found != data:  # what is read carries no checksum: it may have been the line
+                if found != data:  # read data have no checksum: the line may have damaged them
                     found = client.read(address, len(data))
             except LinkError as error:
                 raise type(error)(

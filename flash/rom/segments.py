@@ -107,7 +107,7 @@ def hex_segments(content: bytes) -> tuple[Segment, ...]:
             case 4 if len(data) == 2:
                 base = int.from_bytes(data, "big") << 16
             case 3 | 5 if len(data) == 4:
-                pass  # where a program begins, which the vectors say too
+                pass  # start address, which the vectors contain as well
             case _:
                 raise ValueError(f"line {number}: got a record of kind {kind} with {len(data)} bytes")
     if not ended:

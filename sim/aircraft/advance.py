@@ -26,7 +26,7 @@ class AdvanceRatio:
 
     thrust: Terms
     torque: Terms
-    ratio_least: float = 0.0  # J down to which they are used, of rotors that sink into their own wake
+    ratio_least: float = 0.0  # least J of the factors: below it the rotor sinks into its own wake
 
     @property
     def ratio_max(self) -> float:

@@ -7,11 +7,11 @@ import json
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
-NOT_FLOWN = ("name", "description", "pid")  # tables and keys of the file that the twin does not fly by
+NOT_FLOWN = ("name", "description", "pid")  # tables and keys of the file that do not change the twin's flight
 
-# Policies of before hold the digest of the bytes of the aircraft's file: that of a shipped one, and that of
-# what it describes. The first two files gave the NF1's battery as 1.55 Ah instead of 1.5; the weights do not
-# depend on it, since no episode was long enough to drain it.
+# Old policies hold the digest of the aircraft file's bytes. Here: the digest of a shipped file's bytes, and
+# that of the aircraft it describes. The first two files gave the NF1's battery as 1.55 Ah instead of 1.5; the
+# weights do not depend on it, since no episode was long enough to drain it.
 _NF1 = "ce4df4597b3cf15151988670e59e159896222ce832a9dd98dcd3e5666ec0524b"
 _HEXA = "5b3820e09ca43cf058794d2d02e0b5cd59735ef218c70d2288832eb0db01827f"
 _IRIS = "cb833ee28ce2891d24e8157a478953408e3424b72edb8135064175a34665b255"

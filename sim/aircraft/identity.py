@@ -5,7 +5,7 @@ from __future__ import annotations
 from neuroflight.sim.aircraft.model import Aircraft, load_aircraft, shipped
 from neuroflight.sim.aircraft.props_out import SUFFIX
 
-DIGITS = 12  # of a digest that tell two aircraft apart for people
+DIGITS = 12  # of a digest, as shown to people
 
 
 def shipped_as(sha256: str) -> str | None:

@@ -17,9 +17,9 @@ from neuroflight.sim.aircraft.mass import MeshPose, Tensor, Vector, rotation_mat
 
 Array = NDArray[np.float64]
 BYTES_MAX = 32 << 20  # of a mesh file; 670,000 triangles in binary
-SIZE_MIN, SIZE_MAX = 1e-4, 10.0  # [m], longest side of a part; outside, its unit is wrong
+SIZE_MIN, SIZE_MAX = 1e-4, 10.0  # [m], longest side of a part; another size means a wrong unit
 CORNERS = 48  # of the polygon that a cylinder's surface is drawn with
-VOLUME_MIN = 1e-6  # of the cube of its size: less is a sheet
+VOLUME_MIN = 1e-6  # relative to its size cubed: less is a sheet, not a solid
 _HEADER = 84  # bytes of a binary STL before the triangles
 _TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attributes", "<u2")])
 _VERTEX = re.compile(rb"\bvertex\s+(\S+)\s+(\S+)\s+(\S+)", re.IGNORECASE)
@@ -39,7 +39,7 @@ def read_solid(data: bytes, unit: float) -> Solid:
 
     Raises ValueError saying what is wrong with it: no STL, open, inside out, empty, or of absurd size.
     """
-    import trimesh  # only aircraft with a mesh wait for it
+    import trimesh  # imported here, because only aircraft with a mesh need it
 
     corners = _corners(data)
     if len(corners) < 4 or not np.isfinite(corners).all():
@@ -50,7 +50,7 @@ def read_solid(data: bytes, unit: float) -> Solid:
             f"is {size:g} m long with mesh_unit_m = {unit:g}; expected {SIZE_MIN:g} to {SIZE_MAX:g} m: "
             f"mesh_unit_m is 0.001 for a mesh in millimetres, 0.0254 in inches, 1 in metres"
         )
-    # Meshed in units of its size: trimesh takes corners nearer than 1e-8 for one.
+    # Meshed in units of its size, because trimesh joins corners nearer than 1e-8.
     mesh = trimesh.Trimesh(corners.reshape(-1, 3) * (unit / size), np.arange(3 * len(corners)).reshape(-1, 3))
     if not (mesh.is_watertight and mesh.is_winding_consistent):
         raise ValueError(

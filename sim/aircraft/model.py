@@ -134,7 +134,7 @@ class Thermal:
 
     winding_resistance: float  # [ohm]
     thermal_resistance: float  # [K/W], winding to ambient
-    time_constant: float  # [s], of the winding's way to a steady temperature
+    time_constant: float  # [s], of the winding's temperature
     ambient: float  # [degC]
 
 
@@ -180,7 +180,7 @@ class Aircraft:
     name: str
     description: str
     sha256: str  # of what the twin flies: without name, description, comments and PIDs
-    file_sha256: str  # of the file's bytes and its meshes', as policies of before hold it; props out: none
+    file_sha256: str  # of the file's bytes and its meshes', as in old policies; with props out: none
     parts: tuple[Part, ...]
     rotors: tuple[Rotor, ...]
     propulsion: Propulsion
@@ -199,7 +199,7 @@ class Aircraft:
         return len(self.rotors)
 
     def is_meant_by(self, sha256: str) -> bool:
-        """Return whether the digest that a policy holds is this aircraft's, in the form of before too."""
+        """Return True if the digest that a policy holds is this aircraft's, in the form of before too."""
         return EARLIER.get(sha256, sha256) in (self.sha256, self.file_sha256)
 
     @property

@@ -57,7 +57,7 @@ class Link:
     centre: Pose = HERE  # of mass, with the axes of the inertia, in the link
     inertia: Array | None = None  # (3, 3) [kg m^2]; None: not said
     corners: Array | None = (
-        None  # (K, 3) [m], of the boxes around what collides, in the link; None: nothing does
+        None  # (K, 3) [m], corners of the boxes around colliding shapes, in the link; None: there are none
     )
     radius: float | None = None  # [m], of a cylinder that collides
 
@@ -93,7 +93,7 @@ class Robot:
     hubs_at_centre: bool = False  # whether a rotor's hub is its link's centre of mass, not its origin
     centre_of_thrust: Vector | None = None  # [m], body frame
     held: tuple[str, ...] = ()  # other joints that move: they are taken at zero
-    spins_by: str = ""  # whose turning directions `drives` has; empty: the file's
+    spins_by: str = ""  # source of the turning directions in `drives`; empty: the file
 
 
 def read_xml(path: Path, where: str) -> ET.Element:
@@ -121,7 +121,7 @@ def read_xml(path: Path, where: str) -> ET.Element:
         if count > ELEMENTS_MAX:
             raise AircraftError(f"{where}: more than {ELEMENTS_MAX} elements")
         template = "xacro" in element.tag or any("${" in value for value in element.attrib.values())
-        element.tag = element.tag.rpartition("}")[2]  # its namespace says nothing here
+        element.tag = element.tag.rpartition("}")[2]  # without its namespace
         if template or "{{" in (element.text or ""):
             raise AircraftError(
                 f"{where}: is a template; expand it first, such as `xacro {path.name} > out.urdf`"

@@ -32,7 +32,7 @@ class Imported:
 
     text: str
     aircraft: Aircraft
-    assumed: tuple[str, ...]  # what stands in it that the model does not say
+    assumed: tuple[str, ...]  # values in it that the model does not give
     notes: tuple[str, ...]
 
 

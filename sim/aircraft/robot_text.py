@@ -26,7 +26,7 @@ from neuroflight.sim.aircraft.robot_parts import (
 )
 from neuroflight.toolchain.errors import AircraftError
 
-GYRO_OF = "nf1"  # whose gyro and accelerometer an aircraft has that says nothing of them
+GYRO_OF = "nf1"  # the aircraft whose gyro and accelerometer are assumed if a model has none
 LAG_S = (0.03, 0.04)  # assumed; small brushless drives have 20 to 60 ms
 DELAY_S = 0.002
 ROTOR_MASS = 0.013  # of the aircraft's, a propeller: the NF1's is 1.3 %, the Iris' 1.7 %

@@ -187,7 +187,7 @@ class _Reader:
 
 
 def _is_locked(axis: ET.Element | None) -> bool:
-    """Return whether a joint's limits are both zero: made so where a format had no fixed joints."""
+    """Return True if a joint's limits are both zero: made so where a format had no fixed joints."""
     limit = None if axis is None else axis.find("limit")
     ends = [text_of(limit, tag) or "1" for tag in ("lower", "upper")]
     return limit is not None and not any(end.strip("-+0.") for end in ends)

@@ -29,7 +29,7 @@ from neuroflight.toolchain.errors import AircraftError
 
 ENDLESS = "continuous"
 PROPELLER = re.compile(r"prop(\d+)_link")  # how gym-pybullet-drones names them
-# Its program turns them so; the file does not say it. `racer` is turned the other way round.
+# Turning directions in its program, not in its files. `racer` turns the other way round.
 TURNS = (1, -1, 1, -1)
 TURNED_ROUND = "racer"
 SPINS_BY = "as gym-pybullet-drones' program turns them; the file does not say it"
@@ -143,7 +143,7 @@ def _origin(element: ET.Element, what: str) -> Pose:
 def _axis(joint: ET.Element, where: str) -> Array:
     axis = joint.find("axis")
     if axis is None:
-        return np.array([1.0, 0.0, 0.0])  # what the format says
+        return np.array([1.0, 0.0, 0.0])  # the format's default
     return np.array(vector(axis.get("xyz"), f"{where}: joint {joint.get('name')}: axis"))
 
 

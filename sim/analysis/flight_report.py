@@ -164,7 +164,7 @@ def _draw_axis(panel: Axes, flights: Sequence[Flight], axis: int, shown: NDArray
         panel.plot(t, rate, color=colour, lw=width, label=flight.name, zorder=3 - number / len(flights))
     panel.set_ylabel("deg/s", color=INK)
     low, high = (float(edge([edge(values) for values in (setpoint, *rates)])) for edge in (np.min, np.max))
-    # Overshoot stays in view; an aircraft that tumbles leaves it.
+    # The limits show overshoot, but cut off an aircraft that tumbles.
     reach = max(15.0, 2.5 * float(np.abs(setpoint).max()))
     low, high = max(low, -reach), min(high, reach)
     margin = 0.08 * max(high - low, 10.0)

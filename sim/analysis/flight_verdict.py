@@ -27,8 +27,8 @@ from neuroflight.sim.analysis.limits import (
 from neuroflight.sim.analysis.swing import change, swing
 from neuroflight.toolchain.contract import AXES
 
-ENTRY_S = 0.2  # of a command that is held: rotors and aircraft are on their way to it
-HELD_S = 0.1  # the least of what is left for a figure: six periods of a swing at 60 Hz
+ENTRY_S = 0.2  # beginning of a held command, while rotors and aircraft still respond
+HELD_S = 0.1  # least rest of it for a figure: six periods of an oscillation at 60 Hz
 SEVERAL = 1  # faults that are told of each flight in the sentence on several
 
 
@@ -61,7 +61,7 @@ def verdict_of_several(flights: Sequence[tuple[str, Flight, Sequence[str]]]) -> 
     if bad:
         words = "; ".join(f"in {where} it {', it '.join(found[:SEVERAL])}" for where, found in bad)
         return f"{_capital(worst.name)}: {len(bad)} of {len(flights)} flights went wrong: {words}."
-    hovered = any(flight.holding for _, flight, _ in flights)  # else nobody knows of a drift
+    hovered = any(flight.holding for _, flight, _ in flights)  # otherwise no drift is known
     without = "drift or swing" if hovered else "swing"
     return (
         f"{_capital(worst.name)} flew all {len(flights)} to their end without {without}; the most mean error "
@@ -162,7 +162,7 @@ def _follows(flight: Flight, beside: Flight | None) -> Iterator[str]:
     if beside is None:
         return
     own, other = flight.figures.tracking, beside.figures.tracking
-    for name in ("mae", "mse"):  # the sentence has told the first already
+    for name in ("mae", "mse"):  # stops after the first: one is enough for the sentence
         mine, theirs = (float(getattr(each, name).mean()) for each in (own, other))
         if not mine <= TRACKING * theirs:
             figures = "" if name == "mae" else f": MSE {mine:.3g} (deg/s)², {theirs:.3g}"

@@ -18,7 +18,7 @@ from neuroflight.sim.analysis.confidence import Mean, mean_of
 
 Array = NDArray[np.float64]
 SETTLED_S = 0.5  # after the sticks are centred: the aircraft rests, or should
-FIFTHS = 5  # parts of the time before the hover, in which rest is told
+FIFTHS = 5  # parts of the time before the hover, each with an error at rest
 DRIFT_S = 10.0  # of the hover, its last part
 
 
@@ -73,7 +73,7 @@ def holding(setpoint: ArrayLike, rate: ArrayLike, step_s: float, commands: int, 
     if wanted[:, -last:].any():
         raise ValueError("the sticks are not centred in the hover")
     found: dict[str, list[Array]] = {"mae": [], "mse": [], "rest": [], "hover": [], "drift": []}
-    for one, turned in zip(wanted, flown, strict=True):  # flight by flight: float64 copies are large
+    for one, turned in zip(wanted, flown, strict=True):  # flight by flight, because float64 copies are large
         speed = np.rad2deg(turned, dtype=np.float64)
         error = np.abs(np.rad2deg(one, dtype=np.float64) - speed)
         parts = error[:before].reshape(commands, -1, 3)

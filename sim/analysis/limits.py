@@ -6,9 +6,9 @@ that flew the same commands in the same aircraft.
 
 from __future__ import annotations
 
-TRACKING = 1.25  # times the reference's error: ten commands tell errors to about a tenth
-STICK_STEP_DEG_S = 2.0  # the least change of a command that a receiver's channel tells
-DRIFT_DEG_S = STICK_STEP_DEG_S / 2  # what no trim of the stick takes away, and no pilot need bear beyond it
+TRACKING = 1.25  # times the reference's error: ten commands determine errors to about a tenth
+STICK_STEP_DEG_S = 2.0  # the least change of a command in a receiver's channel
+DRIFT_DEG_S = STICK_STEP_DEG_S / 2  # more than this is not acceptable; less cannot be trimmed by the stick
 DRIFT_DEG = DRIFT_DEG_S * 10.0  # in the 10 s that are measured
 GROWTH_DEG_S = STICK_STEP_DEG_S / 4  # of the error at rest, from the flight's beginning to its end
 CHANGE = 0.012  # of a motor's fraction in 1 ms: the most that `tune-pid` allows a PID of any aircraft

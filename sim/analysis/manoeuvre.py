@@ -12,7 +12,7 @@ from neuroflight.sim.analysis.metrics import CHANGE_S, tracking
 from neuroflight.sim.flight.trace import Trace
 
 Array = NDArray[np.float64]
-SHAKE_HZ = (20.0, 80.0)  # where prop wash shakes a 5-inch: slower a controller holds it, faster its mass does
+SHAKE_HZ = (20.0, 80.0)  # of prop wash on a 5-inch: the controller suppresses slower motion, the mass faster
 STEP_MIN_DEG_S = 20.0  # a smaller change of a command has no overshoot to speak of
 
 

@@ -15,7 +15,7 @@ STEADY_S = 2.0  # end of a segment in which a height is held
 AIRBORNE_M = 0.05  # above the start
 TOUCH_M = 0.01
 STAND_S, UPRIGHT_DEG = 0.5, 20.0
-TOUCH_S = 0.02  # before the touch, of which the speed is taken: the contact itself takes some samples
+TOUCH_S = 0.02  # before the touch: the speed is taken there, because the contact itself takes some samples
 
 
 @dataclass(frozen=True)

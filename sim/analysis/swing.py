@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike
 
 from neuroflight.sim.analysis.metrics import CHANGE_S
 
-SWING_HZ = (20.0, 200.0)  # above: no rotor follows; below: the way to a command itself
+SWING_HZ = (20.0, 200.0)  # above: no rotor follows; below: the response to the command itself
 
 
 def swing(motors: ArrayLike, step_s: float) -> tuple[float, float]:

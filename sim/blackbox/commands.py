@@ -21,7 +21,7 @@ from neuroflight.toolchain.errors import TraceError
 
 Array = NDArray[np.float64]
 
-ASKED_DEG_S = 5.0  # from here on a command is no stick at rest: 0.5 % of a full stick of 1000 deg/s
+ASKED_DEG_S = 5.0  # smaller commands count as a stick at rest: 0.5 % of a full stick of 1000 deg/s
 EDGES_DEG_S = (0, 1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000)  # of the histogram of sizes
 DIGITS = 3  # of a command in deg/s
 QUANTILES = (50.0, 90.0, 99.0, 99.9)  # [%]

@@ -38,16 +38,16 @@ FRAMES_MAX = 8_000_000
 SLOW_MAX, EVENTS_MAX = 500_000, 100_000
 FAILURES_MAX = 100_000  # tries to read a frame where none is, about 20 s
 CHUNK = 4096  # rows that become an array at a time
-CHAIN = 3  # frames one behind the other, from which on bytes are believed after damage
+CHAIN = 3  # consecutive frames needed to accept bytes after damage
 TIME_JUMP_US = 10_000_000  # forward, between two frames; more is damage
 STEP_JUMP = 50_000  # control steps, likewise
-_FRAME_BYTES_MAX = 2 * LOG_FRAME_BYTES_MAX  # others write longer ones than their tools take
+_FRAME_BYTES_MAX = 2 * LOG_FRAME_BYTES_MAX  # other firmwares write longer frames than their tools accept
 _OWN_ZEROS = 16  # bytes
 _LETTERS = re.compile(rb"[EGHIPS]")
 _END = b"End of log"
 _MAIN_TIME = 10  # a predictor
-# What a field is predicted by: a constant, the frames before, motor[0] of this one, the count of steps, the
-# home's position, the time of the last main frame. The format has several that are constants.
+# Predictions of a field: a constant, the frames before, motor[0] of this one, the count of steps, the home's
+# position, the time of the last main frame. The format has several constants.
 _CONSTANT, _PREVIOUS, _LINE, _AVERAGE, _MOTOR, _STEPS, _HOME_0, _HOME_1, _TIME = range(9)
 _RATES = frozenset(f"setpoint[{axis}]" for axis in range(3))
 HALF = 1 << 16  # numbers of 16 bits
@@ -85,7 +85,7 @@ class Decoded:
     events: list[Event]
     frames: int = 0  # of every kind, that were read
     corrupt: int = 0  # places where a frame was expected and none could be read
-    dropped: int = 0  # main frames that could not be used: what they are predicted from was lost
+    dropped: int = 0  # main frames that could not be used, as frames that predict them were lost
     homeless: int = 0  # GPS frames, likewise
     skipped_bytes: int = 0  # that belong to no frame
     ended: bool = False  # by the event LOG_END
@@ -115,7 +115,7 @@ class _Decoder:
     def __init__(self, data: bytes, headers: Headers) -> None:
         self.weights: dict[str, int] | None = None  # bytes that each field took; None: not counted
         self._data = data
-        self._blank = len(data.rstrip(b"\0\xff"))  # from here on it is the empty rest of a card's file
+        self._blank = len(data.rstrip(b"\0\xff"))  # start of the empty rest of a card's file
         self._intra, self._logged, self._of = intervals(headers)
         self._plans = {ord(kind): _plan(fields, headers) for kind, fields in headers.fields.items()}
         names = [one.name for one in headers.fields["I"]]
@@ -135,7 +135,7 @@ class _Decoder:
         self._gps: list[list[int]] = []
         self._gps_rows: list[int] = []
         self._home: list[int] | None = None
-        self._usable = False  # whether what P frames are predicted from is there
+        self._usable = False  # whether the frames that P frames are predicted from are known
         self._last: list[int] | None = None  # main frame
         self._before: list[int] = self._nothing  # the last and the one before it, of the next frame
         self._skips: dict[int, int] = {}  # unlogged steps after each step, by its place in the interval
@@ -323,7 +323,7 @@ class _Decoder:
             return
         follows = self._follows(self._last, values)
         if intra and not follows:
-            # Two that follow each other are right, and what was before them wrong.
+            # Two consecutive frames that fit each other are right, so the ones before them were wrong.
             follows = self._rejected is not None and self._follows(self._rejected, values)
             self._rejected = values
         if not follows:
@@ -431,7 +431,7 @@ def _plan(fields: Sequence[FieldDefinition], headers: Headers) -> FramePlan:
         8: 1500,
         9: headers.integer("vbatref", DEFAULTS["vbatref"]),
     }
-    # Before motorOutput was, motors were predicted by minthrottle.
+    # Before motorOutput existed, motors were predicted by minthrottle.
     constants[11] = (headers.integers("motorOutput") or [constants[4]])[0]
     predictions: list[Prediction] = []
     for index, one in enumerate(fields):

@@ -7,7 +7,7 @@ from neuroflight.sim.blackbox.firmware import Maker
 from neuroflight.sim.blackbox.log import Log
 from neuroflight.toolchain.contract import FallbackCause, FlightState, LogEvent, StopCause
 
-DISARMING = (  # Betaflight's reasons, which ours are told by as well
+DISARMING = (  # Betaflight's reasons, which our logs use as well
     *("arming disabled", "failsafe", "throttle too long low", "sticks", "switch", "crash"),
     *("runaway take-off", "GPS rescue", "command over a line"),
 )

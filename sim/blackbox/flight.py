@@ -49,7 +49,7 @@ def cut(trace: Trace, part: Part) -> Trace:
     """Cut a part out of a trace; its t begins at 0. Raises TraceError if it has no row."""
     rows = part_rows("trace", trace.t, part)
     taken = {name: getattr(trace, name)[rows] for name in COLUMNS}
-    # By the rate, as a log counts it: a difference of times would be another number by a bit.
+    # Computed from the rate, as for a log: a difference of times would differ in the last bit.
     if rows.start and trace.control_rate_hz:
         taken["t"] = np.arange(rows.stop - rows.start) / trace.control_rate_hz
     return Trace(**taken)

@@ -52,7 +52,7 @@ class Extent:
 
     start: int
     body: int
-    end: int  # of what is not blank
+    end: int  # end of the non-blank bytes
 
 
 @dataclass(frozen=True)
@@ -213,7 +213,7 @@ def _definitions(kind: str, named: Sequence[str], values: dict[str, str]) -> tup
 
 
 def _signs(kind: str, values: dict[str, str], count: int) -> list[bool] | None:
-    """Return whether each field is signed, in P and I frames alike; None where that line is lost."""
+    """Return for each field if it is signed, in P and I frames alike; None where that line is lost."""
     numbers = [
         _integer(text) for text in values.get(f"Field {'I' if kind == 'P' else kind} signed", "").split(",")
     ]
@@ -299,7 +299,7 @@ def _lost(headers: Headers) -> dict[str, str]:
         )
         fine = whose.version >= FINE_FROM and {"gyroADC[0]", "setpoint[0]", "rcCommand[0]"} & names
         by_stick = whose.version >= DEADBAND_FROM and "rcCommand[0]" in names and "setpoint[0]" not in names
-        by_stick &= "rates" in told  # else all of them are asked for
+        by_stick &= "rates" in told  # otherwise the user is asked for all of them
         need("rate_limits", by_stick, "1998 deg/s is taken, tell it by --header rate_limits=ROLL,PITCH,YAW")
         for line in ("deadband", "yaw_deadband"):
             need(line, by_stick, f"0 us is taken of the sticks, tell it by --header {line}=US")

@@ -36,11 +36,6 @@ class Motors:
     digital: bool = False  # whether the protocol is digital
     note: str = ""  # for the user: on the values, or why there are none
 
-    def impossible(self) -> NDArray[np.bool_]:
-        """Return for each row (N,) whether it has a value that no motor can be given."""
-        assert self.fractions is not None
-        return np.asarray(np.isnan(self.fractions).any(axis=1))
-
 
 def motors(log: Log, firmware: Firmware) -> Motors:
     """Read the motor values of a log."""
@@ -109,7 +104,7 @@ def _lost_base(log: Log) -> str:
 
 
 def _protocol(log: Log, values: NDArray[np.int64]) -> tuple[bool | None, str]:
-    """Return whether the values are DShot's (None: unknown), and a note for the user.
+    """Return if the values are DShot's (None: unknown), and a note for the user.
 
     The header decides, else values that only one protocol has: DShot idles below 750, pulses do not.
     """

@@ -18,7 +18,7 @@ GYRO_FULL_DEG_S = 2000.0  # of the chip's range (sim.physics.imu)
 NEAR_FULL = 0.995  # of it, that is taken for saturated
 FULL = 0.999  # motor fraction that is taken for full power
 STATE = "nf_state_000"  # header that begins the state of the control path
-PER_PERIOD = 10.0  # samples of a period of what is seen in its shape, not only in a spectrum
+PER_PERIOD = 10.0  # samples of a period needed to see a shape, not only a spectrum
 JITTER = 0.02  # of the time between two rows, its standard deviation, above which a spectrum is blurred
 
 
@@ -36,7 +36,7 @@ class Question:
 
     name: str
     answer: Answer
-    why: str  # what holds, or what lacks and how to have it next time
+    why: str  # the finding, or what is missing and how to log it next time
 
 
 @dataclass(frozen=True)

@@ -52,7 +52,7 @@ def _missing(data: NDArray[np.int32], counts: NDArray[np.int64], eaten: tuple[in
 
 
 def _is_utf_8(body: bytes) -> bool:
-    """Return whether `body`, which may begin and end within a character, is UTF-8."""
+    """Return True if `body`, which may begin and end within a character, is UTF-8."""
     start = next((at for at in range(_CUT + 1) if body[at] & 0xC0 != 0x80), 0)
     try:
         body[start:].decode()

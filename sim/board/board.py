@@ -39,7 +39,7 @@ from neuroflight.toolchain.image.bank_state import proven
 USARTS = ("USART1", "USART2", "USART3", "UART4", "UART5")
 ENTRY_BOUND = 5 * MICROSECOND  # from the gyro's edge to its handler [cycles]
 SILENT = round(SILENT_S * TIME_HZ)  # of an ESC [cycles]
-UNFLOWN = TIME_HZ // 10  # a motor whose ESC hears nothing for so long is not flown, even if it turns [cycles]
+UNFLOWN = TIME_HZ // 10  # a motor whose ESC gets no frame for this time counts as not flown [cycles]
 
 
 class Hardware:

@@ -24,7 +24,7 @@ from neuroflight.toolchain.contract import AXES, GRAVITY
 
 Array = NDArray[np.float64]
 
-THRUST_TO_WEIGHT_LOW = 1.5  # below it little is left to steer with
+THRUST_TO_WEIGHT_LOW = 1.5  # below it little thrust is left for control
 HEAVY = 1.0  # [kg], a part that may have been given in grams, where the aircraft cannot lift itself
 PLACES = ("rear right", "front right", "rear left", "front left")  # of the motors 1 to 4 of a quadcopter
 PROPS_IN, PROPS_OUT = ("cw", "ccw", "ccw", "cw"), ("ccw", "cw", "cw", "ccw")  # in that order

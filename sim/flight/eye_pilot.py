@@ -21,7 +21,7 @@ from neuroflight.sim.control import sticks
 if TYPE_CHECKING:
     from neuroflight.sim.flight.scenario import Scenario
 
-REACTION_S = 0.2  # from what happens to what his fingers do about it
+REACTION_S = 0.2  # reaction time
 MOVE_S = 0.02  # between two positions of his sticks
 CLIMB_M_S = 1.0  # up and down
 TOUCH_M_S, TOUCH_BELOW_M = 0.4, 1.2  # sink rate near the ground, and what is near
@@ -29,7 +29,7 @@ HEIGHT_PER_S = 0.8  # speed that he wants for a metre of height that lacks
 THROTTLE_PER_M_S = 0.030  # throttle for each m/s that lacks
 TRIM_PER_M = 0.020  # and for each m/s that lacks a second long
 PUSH_PER_S = 0.12  # throttle a second, until he sees it lift
-PUSHED_S = 0.4  # of the push that he then takes back: it lifted before he saw it
+PUSHED_S = 0.4  # part of the push that he takes back, because the aircraft lifted before he saw it
 LIFTED_M, LANDED_M = 0.03, 0.03  # above where it stood
 LEVEL_PER_S = 1.5  # rate for each radian that he is off
 LEAN_PER_M_S, LEAN_MAX = 0.04, 0.15  # tangent of the lean against each m/s of drift, and its limit

@@ -91,7 +91,7 @@ def fly(
             _see_log_out(link, logged)
     except BaseException:  # an interruption by the user as well
         if rows.count:
-            with suppress(TraceError):  # what ended the flight may be a number that is none
+            with suppress(TraceError):  # the flight may have ended because of a NaN
                 broken_off(rows.trace(port.control_rate_hz))
         raise
     return rows.trace(port.control_rate_hz)

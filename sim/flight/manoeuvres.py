@@ -1,7 +1,7 @@
 """Six manoeuvres and a descent in free flight, with throttles of the thrust that a pilot wants.
 
 Controllers turn the same throttle into different thrusts. So a manoeuvre says thrust over weight, and is made
-into a scenario by each contender's own curve of thrust at rest against throttle, inverted: all then fly with
+into a scenario by each controller's own curve of thrust at rest against throttle, inverted: all then fly with
 the same thrust, or the least or the most that theirs gives. Rates are as SBUS expresses them.
 """
 
@@ -17,7 +17,7 @@ from neuroflight.sim.flight.scenario import STILL, TURN_DEG_S, Rates, Scenario, 
 from neuroflight.sim.physics.world import Mount
 
 SETTLE_S = 1.0  # from standing rotors to a hover; no figure counts it
-HOVER_S = 4.0  # behind each of them, level or not: what a memory that wound up in it leaves
+HOVER_S = 4.0  # behind each manoeuvre, level or not: shows the effect of a wound-up memory
 PULL_DEG_S = 360.0
 PITCH_DEG_S = 240.0  # into the dive and out of it
 FULL = math.inf  # thrust of the open throttle, whatever it is

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from neuroflight.sim.aircraft.advance import AdvanceRatio, Terms, read_advance
-from neuroflight.sim.identification.propeller_tables import Measurements, Static, read_tables
+from neuroflight.sim.identification.propeller_tables import Measurements, Static
 from neuroflight.sim.strict_toml import StrictTable
 from neuroflight.toolchain.errors import DynoError
 
@@ -41,14 +39,6 @@ class PropellerFit:
     advance: AdvanceRatio  # rounded, as a file has it
     used: Measurements
     left: float  # part of the thrust at J = 0 that is left in the fastest air used
-
-
-def read_measurements(paths: Sequence[Path]) -> Measurements:
-    """Read the measurements in wind of all files. Raises DynoError naming file and line."""
-    wind = read_tables(paths).wind
-    if not len(wind.ratio):
-        raise DynoError(f"{paths[0]}: measured at rest, expected a column J")
-    return wind
 
 
 def at_rest(measured: Static) -> tuple[float, float]:

@@ -40,12 +40,6 @@ def turned(rotation: Array, vectors: Array) -> Array:
     return rows
 
 
-def turned_back(rotation: Array, vectors: Array) -> Array:
-    """Turn rows of `vectors` (N, 3), each by the inverse of its own matrix of `rotation` (N, 3, 3)."""
-    rows: Array = np.einsum("nji,nj->ni", rotation, vectors)
-    return rows
-
-
 def cross_matrix(r: Array) -> Array:
     """Return the matrix (3, 3) of r x, for r of shape (3,)."""
     x, y, z = r

@@ -165,7 +165,7 @@ class World:
         if self._client >= 0:
             pybullet.disconnect(self._client)
             self._client = -1
-            self.state.client = library().ffi.NULL  # so that C refuses instead of using what is gone
+            self.state.client = library().ffi.NULL  # so that C refuses instead of using freed memory
 
     def reset(self, index: Iterable[int], rate: Array | None = None) -> None:
         """Put the aircraft of `index` level, at the origin or on the ground, at rest.

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from neuroflight.flash.messages import arming_reasons
+from neuroflight.flash.link.messages import arming_reasons
 from neuroflight.sim.board.board import Board
 from neuroflight.sim.board.core.context import TIME_HZ, BoardError
 from neuroflight.sim.board.debug.fault_injection import Fault, FaultPlan
@@ -149,7 +149,7 @@ class EmulatedPort:
         try:
             flash = configured(flashed, elf, wanted, gyro)
         except BoardError:
-            flash = flashed  # it does not boot: the boot below ends alike, and is profiled
+            flash = flashed  # skip this boot: the boot below has the same result, and is profiled
         self.board = Board(
             flash,
             elf=elf,

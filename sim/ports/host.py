@@ -22,10 +22,10 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from neuroflight.flash import messages, records
-from neuroflight.flash.client import Client
+from neuroflight.flash.link import messages, records
+from neuroflight.flash.link.client import Client
+from neuroflight.flash.link.transport import TcpPort, TcpTransport
 from neuroflight.flash.logs.messages import log_info
-from neuroflight.flash.transport import TcpPort, TcpTransport
 from neuroflight.sim.control.motors import each_fraction
 from neuroflight.sim.ports.port import (
     Logged,

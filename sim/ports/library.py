@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from neuroflight.flash import messages, records
-from neuroflight.flash.client import Client
+from neuroflight.flash.link import messages, records
+from neuroflight.flash.link.client import Client
 from neuroflight.flash.logs.messages import log_info
 from neuroflight.sim.ports.port import (
     Logged,

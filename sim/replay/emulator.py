@@ -2,11 +2,11 @@
 
 The board boots with the log's settings. Then `struct firmware` gets the state of the log, its own pointers
 excepted, and every gyro sample comes from the chip with the logged counts. What reaches the control path by
-other ways is put where the image takes it, as `program_sample` is called by the gyro's interrupt: so nothing
+other ways is put where the image takes it, as `runtime_sample` is called by the gyro's interrupt: so nothing
 depends on how long the background took.
 
 What the chip cannot be made to say is written instead: that a transfer failed or samples were lost, into the
-sample that `program_sample` is given; whether a step missed its deadline, into the argument of
+sample that `runtime_sample` is given; whether a step missed its deadline, into the argument of
 `firmware_deadline`. Silence is the chip's own.
 """
 
@@ -29,7 +29,7 @@ Progress = Callable[[float], None]
 
 SILENCE_EDGES_MAX = 400  # periods of the gyro until the image must have told of a silence
 _FIRMWARE = "firmware"
-_STOPS = ("program_sample", "program_gyro_silent", "firmware_deadline")
+_STOPS = ("runtime_sample", "runtime_gyro_silent", "firmware_deadline")
 _ONE, _NONE = b"\1", b"\0"
 _EDGES = {  # flag, and the variable of the background that says it
     Edge.POSTED: "posted",
@@ -123,12 +123,12 @@ class BoardReplay(EmulatedPort):
         return ""
 
     def _sample(self, words: NDArray[np.int16], valid: bool, lost: int) -> None:
-        """Let the chip measure, and the board run until it has taken that; it stands at `program_sample`."""
+        """Let the chip measure, and the board run until it has taken that; it stands at `runtime_sample`."""
         x, y, z, temperature, *gyro = words.tolist()
         self._gyro.measure((x, y, z), temperature, (gyro[0], gyro[1], gyro[2]))
         self._edge += self._period
         stop = self._run_on()
-        if stop != "program_sample":
+        if stop != "runtime_sample":
             raise LinkError(
                 f"the board took no gyro sample at its edge, but came to {stop or 'the next edge'}"
             )
@@ -180,7 +180,7 @@ class BoardReplay(EmulatedPort):
         self._gyro.silent = True
         for _ in range(times * SILENCE_EDGES_MAX):
             self._edge += self._period
-            while (stop := self._run_on()) == "program_gyro_silent":
+            while (stop := self._run_on()) == "runtime_gyro_silent":
                 self._put("forbidden", np.uint32(forbidden).tobytes())
                 times -= 1
             if stop:

@@ -8,7 +8,7 @@ from typing import NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
-from neuroflight.flash.setting_text import parse_setting
+from neuroflight.flash.settings.text import parse_setting
 from neuroflight.sim.blackbox.firmware import Maker
 from neuroflight.sim.blackbox.log import Log, floats, words
 from neuroflight.sim.replay.inputs import Answers, Edge, Flight, Inputs

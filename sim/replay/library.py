@@ -7,7 +7,6 @@ library runs in a process of its own.
 from __future__ import annotations
 
 import ctypes
-import multiprocessing
 from collections.abc import Callable
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -19,7 +18,8 @@ from neuroflight.sim.ports.library import Reference
 from neuroflight.sim.replay.inputs import Answers, Flight
 from neuroflight.sim.replay.stream import ANSWER, STEP, packed, unpacked
 from neuroflight.toolchain.contract import MOTOR_COUNT_MAX
-from neuroflight.toolchain.errors import LinkError, NeuroflightError, TraceError
+from neuroflight.toolchain.errors import LinkError, TraceError
+from neuroflight.toolchain.workers import Worker
 
 Progress = Callable[[float], None]
 CHUNK = 2048  # control steps between two words of progress
@@ -40,43 +40,29 @@ def in_process(
 
     Raises TraceError if that crashes, and the errors of `boot` and the replay.
     """
-    ours, theirs = multiprocessing.Pipe(duplex=False)
-    process = multiprocessing.get_context("fork").Process(
-        target=_run, args=(theirs, boot, flight), daemon=True
-    )
-    process.start()
-    theirs.close()
     found: list[NDArray[np.void]] = [np.empty(0, ANSWER)]
+    worker = Worker(_run, boot, flight, name=f"{flight.path}: its replay", method="fork")
     try:
-        while True:
-            told = ours.recv()
-            if isinstance(told, NeuroflightError):
-                raise told
-            if told is None:
-                return unpacked(np.concatenate(found), flight.motor_count)
+        while (told := worker.hear()) is not None:
             found.append(np.frombuffer(told, ANSWER))
             progress(sum(map(len, found)) / max(len(flight), 1))
+        return unpacked(np.concatenate(found), flight.motor_count)
     except EOFError:
-        process.join()
+        worker.process.join()
         raise TraceError(
-            f"{flight.path}: the firmware crashed on it (exit code {process.exitcode}): the state in its "
-            "header is none that a firmware has; take another copy of the file"
+            f"{flight.path}: the firmware crashed on it (exit code {worker.process.exitcode}): the state in "
+            "its header is none that a firmware has; take another copy of the file"
         ) from None
     finally:
-        process.kill()
-        process.join()
-        ours.close()
+        worker.end(kill=True)
 
 
-def _run(pipe: Connection, boot: Callable[[], ReplayLibrary], flight: Flight) -> None:
-    """Replay, in the process of its own: send answers piecewise, then None, or an error."""
-    try:
-        firmware = boot()
-        for first in range(0, len(flight), CHUNK):
-            pipe.send(firmware.replay(packed(flight, first, first + CHUNK), flight, first).tobytes())
-        pipe.send(None)
-    except NeuroflightError as error:
-        pipe.send(error)
+def _run(link: Connection, boot: Callable[[], ReplayLibrary], flight: Flight) -> None:
+    """Replay, in the process of its own: send answers piecewise, then None."""
+    firmware = boot()
+    for first in range(0, len(flight), CHUNK):
+        link.send(firmware.replay(packed(flight, first, first + CHUNK), flight, first).tobytes())
+    link.send(None)
 
 
 class ReplayLibrary(Reference):

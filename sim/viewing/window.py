@@ -37,7 +37,7 @@ def play(scene: Scene, speed: float, clock: Callable[[], float], wait: Callable[
     if client < 0:
         raise NeuroflightError("pybullet opened no window; give --out FILE.html for a page instead")
     try:
-        with suppress(pybullet.error):  # what a call says when the window was closed
+        with suppress(pybullet.error):  # raised by a call after the window was closed
             _show(scene, speed, client, clock, wait)
     finally:
         if pybullet.isConnected(client):

@@ -289,7 +289,7 @@ class _Board:
         at = {name: program.symbol(name).address for name in program.symbols}
         self._response, self._ring = at["gyro_response"], at["receiver_ring_bytes"]
         self._slots, self._conversions = at["motor_slots"], at["power_conversions"]
-        self._program = at["program"]
+        self._runtime = at["runtime"]
         self._head = 0
         written, taken = read_variables(elf, "log_ring.written", "log_ring.taken")
         self._written, self._taken = written.address, taken.address
@@ -316,7 +316,7 @@ class _Board:
     def background(self) -> None:
         """One round of it, the battery measured meanwhile."""
         self._poke(DMA2_LISR, ADC_DONE)
-        self.core.call("program_background", self._program)
+        self.core.call("runtime_background", self._runtime)
         self._poke(DMA2_LISR, 0)
         self._poke(self._taken, self._peek(self._written))  # all that the log has kept is written
 

@@ -17,9 +17,9 @@ from elftools.elf.sections import SymbolTableSection
 from yamspy import MSPy
 
 from neuroflight.cli.main import main
-from neuroflight.flash.client import Client
-from neuroflight.flash.settings import Settings
-from neuroflight.flash.transport import open_transport
+from neuroflight.flash.link.client import Client
+from neuroflight.flash.link.transport import open_transport
+from neuroflight.flash.settings.values import Settings
 from neuroflight.toolchain.contract import FLASH_BYTES, Msp
 from neuroflight.toolchain.files import claimed_file
 

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from neuroflight.cli.main import main
-from neuroflight.flash.transport import Transport, open_transport
+from neuroflight.flash.link.transport import Transport, open_transport
 from neuroflight.sim.aircraft.model import RPM, TorqueResponse, load_aircraft
 from neuroflight.sim.identification.bench.load_cell import write_load_cells
 from neuroflight.sim.identification.dyno.recording import read_recordings
@@ -36,7 +36,7 @@ def rig_of(host_program: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Call
         def opened(text: str) -> Transport:
             return rig.line() if text == rig.device else open_transport(text)
 
-        monkeypatch.setattr("neuroflight.flash.transport.open_transport", opened)
+        monkeypatch.setattr("neuroflight.flash.link.transport.open_transport", opened)
         monkeypatch.setattr("neuroflight.cli.sim.dyno_bench.monotonic", rig.clock)
         monkeypatch.setattr("neuroflight.cli.sim.dyno_calibrate.monotonic", rig.clock)
         return rig

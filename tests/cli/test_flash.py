@@ -23,7 +23,7 @@ from neuroflight.cli.main import main
 from neuroflight.flash.image import update
 from neuroflight.flash.image.files import Policy, read_images
 from neuroflight.flash.image.messages import image_write
-from neuroflight.flash.msp import Decoder, Message, encode
+from neuroflight.flash.link.msp import Decoder, Message, encode
 from neuroflight.sim.aircraft.model import load_aircraft
 from neuroflight.toolchain.contract import FLASH_BANK_B, FLASH_BASE, IMAGE_LAYOUT, IMAGE_TAIL_BYTES
 from neuroflight.toolchain.image.stamp import stamp

@@ -21,9 +21,9 @@ import pytest
 from neuroflight.cli.main import main
 from neuroflight.cli.sim import fly_emulator, fly_ports
 from neuroflight.cli.sim.fly_emulator import STOPPED
-from neuroflight.flash import messages
-from neuroflight.flash.client import Client
-from neuroflight.flash.transport import TcpPort, TcpTransport
+from neuroflight.flash.link import messages
+from neuroflight.flash.link.client import Client
+from neuroflight.flash.link.transport import TcpPort, TcpTransport
 from neuroflight.sim.board.board import Board
 from neuroflight.sim.board.core.source_places import Places
 from neuroflight.sim.flight.trace import COLUMNS, Trace, load_trace
@@ -195,9 +195,9 @@ def starving(build_mutant: Callable[[Mutant], Path], board_image: Path) -> Path:
     elf = build_mutant(
         Mutant(
             name="watchdog not fed in flight",
-            file="src/program.c",
-            old="if (now != program->fed_at) {",
-            new="if (now != program->fed_at && !firmware_trace(program->firmware)->armed) {",
+            file="src/runtime.c",
+            old="if (now != runtime->fed_at) {",
+            new="if (now != runtime->fed_at && !firmware_trace(runtime->firmware)->armed) {",
             message="",
         )
     )

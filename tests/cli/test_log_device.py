@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from neuroflight.cli.main import main
-from neuroflight.flash.msp import Decoder, Message, encode
+from neuroflight.flash.link.msp import Decoder, Message, encode
 from neuroflight.toolchain.contract import LogError, LogState
 from tests.flash.logs.log_model import LogBoard, log_board, log_of
 

@@ -7,7 +7,7 @@ import struct
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from neuroflight.flash.msp import Decoder, Direction, Message, Version
+from neuroflight.flash.link.msp import Decoder, Direction, Message, Version
 from neuroflight.toolchain.contract import FlightState, Msp
 
 _HEAD = struct.Struct("<HIIBB3f3ff")

@@ -63,7 +63,7 @@ def test_only_main_has_variables_of_its_own_when_compiled(scripted_build: Path) 
         "fault",
         "background",
         "log_ring",
-        "program",
+        "runtime",
     }
     assert set(found) == set(MODULES)
     assert not any(found.values()), found
@@ -78,8 +78,8 @@ def test_the_core_is_the_same_for_every_target_when_preprocessed() -> None:
 
 
 def test_only_the_top_of_the_core_knows_the_hardware_boundary_when_read() -> None:
-    users = {path.name for path in SOURCE.rglob("*.[ch]") if '#include "hal/' in path.read_text()}
-    assert users == {"main.c", "program.h", "background.h"}
+    users = {path.name for path in SOURCE.rglob("*.[ch]") if '#include "port/hal.h"' in path.read_text()}
+    assert users == {"main.c", "runtime.h", "background.h"}
 
 
 def test_no_two_static_functions_share_a_name_when_read() -> None:

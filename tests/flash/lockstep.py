@@ -9,8 +9,8 @@ from typing import Any
 
 import pytest
 
-from neuroflight.flash.client import Client
-from neuroflight.flash.transport import open_transport
+from neuroflight.flash.link.client import Client
+from neuroflight.flash.link.transport import open_transport
 from tests.firmware.conftest import Program
 
 GYRO_HZ = 1000

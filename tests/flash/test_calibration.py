@@ -12,9 +12,9 @@ from typing import Any
 import pytest
 
 from neuroflight.cli.main import main
-from neuroflight.flash.calibration import WAIT_S, calibrate
-from neuroflight.flash.client import Client
-from neuroflight.flash.msp import Decoder, Message, encode, error, reply, request
+from neuroflight.flash.board.calibration import WAIT_S, calibrate
+from neuroflight.flash.link.client import Client
+from neuroflight.flash.link.msp import Decoder, Message, encode, error, reply, request
 from neuroflight.toolchain.contract import ArmingReason, Msp
 from neuroflight.toolchain.errors import LinkError
 from tests.flash.test_info import BOOT_SAMPLES, STICKS_DOWN, Host

@@ -8,10 +8,10 @@ from typing import Any
 
 import pytest
 
-from neuroflight.flash.client import Client, NoAnswerError
-from neuroflight.flash.info import read_info
-from neuroflight.flash.msp import Decoder, Direction, Message, Version, encode, error, reply, request
-from neuroflight.flash.transport import open_transport
+from neuroflight.flash.board.info import read_info
+from neuroflight.flash.link.client import Client, NoAnswerError
+from neuroflight.flash.link.msp import Decoder, Direction, Message, Version, encode, error, reply, request
+from neuroflight.flash.link.transport import open_transport
 from neuroflight.toolchain.contract import Msp, Refusal
 from neuroflight.toolchain.errors import LinkError
 

@@ -10,15 +10,15 @@ import pytest
 from neuroflight.flash.channels.layout import read_layout
 from neuroflight.flash.channels.script import parse_script
 from neuroflight.flash.channels.sender import Sender
-from neuroflight.flash.client import Client
+from neuroflight.flash.link.client import Client
+from neuroflight.flash.link.records import safety
 from neuroflight.flash.monitoring.watch import Watch
 from neuroflight.flash.motors.direction import set_direction
 from neuroflight.flash.motors.readiness import read_bench
 from neuroflight.flash.motors.session import MotorTest
 from neuroflight.flash.motors.spin import Spin, spin
 from neuroflight.flash.motors.stop import stop
-from neuroflight.flash.records import safety
-from neuroflight.flash.settings import Settings
+from neuroflight.flash.settings.values import Settings
 from neuroflight.sim.board.core.context import TIME_HZ
 from neuroflight.sim.board.devices.esc import Frame
 from neuroflight.sim.board.serial.bridge import LineTransport, UartLine

@@ -15,11 +15,11 @@ import serial
 from yamspy import MSPy
 
 from neuroflight.cli.main import main
-from neuroflight.flash.client import Client
-from neuroflight.flash.info import Info, read_info
-from neuroflight.flash.messages import DECODERS
-from neuroflight.flash.msp import Decoder, Direction, Message, Version, encode
-from neuroflight.flash.transport import open_transport
+from neuroflight.flash.board.info import Info, read_info
+from neuroflight.flash.link.client import Client
+from neuroflight.flash.link.messages import DECODERS
+from neuroflight.flash.link.msp import Decoder, Direction, Message, Version, encode
+from neuroflight.flash.link.transport import open_transport
 from neuroflight.toolchain.contract import (
     ARMING_FLAG_COUNT,
     ARMING_FLAGS,

@@ -7,8 +7,8 @@ import struct
 import pytest
 from yamspy import MSPy
 
-from neuroflight.flash import messages, records
-from neuroflight.flash.messages import (
+from neuroflight.flash.link import messages, records
+from neuroflight.flash.link.messages import (
     DECODERS,
     Analog,
     ApiVersion,
@@ -21,9 +21,9 @@ from neuroflight.flash.messages import (
     PolicySource,
     RawImu,
 )
-from neuroflight.flash.msp import Direction, Message, Version, encode
-from neuroflight.flash.records import FAULT_REGISTERS, Fault, FaultKind, Faults, Safety, TaskLoad, Tasks
-from neuroflight.flash.requests import SettingInfo
+from neuroflight.flash.link.msp import Direction, Message, Version, encode
+from neuroflight.flash.link.records import FAULT_REGISTERS, Fault, FaultKind, Faults, Safety, TaskLoad, Tasks
+from neuroflight.flash.link.requests import SettingInfo
 from neuroflight.toolchain.contract import (
     LAYOUTS,
     ArmingReason,

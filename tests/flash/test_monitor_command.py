@@ -28,9 +28,9 @@ from rich.console import Console
 
 from neuroflight.cli.flash.monitor_view import OLD, view
 from neuroflight.cli.main import main
-from neuroflight.flash.hints import HINTS
+from neuroflight.flash.board.hints import HINTS
+from neuroflight.flash.link.transport import open_transport
 from neuroflight.flash.monitoring.watch import Sight, Watch
-from neuroflight.flash.transport import open_transport
 from tests.flash.lockstep import Lockstep, lockstep
 
 DRAWN_S = 60.0  # until what a screen of 20 Hz has to show is there, on a busy machine

@@ -16,10 +16,10 @@ import pytest
 from neuroflight.cli.flash import motor
 from neuroflight.cli.flash.motor_places import motor_places
 from neuroflight.cli.main import main, parser
+from neuroflight.flash.link.msp import Decoder, Message
 from neuroflight.flash.motors.session import LIMIT_DEFAULT
 from neuroflight.flash.motors.spin import Spin
-from neuroflight.flash.msp import Decoder, Message
-from neuroflight.flash.settings import Settings
+from neuroflight.flash.settings.values import Settings
 from neuroflight.toolchain.contract import MOTOR_TEST_TIMEOUT_MS, Msp
 from neuroflight.toolchain.errors import AircraftError, LinkError
 from tests.flash.lockstep import Lockstep, lockstep

@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 from yamspy import MSPy
 
-from neuroflight.flash.msp import (
+from neuroflight.flash.link.msp import (
     FRAME_OVERHEAD_MAX,
     Corrupt,
     Decoder,

@@ -9,11 +9,11 @@ from pathlib import Path
 import pytest
 
 from neuroflight.cli.main import main
-from neuroflight.flash.client import Client
-from neuroflight.flash.msp import Decoder, Direction, Message, encode, error
-from neuroflight.flash.setting_text import value_text
-from neuroflight.flash.settings import Settings
-from neuroflight.flash.transport import open_transport
+from neuroflight.flash.link.client import Client
+from neuroflight.flash.link.msp import Decoder, Direction, Message, encode, error
+from neuroflight.flash.link.transport import open_transport
+from neuroflight.flash.settings.text import value_text
+from neuroflight.flash.settings.values import Settings
 from neuroflight.toolchain.contract import SETTINGS, Msp
 from neuroflight.toolchain.errors import LinkError
 

@@ -10,14 +10,14 @@ from typing import Any
 import pytest
 
 from neuroflight.cli.main import main
-from neuroflight.flash import restart as restarting
-from neuroflight.flash.client import Client
-from neuroflight.flash.hints import BETAFLIGHT, HINTS, betaflight_reasons
-from neuroflight.flash.hints import FAULTS as FAULT_WORDS
-from neuroflight.flash.msp import Decoder, Message, encode, error, reply
-from neuroflight.flash.records import FAULT_FILE_BYTES, FAULT_REGISTERS, FaultKind
-from neuroflight.flash.restart import restart
-from neuroflight.flash.transport import open_transport
+from neuroflight.flash.board import restart as restarting
+from neuroflight.flash.board.hints import BETAFLIGHT, HINTS, betaflight_reasons
+from neuroflight.flash.board.hints import FAULTS as FAULT_WORDS
+from neuroflight.flash.board.restart import restart
+from neuroflight.flash.link.client import Client
+from neuroflight.flash.link.msp import Decoder, Message, encode, error, reply
+from neuroflight.flash.link.records import FAULT_FILE_BYTES, FAULT_REGISTERS, FaultKind
+from neuroflight.flash.link.transport import open_transport
 from neuroflight.toolchain.contract import (
     ArmingReason,
     FallbackCause,

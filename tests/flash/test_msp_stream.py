@@ -24,12 +24,12 @@ import numpy as np
 import pytest
 
 from neuroflight.cli.main import main
-from neuroflight.flash import stream as streaming
-from neuroflight.flash.client import Client
-from neuroflight.flash.msp import Decoder, Direction, Message, Version, encode, error, reply, request
-from neuroflight.flash.recording import Shape, columns, row, times
-from neuroflight.flash.stream import Sample, Stream, decode_sample
-from neuroflight.flash.transport import open_transport
+from neuroflight.flash.link.client import Client
+from neuroflight.flash.link.msp import Decoder, Direction, Message, Version, encode, error, reply, request
+from neuroflight.flash.link.transport import open_transport
+from neuroflight.flash.monitoring import stream as streaming
+from neuroflight.flash.monitoring.recording import Shape, columns, row, times
+from neuroflight.flash.monitoring.stream import Sample, Stream, decode_sample
 from neuroflight.toolchain.contract import Msp
 from neuroflight.toolchain.errors import LinkError
 from tests.flash.test_info import (

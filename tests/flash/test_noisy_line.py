@@ -8,12 +8,12 @@ from collections.abc import Callable
 
 import pytest
 
-from neuroflight.flash import messages
-from neuroflight.flash.client import Client, NoAnswerError
-from neuroflight.flash.info import read_info
-from neuroflight.flash.msp import Direction, Message, Version, encode
-from neuroflight.flash.settings import Settings
-from neuroflight.flash.transport import open_transport
+from neuroflight.flash.board.info import read_info
+from neuroflight.flash.link import messages
+from neuroflight.flash.link.client import Client, NoAnswerError
+from neuroflight.flash.link.msp import Direction, Message, Version, encode
+from neuroflight.flash.link.transport import open_transport
+from neuroflight.flash.settings.values import Settings
 from neuroflight.toolchain.contract import SETTINGS, Msp
 
 LayLine = Callable[..., str]

@@ -16,15 +16,15 @@ import pytest
 
 from neuroflight.cli.flash.policy_swap import candidate_of
 from neuroflight.cli.main import main
-from neuroflight.flash.client import Client, RefusedError
-from neuroflight.flash.info import read_info
-from neuroflight.flash.messages import PolicySource
-from neuroflight.flash.msp import Decoder, Message, encode, error, reply
+from neuroflight.flash.board.info import read_info
+from neuroflight.flash.link.client import Client, RefusedError
+from neuroflight.flash.link.messages import PolicySource
+from neuroflight.flash.link.msp import Decoder, Message, encode, error, reply
+from neuroflight.flash.link.policy_errors import POLICY_ERRORS, policy_error
+from neuroflight.flash.link.transport import Transport, open_transport
 from neuroflight.flash.policy import swap as swaps
 from neuroflight.flash.policy.slots import Policies, read_policies, slot_of
 from neuroflight.flash.policy.swap import Board
-from neuroflight.flash.policy_errors import POLICY_ERRORS, policy_error
-from neuroflight.flash.transport import Transport, open_transport
 from neuroflight.sim.aircraft.model import load_aircraft
 from neuroflight.toolchain.contract import FLASH_BYTES, ArmingReason, FlightState, Msp
 from neuroflight.toolchain.errors import LinkError

@@ -14,9 +14,9 @@ import pytest
 
 from neuroflight.cli.flash import rc
 from neuroflight.cli.main import main, parser
-from neuroflight.flash import messages, records
 from neuroflight.flash.channels.gamepad import Gamepad, Mapping
-from neuroflight.flash.msp import Decoder, Message
+from neuroflight.flash.link import messages, records
+from neuroflight.flash.link.msp import Decoder, Message
 from neuroflight.toolchain.contract import Msp, StopCause
 from neuroflight.toolchain.errors import NeuroflightError
 from tests.flash.lockstep import Lockstep, lockstep

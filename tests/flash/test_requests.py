@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import pytest
 
-from neuroflight.flash import requests
+from neuroflight.flash.link import requests
 from neuroflight.toolchain.contract import Refusal
 
 

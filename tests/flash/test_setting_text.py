@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from neuroflight.flash.setting_text import (
+from neuroflight.flash.settings.text import (
     BY_NAME,
     as_stored,
     default_of,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from neuroflight.flash.settings import as_stored, in_order, parse_change
+from neuroflight.flash.settings.values import as_stored, in_order, parse_change
 from neuroflight.toolchain.errors import LinkError
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from neuroflight.flash.settings_file import FILE_BYTES_MAX, Line, read_file
+from neuroflight.flash.settings.files import FILE_BYTES_MAX, Line, read_file
 from neuroflight.toolchain.errors import LinkError, NeuroflightError
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from neuroflight.flash.transport import SerialPort, TcpPort, open_transport, parse_port
+from neuroflight.flash.link.transport import SerialPort, TcpPort, open_transport, parse_port
 from neuroflight.toolchain.errors import LinkError
 
 

@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from neuroflight.flash import messages
-from neuroflight.flash.client import Client
-from neuroflight.flash.messages import BatteryLevel, BatteryState
+from neuroflight.flash.link import messages
+from neuroflight.flash.link.client import Client
+from neuroflight.flash.link.messages import BatteryLevel, BatteryState
 from neuroflight.sim.aircraft.model import load_aircraft
 from neuroflight.sim.board.core.context import TIME_HZ
 from neuroflight.sim.board.serial.bridge import LineTransport, UartLine

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from neuroflight.flash import records
-from neuroflight.flash.client import Client
+from neuroflight.flash.link import records
+from neuroflight.flash.link.client import Client
 from neuroflight.sim.aircraft.model import load_aircraft
 from neuroflight.sim.board.debug.control_timing import missed_deadlines
 from neuroflight.sim.board.debug.variables import read_variables

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from neuroflight.flash.settings import parse_change
+from neuroflight.flash.settings.values import parse_change
 from neuroflight.sim.aircraft.model import load_aircraft
 from neuroflight.sim.board.board import Board
 from neuroflight.sim.board.core.context import TIME_HZ

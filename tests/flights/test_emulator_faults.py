@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from neuroflight.flash import messages, records
-from neuroflight.flash.client import Client
+from neuroflight.flash.link import messages, records
+from neuroflight.flash.link.client import Client
 from neuroflight.sim.board.debug.control_timing import missed_deadlines
 from neuroflight.sim.board.debug.fault_injection import FAULTS, Fault, parse_fault
 from neuroflight.sim.board.debug.variables import read_variables

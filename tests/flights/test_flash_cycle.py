@@ -9,16 +9,16 @@ from pathlib import Path
 import pytest
 
 from neuroflight.cli.flash.policy_swap import candidate_of
+from neuroflight.flash.board.info import read_info
 from neuroflight.flash.image.board import read_board
 from neuroflight.flash.image.files import image_for, read_images
 from neuroflight.flash.image.trial import Ending
 from neuroflight.flash.image.update import hash_of
-from neuroflight.flash.info import read_info
-from neuroflight.flash.messages import PolicySource
+from neuroflight.flash.link.messages import PolicySource
 from neuroflight.flash.policy import swap as swaps
 from neuroflight.flash.rom import rescue
 from neuroflight.flash.rom.segments import read_segments
-from neuroflight.flash.settings import Settings
+from neuroflight.flash.settings.values import Settings
 from neuroflight.sim.aircraft.model import load_aircraft
 from neuroflight.sim.board.serial.idle_board import IdleBoard
 from neuroflight.sim.control.pid_table import pid_table

@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from neuroflight.flash import records
-from neuroflight.flash.msp import Decoder, Direction, Event, Message, encode, request
-from neuroflight.flash.settings import parse_change
+from neuroflight.flash.link import records
+from neuroflight.flash.link.msp import Decoder, Direction, Event, Message, encode, request
+from neuroflight.flash.settings.values import parse_change
 from neuroflight.sim.board.board import Board
 from neuroflight.sim.board.core.context import TIME_HZ
 from neuroflight.sim.board.debug.profile import EXCEPTIONS

@@ -8,13 +8,13 @@ from pathlib import Path
 
 import pytest
 
-from neuroflight.flash.client import Client
 from neuroflight.flash.image.board import read_board
 from neuroflight.flash.image.files import Image, ImageFile, Policy
 from neuroflight.flash.image.install import Installation, Installed
 from neuroflight.flash.image.plan import InstallPlan, plan_install
 from neuroflight.flash.image.settings_kept import read_settings
 from neuroflight.flash.image.trial import Ending
+from neuroflight.flash.link.client import Client
 from neuroflight.sim.board.core.context import TIME_HZ
 from neuroflight.sim.board.peripherals.usart import Format
 from neuroflight.sim.board.serial.bridge import LineTransport, UartLine

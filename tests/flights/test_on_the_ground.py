@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from neuroflight.flash import records
-from neuroflight.flash.client import Client
+from neuroflight.flash.link import records
+from neuroflight.flash.link.client import Client
 from neuroflight.sim.aircraft.model import Aircraft, load_aircraft
 from neuroflight.sim.flight.loop import fly
 from neuroflight.sim.flight.scenario import Scenario, Segment

@@ -10,12 +10,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from neuroflight.flash import requests
-from neuroflight.flash.client import Client
-from neuroflight.flash.hints import brown_out
-from neuroflight.flash.messages import arming_reasons
-from neuroflight.flash.overview import read_overview
-from neuroflight.flash.records import safety
+from neuroflight.flash.board.hints import brown_out
+from neuroflight.flash.board.overview import read_overview
+from neuroflight.flash.link import requests
+from neuroflight.flash.link.client import Client
+from neuroflight.flash.link.messages import arming_reasons
+from neuroflight.flash.link.records import safety
 from neuroflight.sim.aircraft.model import load_aircraft
 from neuroflight.sim.board.board import Board
 from neuroflight.sim.board.devices.gyro_chip import ICM20602, MPU6500, GyroKind

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from neuroflight.flash.msp import encode, request
+from neuroflight.flash.link.msp import encode, request
 from neuroflight.sim.board.board import Board
 from neuroflight.sim.board.core.context import TIME_HZ
 from neuroflight.sim.board.devices.esc import Frame

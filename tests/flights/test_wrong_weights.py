@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from neuroflight.flash import messages
-from neuroflight.flash.client import Client
+from neuroflight.flash.link import messages
+from neuroflight.flash.link.client import Client
 from neuroflight.sim.aircraft.model import load_aircraft
 from neuroflight.sim.flight.loop import fly
 from neuroflight.sim.flight.scenario import Scenario, Segment

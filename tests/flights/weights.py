@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from neuroflight.flash import records
-from neuroflight.flash.client import Client
+from neuroflight.flash.link import records
+from neuroflight.flash.link.client import Client
 from neuroflight.sim.ports.library import ReferencePort
 from neuroflight.sim.ports.port import Reply, Sample
 from neuroflight.toolchain.codegen.compiler import CompiledPolicy, compile_policy

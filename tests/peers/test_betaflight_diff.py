@@ -13,8 +13,8 @@ from pathlib import Path
 import pytest
 
 from neuroflight.cli.main import main
-from neuroflight.flash.client import Client
-from neuroflight.flash.transport import Transport, open_transport
+from neuroflight.flash.link.client import Client
+from neuroflight.flash.link.transport import Transport, open_transport
 from neuroflight.toolchain.contract import Mode, Msp
 from tests.firmware.conftest import Program
 

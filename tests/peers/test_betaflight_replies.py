@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from neuroflight.flash.client import Client, RefusedError
-from neuroflight.flash.transport import open_transport
+from neuroflight.flash.link.client import Client, RefusedError
+from neuroflight.flash.link.transport import open_transport
 from neuroflight.toolchain.contract import CONFIGURATIONS, Msp
 from tests.firmware.conftest import Program
 

@@ -12,8 +12,8 @@ from pathlib import Path
 
 import pytest
 
-from neuroflight.flash.client import Client
-from neuroflight.flash.transport import open_transport
+from neuroflight.flash.link.client import Client
+from neuroflight.flash.link.transport import open_transport
 from neuroflight.sim.board.core.engine import Engine
 from neuroflight.sim.board.debug.gdb import GdbServer
 from neuroflight.toolchain.contract import FLASH_BASE, Msp

@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 from pymsp import MSPStreamProcessor, MSPv1, MSPv2
 
-from neuroflight.flash import messages
-from neuroflight.flash.msp import Decoder, Direction, Message, Version, encode
+from neuroflight.flash.link import messages
+from neuroflight.flash.link.msp import Decoder, Direction, Message, Version, encode
 from neuroflight.toolchain.contract import Msp
 from tests.peers.yamspy_client import WAIT_S, readers
 

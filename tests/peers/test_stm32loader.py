@@ -16,9 +16,9 @@ from pathlib import Path
 
 import pytest
 
+from neuroflight.flash.link.transport import open_transport
 from neuroflight.flash.rom.client import RomClient
 from neuroflight.flash.rom.segments import Segment
-from neuroflight.flash.transport import open_transport
 from neuroflight.sim.board.serial.bridge import TcpEnd
 from neuroflight.toolchain.contract import FLASH_BANK_A, FLASH_BASE, FLASH_BYTES
 from tests.flash.rom.conftest import BANK, BOOT, Served, flash_with

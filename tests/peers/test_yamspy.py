@@ -8,9 +8,9 @@ from typing import Any
 import pytest
 from yamspy import MSPy
 
-from neuroflight.flash import messages, requests
-from neuroflight.flash.client import Client
-from neuroflight.flash.transport import open_transport
+from neuroflight.flash.link import messages, requests
+from neuroflight.flash.link.client import Client
+from neuroflight.flash.link.transport import open_transport
 from neuroflight.toolchain.contract import SETTINGS, Msp
 from tests.firmware.conftest import Program
 from tests.peers.conftest import tcp_line

@@ -19,7 +19,7 @@ from neuroflight.toolchain.policy.model import PolicyModel
 from neuroflight.toolchain.rendering.contract_header import blob_header_fields
 from neuroflight.toolchain.rendering.jinja import render
 
-# What the C's arithmetic asks of a compiler: a product is fused with a sum only where the code says so.
+# Compiler option for the C's arithmetic: a product is fused with a sum only where the code says so.
 ARITHMETIC = ("-std=c11", "-ffp-contract=off", "-fno-math-errno")
 FLOATS_PER_LINE = 6
 MEMORIES = {"scratch": "v", "state": "h"}  # C's names for them in policy_step

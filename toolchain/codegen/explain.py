@@ -42,8 +42,8 @@ class Memory:
     """Bytes that the compiled policy needs."""
 
     weights: int  # the whole table, tables of functions and padding included
-    scratch: int  # of values between, those that do not live at the same time share space
-    scratch_unshared: int  # had every value its own space
+    scratch: int  # of intermediate values, sharing space if not alive at the same time
+    scratch_unshared: int  # if every value had its own space
     state: int  # of recurrent cells
 
 

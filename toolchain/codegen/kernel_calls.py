@@ -23,6 +23,6 @@ class Call:
     target: BufferPlace | None  # None: the action
     sources: tuple[BufferPlace, ...]  # none: the observation
     count: int  # values; for "linear8" and "linear4" blocks
-    table: int | None = None  # where in the table its part begins
-    inputs: int = 0  # of a linear kernel, or how far apart a "copy" reads
+    table: int | None = None  # offset of its part in the table
+    inputs: int = 0  # of a linear kernel, or the stride of a "copy"
     constants: tuple[float, ...] = ()

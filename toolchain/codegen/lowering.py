@@ -41,7 +41,7 @@ from neuroflight.toolchain.ir.operations import (
     Tanh,
 )
 
-TABLES = (  # of functions, and the operations that look them up
+TABLES = (  # tables of functions, and the operations that look them up
     (TANH, (Tanh, Sigmoid, Silu, Gru, Lstm)),
     (EXPM1, (Elu, Softmax)),
     (ERF, (Erf,)),
@@ -56,7 +56,7 @@ class _Value:
     place: BufferPlace  # in scratch, `offset` counts from the begin of buffer `buffer`
     count: int
     buffer: int | None  # None: in the state
-    whole: bool  # the padding behind it is its own
+    whole: bool  # its padding may be read and written
 
 
 class Lowering:

@@ -35,7 +35,7 @@ class CodePlan:
     calls: tuple[Call, ...]
     table: Float32  # (weight count,)
     scratch: int  # floats
-    scratch_unshared: int  # floats, had every value its own space
+    scratch_unshared: int  # floats, if every value had its own space
     state: int  # floats of recurrent state
     architecture_hash: int  # CRC-32: equal for policies whose tables may be exchanged
 

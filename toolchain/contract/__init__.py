@@ -18,6 +18,8 @@ from neuroflight.toolchain.contract.modes import *
 from neuroflight.toolchain.contract.chirp import *
 from neuroflight.toolchain.contract.blackbox import *
 from neuroflight.toolchain.contract.settings import *
+from neuroflight.toolchain.contract.msp_fields import *
+from neuroflight.toolchain.contract.msp_table import *
 from neuroflight.toolchain.contract.msp_layouts import *
 from neuroflight.toolchain.contract.msp_configuration import *
 from neuroflight.toolchain.contract.msp_messages import *

@@ -19,8 +19,8 @@ class LogDevice(IntEnum):
 class LogState(IntEnum):
     """States of the log's device."""
 
-    ABSENT = 0  # there is none, or it is not set
-    STARTING = 1  # it is being looked at
+    ABSENT = 0  # no device, or none set
+    STARTING = 1  # being checked
     READY = 2
     LOGGING = 3
     ENDING = 4  # the last bytes of a log are on their way
@@ -33,7 +33,7 @@ class LogError(IntEnum):
 
     NONE = 0
     NO_CARD = 1  # nothing answers
-    CARD = 2  # it answers what no card should
+    CARD = 2  # wrong answers of the card
     FILE_SYSTEM = 3  # not FAT32, or not a sound one
     NO_FILE = 4  # no file for logs: `neuroflight log card` makes them
     FRAGMENTED = 5  # a file for logs does not lie in one piece
@@ -56,7 +56,7 @@ class LogGroup(IntEnum):
     MOTOR = 11
     GYRO_UNFILTERED = 14
     EXACT = 16  # gyro, setpoint and throttle as the controller had them, to the bit
-    REPLAY = 17  # all that the control path was given
+    REPLAY = 17  # all inputs of the control path
     TIMING = 18  # of the control task
 
 
@@ -70,8 +70,8 @@ class LogEvent(IntEnum):
     LOG_END = 255
 
 
-LOG_RECEIVER_BYTES = 48  # of one control step, that a log can hold; CRSF brings 42 a millisecond
-LOG_FIELDS_MAX, LOG_FRAME_BYTES_MAX = 128, 256  # that the ecosystem's tools take
+LOG_RECEIVER_BYTES = 48  # receiver bytes of one control step in a log; CRSF brings 42 a millisecond
+LOG_FIELDS_MAX, LOG_FRAME_BYTES_MAX = 128, 256  # limits of the ecosystem's tools
 LOG_HEADER_LINE_MAX = 240  # characters
 LOG_BAUDS = (115200, 230400, 460800, 921600, 1_000_000, 1_500_000, 2_000_000)  # of a line that takes a log
 LOG_BAUD_DEFAULT = 2_000_000
@@ -83,4 +83,4 @@ LOG_INFO_LOGGING, LOG_INFO_LOSSY = (
     0x01,
     0x02,
 )  # flags of LOG_INFO: being written; current or last one lacks steps
-LOG_INFO_LOOKING = 0x04  # files are still being looked at: there may be more logs
+LOG_INFO_LOOKING = 0x04  # still looking for files: there may be more logs

@@ -32,7 +32,7 @@ class GyroIdentity(IntEnum):
 MSP_GYRO_HARDWARE = (5, 11, 8, 7, 9, 6)
 GYRO_FULL_SCALE_DEG_S = 2000  # +-2000 deg/s over int16
 GYRO_COUNTS = 32768  # counts at full scale: 16.384 LSB per deg/s
-GYRO_SATURATED_COUNTS = 32760  # from here on to either side the rate may be any
+GYRO_SATURATED_COUNTS = 32760  # beyond this count the rate is unknown
 GYRO_BANDWIDTH_HZ = 250.0  # of the known chips with DLPF_CFG 0
 ACCEL_FULL_SCALE_G = 16  # +-16 g over int16
 ACCEL_COUNTS = 32768

@@ -37,12 +37,12 @@ __all__ = [
     "image_header",
 ]
 IMAGE_MAGIC = 0x4D49464E  # "NFIM"
-IMAGE_LAYOUT = 2  # of header, state and flash map; a boot part and an image with another one do not fit
+IMAGE_LAYOUT = 2  # of header, state and flash map; boot part and image must have the same
 IMAGE_HEADER_OFFSET = 512  # bytes from the bank's begin: behind the vectors
 IMAGE_BOARD_BYTES = 16
 IMAGE_STARTS_MAX = 2  # of an image that was not confirmed; then the other bank's is started
-# An image on probation is confirmed when its control steps and its policy have gone well for so long; it
-# gives up when it was not within the other time, silences of the gyro not counted.
+# An image on probation is confirmed after its control steps and policy have run well for the first time. It
+# gives up if that has not happened within the second time, silences of the gyro not counted.
 IMAGE_PROBATION_MS, IMAGE_PROBATION_MAX_MS = 2000, 10000
 IMAGE_FILE_BYTES_MAX = 4 << 20  # of any file that an image is read from; an ELF brings its names and lines
 
@@ -58,7 +58,7 @@ IMAGE_FIELDS = (
         "uint8_t", "build", "", "the same in both banks of a build, other in any other", IMAGE_BUILD_BYTES
     ),
     HeaderField("char", "board", "", "ASCII, then 0: the target it is built for", IMAGE_BOARD_BYTES),
-    # What a policy has to be for this image to fly it: the blob's fields of these names.
+    # Properties that a policy must have for this image to fly it: the blob's fields of these names.
     HeaderField("uint32_t", "architecture_hash", "", "of the policies that it can fly, as all that follow"),
     HeaderField("uint32_t", "filters_hash", "", "CRC-32 of the gyro filters' JSON list"),
     HeaderField("uint32_t", "control_rate_hz", "Hz", ""),

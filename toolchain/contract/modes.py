@@ -20,7 +20,7 @@ class Mode(IntEnum):
 
     ARM = 0
     BEEPER = 13
-    BLACKBOX = 26  # where it has a range, a log is written only while it is on
+    BLACKBOX = 26  # if it has a range, a log is written only while it is on
     PID = 40  # the PID flies instead of the policy
     TRIAL = 41  # with policy_trial on, the policy flies only while this is on
     CHIRP = 55  # a swept sine is added to the setpoint of one axis

@@ -21,7 +21,7 @@ DSHOT_ALL_MOTORS = 255  # where a command may name one
 class DshotCommand(IntEnum):
     """Commands to a motor's controller; all others are refused."""
 
-    STOP = 0  # ends what is under way
+    STOP = 0  # ends the present command
     BEACON_1 = 1
     BEACON_2 = 2
     BEACON_3 = 3
@@ -29,14 +29,14 @@ class DshotCommand(IntEnum):
     BEACON_5 = 5
     DIRECTION_1 = 7  # as the motor is wired
     DIRECTION_2 = 8
-    SAVE = 12  # what direction was told last
+    SAVE = 12  # stores the last direction
     DIRECTION_NORMAL = 20  # as the controller is set up
     DIRECTION_REVERSED = 21
 
 
-# u' = idle + (1 - idle) u: the fraction that an armed motor turns at without thrust. A policy is trained with
-# its own, which it brings along.
-IDLE_DEFAULT = 0.0  # of policies that do not tell
+# u' = idle + (1 - idle) u. The idle is the fraction at which an armed motor turns without thrust; each policy
+# has the one it was trained with.
+IDLE_DEFAULT = 0.0  # of policies without one
 IDLE_MAX = 0.5
 
 
@@ -70,6 +70,6 @@ class Mix(IntEnum):
 # --- The battery, and the PID's answer to it -----------------------------------------------------
 BATTERY_RATE_HZ = 100  # of its measurements
 BATTERY_FILTER_S = 0.1  # of its low-pass: slower than the motors' current ripple, faster than a pilot
-# The PID's outputs grow as the pack sags, so far: down to 3.5 V a cell from a nominal 4.0. A voltage that is
-# read wrong makes the loop gain no larger than this, which the NF1's tuned PID flies at every throttle.
+# Limit of the PID's compensation for a sagging pack: 3.5 V a cell with a nominal 4.0. A wrong reading of the
+# voltage raises the loop gain no further, and the NF1's tuned PID flies with this gain at every throttle.
 PID_COMPENSATION_MAX = 1.3

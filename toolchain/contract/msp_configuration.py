@@ -3,23 +3,19 @@
 from __future__ import annotations
 
 from neuroflight.toolchain.contract.frame_time_sensors import AXES
-from neuroflight.toolchain.contract.msp import Msp
-from neuroflight.toolchain.contract.msp_layouts import (
-    Configuration,
+from neuroflight.toolchain.contract.msp_fields import (
     MspSource,
     bound,
     choice,
     constant,
-    pair,
-    read_only,
-    reply,
-    request,
     scaled,
     source,
     told,
     unused,
     zeros,
 )
+from neuroflight.toolchain.contract.msp_layouts import Configuration, pair, read_only, reply, request
+from neuroflight.toolchain.contract.msp_table import Msp
 from neuroflight.toolchain.contract.msp_tuning import TUNING
 from neuroflight.toolchain.contract.receiver import (
     CHANNEL_MID_US,
@@ -32,7 +28,7 @@ from neuroflight.toolchain.contract.receiver import (
 from neuroflight.toolchain.contract.safety import CALIBRATION_MOTION_DEG_S, CALIBRATION_MS
 
 __all__ = ["CONFIGURATIONS"]
-METER_ADC = 1  # where battery voltage and current come from: pins of the processor
+METER_ADC = 1  # battery voltage and current are measured at the processor's pins
 METER_ID = 10  # of the only battery
 CELL_FULL_CENTIVOLTS = 435  # above it there is one cell more: firmware/src/housekeeping/battery.c
 GYRO_COUNTS_PER_DEG_S = 16.4

@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 from neuroflight.toolchain.contract.frame_time_sensors import AXES
-from neuroflight.toolchain.contract.msp import Msp
-from neuroflight.toolchain.contract.msp_layouts import (
+from neuroflight.toolchain.contract.msp_fields import (
     MspField,
     MspSource,
     bound,
     constant,
-    pair,
-    read_only,
     scaled,
     source,
     told,
     unused,
     zeros,
 )
+from neuroflight.toolchain.contract.msp_layouts import pair, read_only
+from neuroflight.toolchain.contract.msp_table import Msp
 from neuroflight.toolchain.contract.receiver import RATE_MAX_DEG_S
 
 __all__ = ["TUNING"]

@@ -59,9 +59,9 @@ OBSERVATION_COUNT_MAX = 64
 OBSERVATION_TERMS_MAX = 32
 OBSERVATION_AGE_MAX = 16  # control steps
 ESTIMATOR_DELAY_MAX = 8  # control steps from output to rotor that a model of an aircraft may have
-MODEL_NUMBER_MAX = 1e9  # size of any number of such a model; as a limit of change it stands for none
+MODEL_NUMBER_MAX = 1e9  # largest number of such a model; as a limit of change it means no limit
 ESTIMATOR_CORRECTION_HZ = 10.0  # of the gyro on the predicted rate
-OBSERVATION_MEMORY_MAX = 256  # floats that all terms together remember: 1 KiB of DTCM
+OBSERVATION_MEMORY_MAX = 256  # floats kept between steps by all terms: 1 KiB of DTCM
 POLICY_WEIGHT_COUNT_MAX = 12288  # 48 KiB of DTCM
 POLICY_MEMORY_COUNT_MAX = 640  # floats of scratch and recurrent state together: 2.5 KiB of DTCM
 

@@ -77,7 +77,28 @@ class Setting:
         False  # flown as soon as the motors stand and no log is written; else from the next boot on
     )
 
+    @property
+    def parameter(self) -> str:
+        """Its name as MAVLink has room for it; for good, as ground stations store parameters by name."""
+        return _PARAMETERS.get(self.name, self.name)
 
+
+_PARAMETERS = {  # of settings with a name of more than the 16 characters of MAVLink's param_id
+    "dynamic_notch_count": "dyn_notch_count",
+    "dynamic_notch_low_hz": "dyn_notch_low_hz",
+    "dynamic_notch_high_hz": "dyn_notch_hi_hz",
+    "receiver_protocol": "rx_protocol",
+    "failsafe_throttle": "fs_throttle",
+    "failsafe_descend_ms": "fs_descend_ms",
+    "failsafe_delay_ms": "fs_delay_ms",
+    "battery_capacity_mah": "bat_capacity_mah",
+    "blackbox_disabled_mask": "blackbox_off",
+    "beep_receiver_lost": "beep_rx_lost",
+    "beep_policy_refused": "beep_pol_refused",
+    "beep_battery_warn": "beep_bat_warn",
+    "runaway_detection": "runaway_detect",
+    "plausibility_detection": "plausible_detect",
+}
 AT_ONCE = (
     "rates, dead bands and PID factors"  # the settings with `at_once`; firmware/src/background.c flies them
 )

@@ -33,25 +33,26 @@ LEVELS = (("gyro_sample_handler", "tick_handler"), ("gyro_edge_handler",), ("fau
 # function of the image, -> functions, or tables whose functions, by file and name.
 POINTERS: Mapping[str, tuple[str, ...]] = {
     "boot.c": ("startup.c:reset_handler",),
-    "gyro_chip.c:gyro_sample_handler": ("program.c:program_sample",),
-    "gyro_chip.c:gyro_tick": ("program.c:program_gyro_silent",),
-    "hal.c": ("program.c:program_background",),
+    "gyro_chip.c:gyro_sample_handler": ("runtime.c:runtime_sample",),
+    "gyro_chip.c:gyro_tick": ("runtime.c:runtime_gyro_silent",),
+    "hal.c": ("runtime.c:runtime_background",),
     "msp_uart.c": (
-        *("program.c:program_link", "program.c:program_link_pause"),
-        *("program.c:program_link_lost", "program.c:program_link_busy"),
+        *("runtime.c:runtime_link", "runtime.c:runtime_link_pause"),
+        *("runtime.c:runtime_link_lost", "runtime.c:runtime_link_busy"),
     ),
     "flash.c:flash_at": ("hal.c:hal_flash_at",),
     "flash.c:flash_erase": ("hal.c:hal_flash_erase",),
     "flash.c:flash_program": ("hal.c:hal_flash_program",),
-    "program.c:program_sample": (
+    "runtime.c:runtime_sample": (
         *("receiver_line.c:receiver_line_read", "motors.c:motors_write", "hal.c:hal_trace_write"),
         *("hal.c:hal_cycles", "hal.c:hal_deadline_missed"),
     ),
-    "program.c:program_gyro_silent": ("motors.c:motors_write",),
-    "program.c:program_background": ("hal.c:hal_watchdog_feed",),
-    "background.c": (
-        *("hal.c:hal_cycles", "hal.c:hal_power_read", "hal.c:hal_beeper", "hal.c:hal_led", "hal.c:hal_reset"),
-    ),
+    "runtime.c:runtime_gyro_silent": ("motors.c:motors_write",),
+    "runtime.c:runtime_background": ("hal.c:hal_watchdog_feed",),
+    "background.c": ("hal.c:hal_cycles", "hal.c:hal_power_read", "hal.c:hal_beeper", "hal.c:hal_led"),
+    "background_start.c": ("hal.c:hal_cycles", "hal.c:hal_watchdog_feed"),
+    "background_services.c": ("hal.c:hal_reset", "motors.c:motors_restarts"),
+    "session.c": ("background_services.c:background_test_motors", "background_services.c:background_session"),
     "background_blackbox.c": ("hal.c:hal_log",),
     "blackbox.c": (
         *(
@@ -72,35 +73,45 @@ POINTERS: Mapping[str, tuple[str, ...]] = {
     "scheduler.c": ("background.c:tasks", "hal.c:hal_cycles"),
     "msp_port.c": (
         *(
-            "background.c:background_record",
-            "background.c:background_arming",
-            "background.c:background_heard",
+            "background_services.c:background_record",
+            "background_services.c:background_arming",
+            "background_services.c:background_heard",
         ),
     ),
     "msp_commands.c": (
-        *("background.c:background_storing", "background.c:background_channels"),
-        *("background.c:background_test_motors", "background.c:background_turn_motors"),
-        *("background.c:background_command_motors", "background.c:background_reboot"),
-        *("background.c:background_arming", "background.c:background_calibrate"),
-        "background.c:background_acknowledge",
+        *("background_services.c:background_storing", "background_services.c:background_channels"),
+        *("background_services.c:background_test_motors", "background_services.c:background_turn_motors"),
+        *("background_services.c:background_command_motors", "background_services.c:background_reboot"),
+        *("background_services.c:background_arming", "background_services.c:background_calibrate"),
+        "background_services.c:background_acknowledge",
     ),
-    "command_line.c": ("background.c:background_samples", "background.c:background_session"),
+    "command_line.c": (
+        "background_services.c:background_samples",
+        "background_services.c:background_session",
+    ),
     "command_line.c:command_line_continue": (
-        *("background.c:background_samples", "background.c:background_session", ":command_table"),
+        *(
+            "background_services.c:background_samples",
+            "background_services.c:background_session",
+            ":command_table",
+        ),
         *("command_line.c:greeting", "command_line.c:nothing", "command_line.c:unknown"),
         "command_line.c:spoilt",
     ),
     "report_commands.c": (
-        *("background.c:background_samples", "background.c:background_storing"),
-        "background.c:background_acknowledge",
+        *("background_services.c:background_samples", "background_services.c:background_storing"),
+        "background_services.c:background_acknowledge",
     ),
     "report_commands.c:command_status": ("report_commands.c:lines",),
-    "listing_commands.c": ("background.c:background_storing", "background.c:background_reboot"),
-    "motor_commands.c": (
-        *("background.c:background_samples", "background.c:background_test_motors"),
-        "background.c:background_turn_motors",
+    "listing_commands.c": (
+        "background_services.c:background_storing",
+        "background_services.c:background_reboot",
     ),
-    "msp_commands.c:msp_command": ("msp_commands.c:commands", "background.c:background_storing"),
+    "motor_commands.c": (
+        *("background_services.c:background_samples", "background_services.c:background_test_motors"),
+        "background_services.c:background_turn_motors",
+    ),
+    "msp_commands.c:msp_command": ("msp_commands.c:commands", "background_services.c:background_storing"),
 }
 
 _USAGE = re.compile(r"(?P<file>[^:]+):\d+:\d+:(?P<name>\S+)\t(?P<bytes>\d+)\t(?P<kind>\S+)")

@@ -90,11 +90,6 @@ def filters_hash(filters: Sequence[object]) -> int:
     return zlib.crc32(json.dumps(list(filters), separators=(",", ":"), sort_keys=True).encode())
 
 
-def same_architecture(a: PolicyBlob, b: PolicyBlob) -> bool:
-    """Return True if an image built around one of the two accepts the other in a policy slot."""
-    return _architecture(a) == _architecture(b)
-
-
 def pack(blob: PolicyBlob) -> bytes:
     """Encode `blob`, the same in every run. Raises PolicyError for values that the layout cannot hold."""
     _reject_unsayable(blob)
@@ -188,17 +183,6 @@ def parse(data: bytes) -> PolicyBlob:
     )
     _reject_unsayable(blob)
     return blob
-
-
-def _architecture(blob: PolicyBlob) -> tuple[int, ...]:
-    return (
-        blob.architecture_hash,
-        blob.filters_hash,
-        blob.control_rate_hz,
-        blob.weights.size,
-        blob.observation_count,
-        blob.action_count,
-    )
 
 
 def _read_header(data: bytes) -> tuple[dict[str, int], dict[str, bytes], float]:

@@ -20,7 +20,7 @@ from pathlib import Path
 
 from neuroflight.toolchain import contract
 from neuroflight.toolchain.rendering.jinja import render
-from neuroflight.toolchain.rendering.msp_fields import render_configurations
+from neuroflight.toolchain.rendering.msp_fields import render_commands, render_configurations, render_replies
 
 # What only Python speaks: the metadata of an ONNX file, a torch checkpoint, names for printing, where
 # switches are by default.
@@ -122,6 +122,8 @@ def render_contract() -> str:
         units=_UNITS,
         choice_lists=_CHOICES,
         msp=render_configurations(),
+        msp_replies=render_replies(),
+        msp_commands=render_commands(),
     )
 
 

@@ -1,16 +1,20 @@
-"""The configuration messages of MSP as rows of C.
+"""The messages of MSP as rows of C.
 
-One row a kind of field, its number for each field of the messages, one a message with its counterpart. Most
-fields are alike (a byte 0, for what this firmware has not), so that kinds save flash.
+Of configuration messages, one row a kind of field, its number for each field of the messages, one a message
+with its counterpart. Most fields are alike (a byte 0, for what this firmware has
+not), so that kinds save flash.
 """
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
 
 from neuroflight.toolchain import contract
-from neuroflight.toolchain.contract import Bound, MspField, MspHow, MspLayout
+from neuroflight.toolchain.contract import Bound, Msp, MspField, MspGroup, MspHow, MspLayout
+from neuroflight.toolchain.contract.msp_fields import NUMBERS
+from neuroflight.toolchain.contract.msp_table import Answers, MspWhen, Payload
 
 WIDTHS = {
     "u8": "1, 0",
@@ -33,6 +37,45 @@ class MspTables:
     configurations: tuple[
         str, ...
     ]  # GET, its first field in the order and their number; SET, first, number, required; read first
+
+
+def render_replies() -> list[str]:
+    """Return a row for each message that msp_replies.c answers: name, and name of its function."""
+    return [
+        f"{message.name}, {message.name.lower()}" for message in Msp if message.row.answers is Answers.REPLY
+    ]
+
+
+def render_commands() -> list[str]:
+    """Return a row for each payload that msp_commands.c carries out: when, its least and most bytes."""
+    rows = []
+    for message in (m for m in Msp if m.row.answers is Answers.COMMAND):
+        row, name = message.row, message.name.lower()
+        shortest, longest = _sizes(row.request)
+        if row.acknowledges is None:
+            rows.append(_command(message, name, row.access.when, shortest, longest))
+        else:
+            rows.append(_command(message, name, row.access.when, shortest, shortest))
+            rows.append(_command(message, f"{name}_acknowledge", row.acknowledges.when, longest, longest))
+    return rows
+
+
+def _command(message: Msp, function: str, when: MspWhen, shortest: int, longest: int) -> str:
+    return f"{message.name}, {when.name}, {shortest}, {longest}, {function}"
+
+
+def _sizes(request: Payload | None) -> tuple[int, int]:
+    """Return the shortest and the longest payload; ValueError where its fields do not tell."""
+    if request is None:
+        return 0, 0
+    if request.sizes is not None:
+        return request.sizes
+    sizes = []
+    for field in request.fields:
+        if isinstance(field, MspGroup) or field.kind == "counted" or field.count == 0:
+            raise ValueError(f"field {field.name} may be of any length: say the payload's `sizes`")
+        sizes.append(struct.calcsize(f"<{NUMBERS.get(field.kind, 's')}") * field.count)
+    return sum(sizes[: request.required]), sum(sizes)
 
 
 def render_configurations() -> MspTables:

@@ -38,11 +38,12 @@ from neuroflight.toolchain.contract import (
     StopCause,
     Task,
 )
-from neuroflight.toolchain.contract.msp_access import Access, MspWhen, access_of, acknowledge_access
+from neuroflight.toolchain.contract.msp_messages import access_of
+from neuroflight.toolchain.contract.msp_table import Access, MspWhen
 from neuroflight.toolchain.rendering.jinja import render
 
 PROSE = "msp_page.md.j2"
-COMMANDS = Path(__file__).resolve().parents[2] / "firmware" / "src" / "command_line" / "command.c"
+COMMANDS = Path(__file__).resolve().parents[2] / "firmware" / "src" / "command_line" / "commands.c"
 COMMAND = re.compile(r'\{ "(\w+)", "([^"]*)",\s*"([^"]*)"')
 EXAMPLES = (
     ("info", "who it is, which policy it flies, what forbids arming"),
@@ -156,9 +157,9 @@ def _messages() -> list[str]:
             asks = direction is Direction.REQUEST or (message, Direction.REQUEST) not in keys
             access = access_of(message) if asks else None
             rows.append(_row(message, direction, _payload(layout.fields), access))
-            if message is Msp.FAULTS and direction is Direction.REQUEST:
+            if message.row.acknowledges and direction is Direction.REQUEST:
                 rows[-1] = _row(message, direction, "empty: reads", access)
-                rows.append(_row(message, direction, _payload(layout.fields), acknowledge_access()))
+                rows.append(_row(message, direction, _payload(layout.fields), message.row.acknowledges))
     return rows
 
 

@@ -29,7 +29,10 @@ def _row(setting: Setting) -> str:
     if other is not None:
         span = _both(span, f"{other.low:g} to {other.high:g}")
         default, unit = _both(default, f"{other.default:g}"), _both(unit, other.unit)
-    return f"| `{setting.name}` | {span} | {default} | {unit} | {setting.meaning} |\n"
+    meaning = setting.meaning
+    if setting.parameter != setting.name:
+        meaning += f"; in MAVLink `{setting.parameter}`"
+    return f"| `{setting.name}` | {span} | {default} | {unit} | {meaning} |\n"
 
 
 def _both(actual: str, betaflight: str) -> str:

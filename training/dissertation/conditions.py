@@ -1,4 +1,4 @@
-"""What the dissertation's experiments were made with: conditions.toml, read strictly."""
+"""Conditions of the dissertation's experiments: conditions.toml, read strictly."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class ConditionsError(NeuroflightError):
 
 @dataclass(frozen=True)
 class StandIn:
-    """A file of ours that stands for something of the dissertation."""
+    """The dissertation's counterpart of a file of ours."""
 
     of: str  # which aircraft; of a recipe empty: that of the row
     differs: str  # empty: in nothing that is known
@@ -41,14 +41,14 @@ class Experiment:
 
 @dataclass(frozen=True)
 class Conditions:
-    """All of the file."""
+    """All conditions of the file."""
 
     experiments: tuple[Experiment, ...]
     aircraft: Mapping[str, StandIn]  # by the name of our file
     recipes: Mapping[str, StandIn]
 
     def of(self, row: str) -> Mapping[str, str | float]:
-        """The conditions of a row, with "place"; empty: the file has none."""
+        """Return the conditions of a row, with "place"; empty: the file has none."""
         found: dict[str, str | float] = {}
         for experiment in self.experiments:
             if any(fnmatchcase(row, pattern) for pattern in experiment.rows):
@@ -56,7 +56,7 @@ class Conditions:
         return found
 
     def stands_for(self, name: str) -> StandIn:
-        """What an aircraft of ours stands for. Raises ConditionsError if the file does not tell."""
+        """Return what an aircraft of ours stands for. Raises ConditionsError if the file does not tell."""
         if name not in self.aircraft:
             known = ", ".join(self.aircraft)
             raise ConditionsError(f"{FILE.name}: no [aircraft.{name}], expected one of: {known}")
@@ -65,7 +65,7 @@ class Conditions:
 
 @cache
 def conditions() -> Conditions:
-    """The shipped conditions. Raises ConditionsError naming the key that is wrong."""
+    """Return the shipped conditions. Raises ConditionsError naming the key that is wrong."""
     table = StrictTable(tomllib.loads(FILE.read_text()), FILE.name, ConditionsError)
     found = []
     for entry in table.tables("experiment", 1, EXPERIMENTS_MAX):

@@ -31,14 +31,14 @@ class Printed(float):
     text: str
 
     def __new__(cls, text: str) -> Printed:
-        """The number that a text shows."""
+        """Return the number that a text shows."""
         number = super().__new__(cls, text)
         number.text = text.replace("_", "")
         return number
 
     @property
     def decimals(self) -> int:
-        """How many are printed; negative: the number is rounded to tens, hundreds and so on."""
+        """The number of those printed; negative: it is rounded to tens, hundreds and so on."""
         exponent = Decimal(self.text).as_tuple().exponent
         assert isinstance(exponent, int)
         return -exponent
@@ -78,7 +78,7 @@ class Quotes:
         return name in self._quotes
 
     def __getitem__(self, name: str) -> Quote:
-        """The quote of an id. Raises QuoteError naming the nearest ids where there is none."""
+        """Return the quote of an id. Raises QuoteError naming the nearest ids where there is none."""
         if name not in self._quotes:
             beside = [known for known in self._quotes if known.startswith(name.rpartition("/")[0] + "/")]
             known = ", ".join(beside[:8]) or ", ".join(sorted({each.split("/")[0] for each in self._quotes}))
@@ -86,14 +86,14 @@ class Quotes:
         return self._quotes[name]
 
     def number(self, name: str) -> float:
-        """The value of a single number. Raises QuoteError for a triple or an unknown id."""
+        """Return the value of a single number. Raises QuoteError for a triple or an unknown id."""
         quote = self[name]
         if len(quote.value) != 1:
             raise QuoteError(f"{FILE.name}: {name}: got {len(quote.value)} numbers, expected one")
         return quote.value[0]
 
     def axes(self, name: str) -> Axes:
-        """Roll, pitch and yaw: of a triple, or of the row of a table that has these columns."""
+        """Return roll, pitch and yaw: of a triple, or of the row of a table that has these columns."""
         if name not in self._quotes:
             roll, pitch, yaw = (self.number(f"{name}/{axis}") for axis in AXES)
             return roll, pitch, yaw
@@ -105,12 +105,12 @@ class Quotes:
 
 @cache
 def quotes() -> Quotes:
-    """The shipped figures. Raises QuoteError if their file is damaged."""
+    """Return the shipped figures. Raises QuoteError if their file is damaged."""
     return read_quotes(FILE)
 
 
 def read_quotes(path: Path) -> Quotes:
-    """The figures of a file. Raises QuoteError naming the key that is wrong, unknown or there twice."""
+    """Read the figures of a file. Raises QuoteError naming the key that is wrong, unknown or there twice."""
     if file_size(path) > FILE_BYTES_MAX:
         raise QuoteError(f"{path.name}: {file_size(path)} bytes, expected at most {FILE_BYTES_MAX}")
     try:
@@ -137,7 +137,7 @@ def _add(found: dict[str, Quote], more: Iterator[Quote], where: StrictTable) -> 
 
 
 def _cells(table: StrictTable, raw: Mapping[str, Any], file: str) -> Iterator[Quote]:
-    """The cells of a [[table]]; raw: the same as TOML has it."""
+    """Return the cells of a [[table]]; raw: the same as TOML has it."""
     number, label, title = (table.text(key) for key in ("number", "label", "title"))
     start = f"{number}/{table.text('part')}" if table.has("part") else number
     columns = _words(table, "columns")
@@ -168,7 +168,7 @@ def _cells(table: StrictTable, raw: Mapping[str, Any], file: str) -> Iterator[Qu
 
 
 def _figures(text: StrictTable) -> Iterator[Quote]:
-    """The figures of a [[text]]."""
+    """Return the figures of a [[text]]."""
     chapter, section, label = text.integer("chapter", 1, 6), text.text("section"), text.text("label")
     figures = text.table("figures")
     for name in figures.names():
@@ -192,12 +192,12 @@ def _figures(text: StrictTable) -> Iterator[Quote]:
 
 
 def _printed(number: float) -> Printed:
-    """A number of the file; a whole one has lost nothing when it was read."""
+    """Return a number of the file; a whole one has lost nothing when it was read."""
     return number if isinstance(number, Printed) else Printed(f"{number:.0f}")
 
 
 def _units(table: StrictTable, key: str, unit: str, expected: tuple[str, ...]) -> tuple[str, ...]:
-    """The units of a table's columns or rows; where it does not name them, `unit` for each."""
+    """Return the units of a table's columns or rows; where it does not name them, `unit` for each."""
     if not table.has(key):
         return (unit,) * len(expected)
     units = _words(table, key)
@@ -207,7 +207,7 @@ def _units(table: StrictTable, key: str, unit: str, expected: tuple[str, ...]) -
 
 
 def _words(table: StrictTable, key: str) -> tuple[str, ...]:
-    """A line of names with commas between them."""
+    """Return a line of names with commas between them."""
     words = tuple(word.strip() for word in table.text(key).split(","))
     if not 1 <= len(words) <= COLUMNS_MAX or not all(words):
         raise table.error(

@@ -65,7 +65,7 @@ class UsersController:
 
 
 def is_users_controller(name: str) -> bool:
-    """Return whether a controller's name is that of a user's file."""
+    """Return True if a controller's name is that of a user's file."""
     return f"{PYTHON}:" in name or name.endswith(PYTHON)
 
 

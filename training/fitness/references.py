@@ -6,16 +6,12 @@ waits for them no more.
 
 from __future__ import annotations
 
-import multiprocessing
-import os
-import signal
-import sys
 from multiprocessing.connection import Connection
 from typing import TYPE_CHECKING, Self
 
 from neuroflight.sim.aircraft.model import Aircraft
 from neuroflight.toolchain.errors import AircraftError, NeuroflightError, TrainingError
-from neuroflight.training.checkpoints.monitor_process import interrupts_ignored
+from neuroflight.toolchain.workers import Worker
 from neuroflight.training.fitness.course import Course, course
 
 if TYPE_CHECKING:
@@ -45,8 +41,7 @@ class References:
                     f"({missing}); run: {tune}"
                 )
             self._missing.append(f"the aircraft has no PID; `{tune}` finds one")
-        self._process: multiprocessing.process.BaseProcess | None = None
-        self._link: Connection | None = None
+        self._worker: Worker | None = None
         self._flown: tuple[CourseFigures, ...] | None = None
 
     def __enter__(self) -> Self:
@@ -57,28 +52,19 @@ class References:
 
     def begin(self) -> None:
         """Start to fly them, unless that was done."""
-        if self._process is not None or self._flown is not None:
-            return
-        context = multiprocessing.get_context("spawn")  # a fork would share torch's threads and the twin
-        self._link, theirs = context.Pipe()
-        arguments = (theirs, self.aircraft, self._betaflight, self.course)
-        self._process = context.Process(target=_work, args=arguments, daemon=True, name="references")
-        with interrupts_ignored():  # the other process inherits it: only this one handles Ctrl-C
-            self._process.start()
-        theirs.close()
+        if self._worker is None and self._flown is None:
+            way = (self.aircraft, self._betaflight, self.course)
+            self._worker = Worker(_work, *way, name="the references", quiet=True)
 
     def flown(self) -> tuple[tuple[CourseFigures, ...], tuple[str, ...]]:
         """Wait for the references; return their figures, and why one of them is missing."""
         self.begin()
         if self._flown is None:
-            assert self._link is not None
+            assert self._worker is not None
             try:
-                answer = self._link.recv()
-            except (EOFError, ConnectionError) as error:
+                self._flown, failed = self._worker.hear()
+            except EOFError as error:
                 raise TrainingError("the process of the references ended early; is memory short?") from error
-            if isinstance(answer, Exception):
-                raise answer
-            self._flown, failed = answer
             self._missing += failed
             self.close()
         if not self._flown:
@@ -87,24 +73,14 @@ class References:
 
     def close(self) -> None:
         """End the other process."""
-        if self._process is not None:
-            self._process.terminate()  # not killed: Betaflight's processes end with it
-            self._process.join()
-            self._process = None
-        if self._link is not None:
-            self._link.close()
-            self._link = None
+        if self._worker is not None:
+            self._worker.end()  # not killed: Betaflight's processes end with it
+            self._worker = None
 
 
 def _work(link: Connection, aircraft: Aircraft, betaflight: Betaflight | None, way: Course) -> None:
     """Fly the references and send their figures."""
-    # The physics client prints a greeting on stderr; errors go back by the link.
-    os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # through the end of Betaflight's processes
-    try:
-        link.send(fly_references(aircraft, betaflight, way))
-    except NeuroflightError as error:
-        link.send(error)
+    link.send(fly_references(aircraft, betaflight, way))
 
 
 def fly_references(

@@ -1,1 +1,1 @@
-"""Every experiment of the dissertation again: what is run, and its figures beside ours."""
+"""The dissertation's experiments repeated: the commands that are run, and their figures beside its own."""

@@ -1,4 +1,4 @@
-"""What a row was made with, by the words of its steps and their recipes, beside what the dissertation had."""
+"""Conditions of a row, by the words of its steps and their recipes, beside those of the dissertation."""
 
 from __future__ import annotations
 
@@ -40,20 +40,20 @@ UNITS = {"length_s": " s", "steps": " steps"}
 
 @dataclass(frozen=True)
 class Difference:
-    """A term in which ours is not as the dissertation's."""
+    """A condition that differs from the dissertation's."""
 
     term: str
     ours: str
     theirs: str  # empty: no one word
 
     def __str__(self) -> str:
-        """As it is printed."""
+        """Return it as it is printed."""
         told = f"{NAMES.get(self.term, self.term)} {self.ours}"
         return f"{told} ({self.theirs})" if self.theirs else told
 
 
 def ours(figure: Figure, known: Experiments, budget: Budget) -> Mapping[str, str | float]:
-    """The terms of a figure of ours."""
+    """Return the terms of a figure of ours."""
     words = known.steps[figure.ours.step].words(budget)
     found: dict[str, str | float] = {}
     if words[0] in MACHINES:
@@ -79,7 +79,7 @@ def ours(figure: Figure, known: Experiments, budget: Budget) -> Mapping[str, str
 
 
 def _policy(figure: Figure, words: Sequence[str], known: Experiments, budget: Budget) -> str:
-    """The policy that a figure is of; empty: of none."""
+    """Return the policy that a figure is of; empty: of none."""
     if words[0] == "build":
         return _option(words, "--policy") or SHIPPED
     if words[0] == "timing" and (image := FOLDER.match(words[1])):
@@ -125,7 +125,7 @@ def _option(words: Sequence[str], name: str) -> str | None:
 
 
 def _task(words: Sequence[str], known: Experiments, budget: Budget) -> dict[str, str | float]:
-    """What is flown, how long and how often."""
+    """Return what is flown, how long and how often."""
     episodes = _option(words, "--episodes")
     if log := _option(words, "--commands"):
         named = FOLDER.match(log)
@@ -140,7 +140,7 @@ def _task(words: Sequence[str], known: Experiments, budget: Budget) -> dict[str,
 
 @cache
 def _flight(step: Step, budget: Budget) -> dict[str, str | float]:
-    """The commands of a flight that is played to a controller."""
+    """Return the commands of a flight that is played to a controller."""
     words = step.words(budget)
     scenario = load_scenario(str(_option(words, "--scenario")), int(_option(words, "--seed") or 0))
     return {
@@ -150,7 +150,7 @@ def _flight(step: Step, budget: Budget) -> dict[str, str | float]:
 
 
 def _training(config: TrainingConfig, agents: int) -> dict[str, str | float]:
-    """What a policy has learnt from."""
+    """Return what a policy has learnt from."""
     terms = dict.fromkeys(term.partition("@")[0] for term in config.observation.split(","))
     return {
         "steps": config.steps,
@@ -163,7 +163,7 @@ def _training(config: TrainingConfig, agents: int) -> dict[str, str | float]:
 
 @cache
 def _of_step(step: Step, budget: Budget) -> tuple[TrainingConfig, int]:
-    """The configuration that a step trains, and how many agents it does."""
+    """Return the configuration that a step trains, and how many agents it does."""
     words = step.words(budget)
     overrides: list[str] = []
     if "--set" in words:
@@ -176,5 +176,5 @@ def _of_step(step: Step, budget: Budget) -> tuple[TrainingConfig, int]:
 
 @cache
 def _of_file(policy: str) -> TrainingConfig:
-    """The configuration of a policy that comes with the project."""
+    """Return the configuration of a policy that comes with the project."""
     return load_config(ROOT / Path(policy).with_name("training.json"))

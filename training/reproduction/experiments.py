@@ -51,11 +51,11 @@ class Step:
     full: str
 
     def text(self, budget: Budget) -> str:
-        """What a user types after `neuroflight`, with folders still in braces."""
+        """Return what a user types after `neuroflight`, with folders still in braces."""
         return self.full if budget == "full" else self.quick
 
     def words(self, budget: Budget) -> list[str]:
-        """The words of `text`."""
+        """Return the words of `text`."""
         return shlex.split(self.text(budget))
 
     @property
@@ -66,20 +66,20 @@ class Step:
 
     @property
     def draws(self) -> bool:
-        """Whether the command draws a picture."""
+        """True if the command draws a picture."""
         return f"{{{PLOT}}}" in self.full
 
 
 @dataclass(frozen=True)
 class Source:
-    """Where a figure of ours stands."""
+    """The place of a figure of ours."""
 
     step: str
     path: str  # in the JSON that the step's command prints, see `lookup`
 
     @property
     def margin(self) -> Source:
-        """Where half the width of its 95 % interval stands."""
+        """The place of half the width of its 95 % interval."""
         stem, dot, last = self.path.rpartition(".")
         beside = "margin" if last in OF_AN_INTERVAL else f"margin_95.{last}"
         return Source(self.step, f"{stem}{dot}{beside}")
@@ -106,17 +106,17 @@ class Figure:
 
     @property
     def sources(self) -> tuple[Source, ...]:
-        """Where all that it is made of stands."""
+        """The places of all that it is made of."""
         return tuple(source for source in (*self.made_of, self.margin) if source is not None)
 
     @property
     def made_of(self) -> tuple[Source | None, ...]:
-        """Where ours stands, what it is taken against, multiplied by and divided by."""
+        """The places of ours, of what it is taken against, multiplied by and divided by."""
         return self.ours, self.against, self.times, self.per
 
 
 @dataclass(frozen=True)
-class Row:
+class ExperimentRow:
     """A table or figure of the dissertation, or a part of one."""
 
     name: str
@@ -144,11 +144,11 @@ class Row:
 class Experiments:
     """All rows, and the steps that they need."""
 
-    rows: tuple[Row, ...]
+    rows: tuple[ExperimentRow, ...]
     steps: Mapping[str, Step]
 
-    def chosen(self, names: Sequence[str]) -> tuple[Row, ...]:
-        """The rows called so; "3" or "3.9" stands for all that begin with it. None named: all.
+    def chosen(self, names: Sequence[str]) -> tuple[ExperimentRow, ...]:
+        """Return the rows called so; "3" or "3.9" stands for all that begin with it. None named: all.
 
         Raises ReproduceError naming one that is unknown.
         """
@@ -161,8 +161,8 @@ class Experiments:
             row for row in self.rows if not wanted or any(_begins(row.name, name) for name in wanted)
         )
 
-    def plan(self, rows: Iterable[Row]) -> tuple[Step, ...]:
-        """The steps of rows, each after those that it needs."""
+    def plan(self, rows: Iterable[ExperimentRow]) -> tuple[Step, ...]:
+        """Return the steps of rows, each after those that it needs."""
         found: dict[str, Step] = {}
         for row in rows:
             for name in row.steps:
@@ -182,12 +182,12 @@ def _begins(name: str, start: str) -> bool:
 
 @cache
 def experiments() -> Experiments:
-    """The experiments of `experiments.toml`. Raises ReproduceError naming what is wrong in it."""
+    """Return the experiments of `experiments.toml`. Raises ReproduceError naming what is wrong in it."""
     return parse(FILE.read_text(), FILE.name)
 
 
 def parse(text: str, where: str) -> Experiments:
-    """Experiments from TOML; a row that names no known step or quote is an error."""
+    """Read experiments from TOML; a row that names no known step or quote is an error."""
     try:
         document = expanded(tomllib.loads(text))
     except PatternError as error:
@@ -223,12 +223,12 @@ def _steps(table: StrictTable) -> Mapping[str, Step]:
 
 
 def _of_budget(text: str, index: int) -> str:
-    """A command in one line, with those words of `<quick|full>` that the index chooses."""
+    """Return a command in one line, with those words of `<quick|full>` that the index chooses."""
     return " ".join(BY_BUDGET.sub(lambda found: found[index], text).split())
 
 
 def _policies(step: str, text: str) -> str:
-    """The policies that the training `text` of a step leaves, one for each seed."""
+    """Return the policies that the training `text` of a step leaves, one for each seed."""
     first, count = (
         int(found[1]) if (found := re.search(rf"--{option} (\d+)", text)) else 1
         for option in ("seed", "seeds")
@@ -237,7 +237,7 @@ def _policies(step: str, text: str) -> str:
 
 
 def _check_order(steps: Mapping[str, Step], where: str) -> None:
-    """Raise ReproduceError on a step that needs an unknown one, or itself by way of others."""
+    """Raise ReproduceError if a step needs an unknown one, or itself by way of others."""
 
     def follow(name: str, path: tuple[str, ...]) -> None:
         if name not in steps:
@@ -251,7 +251,7 @@ def _check_order(steps: Mapping[str, Step], where: str) -> None:
         follow(name, ())
 
 
-def _row(name: str, table: StrictTable, steps: Mapping[str, Step]) -> Row:
+def _row(name: str, table: StrictTable, steps: Mapping[str, Step]) -> ExperimentRow:
     place, parted, title = table.text("title").partition(": ")
     if not parted:
         raise table.error("title", f"got {place!r}, expected PLACE: TITLE")
@@ -262,7 +262,7 @@ def _row(name: str, table: StrictTable, steps: Mapping[str, Step]) -> Row:
         raise table.error("picture", f"got {picture!r}, expected a step whose command has {{plot}}")
     hardware = table.text("hardware", "")
     why = " ".join(table.lines("why")) if table.has("why") else ""
-    return Row(name, place, title, tuple(_figures(table, steps)), picture, hardware, why)
+    return ExperimentRow(name, place, title, tuple(_figures(table, steps)), picture, hardware, why)
 
 
 def _figures(table: StrictTable, steps: Mapping[str, Step]) -> Iterator[Figure]:
@@ -309,7 +309,7 @@ def _figures(table: StrictTable, steps: Mapping[str, Step]) -> Iterator[Figure]:
 
 
 def _quote(entry: StrictTable) -> Quoted | None:
-    """What the dissertation prints, or what follows from that as ours does from our figures."""
+    """Return what the dissertation prints, or what follows from that as ours does from our figures."""
     if not entry.has("quote"):
         return None
     try:

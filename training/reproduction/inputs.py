@@ -1,4 +1,4 @@
-"""What a command reads: the files that its words name, and a digest of each, so that a change is noticed."""
+"""Inputs of a command: the files that its words name, and a digest of each, so that a change is noticed."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ SHIPPED = {"--config": RECIPES, "--aircraft": AIRCRAFT}  # by option: where the 
 
 
 def inputs(words: Sequence[str], root: Path) -> dict[str, str]:
-    """A digest of each file that words name: by its path in `root`, or as a recipe or an aircraft that comes
+    """Digest the files that words name: by path in `root`, or as a recipe or an aircraft that comes
     with the project. Of TOML the content counts, not its comments.
 
-    What an input names in its turn (a mesh of an aircraft) is not looked at, nor the program itself.
+    Files that an input names in its turn (a mesh of an aircraft) and the program itself are not looked at.
     """
     found: dict[str, str] = {}
     for option, word in itertools.pairwise(["", *words]):
@@ -35,7 +35,7 @@ def inputs(words: Sequence[str], root: Path) -> dict[str, str]:
 
 
 def changed(before: Mapping[str, str], now: Mapping[str, str]) -> str:
-    """The name of an input that is another one now; empty: none is."""
+    """Return the name of an input that is another one now; empty: none is."""
     return next((name for name in {**before, **now} if before.get(name) != now.get(name)), "")
 
 

@@ -1,4 +1,4 @@
-"""Figures of ours in a command's JSON, by a path.
+"""Our figures in a command's JSON, by a path.
 
 A path is keys joined by dots. `[2]` is an entry of a list, `[1:4]` the mean over some of its entries, and
 `[best 1:4]` that one of them whose summed error (`response.error.value`, over the axes) is the least: the
@@ -22,7 +22,7 @@ MARGIN = "margin"
 
 
 def find(document: Any, path: str) -> Value:  # noqa: ANN401 - any JSON value
-    """The number, or the numbers, at `path`. Raises ReproduceError naming the part that is not there."""
+    """Return the number, or numbers, at `path`. Raises ReproduceError naming the part that is not there."""
     at, value = 0, document
     while at < len(path):
         part = PART.match(path, at)
@@ -63,7 +63,7 @@ def ours(
     times: Value | None = None,
     per: Value | None = None,
 ) -> Value:
-    """Our figure: what was found, or its change in % from `against`; times `times`, over `per`; scaled."""
+    """Return ours: what was found, or its change in % from `against`; times `times`, over `per`; scaled."""
     steps: tuple[tuple[Value | None, Callable[[float, float], float]], ...] = (
         (against, _change),
         (times, lambda value, factor: value * factor),
@@ -81,7 +81,7 @@ def _axes(figure: Figure, value: Value) -> Value:
 
 
 def scaled(value: Value, factor: float) -> Value:
-    """A value times a factor, axis by axis."""
+    """Return a value times a factor, axis by axis."""
     return tuple(factor * each for each in value) if isinstance(value, tuple) else factor * value
 
 
@@ -118,7 +118,7 @@ def _half(low: Value, high: Value) -> Value:
 
 
 def _mean_margin(margins: Sequence[Value]) -> Value:
-    """Half the width of the interval of a mean, from those of as many independent ones."""
+    """Return half the width of the interval of a mean, from those of as many independent ones."""
     count = len(margins)
     columns = zip(*(each if isinstance(each, tuple) else (each,) for each in margins), strict=True)
     found = tuple(math.hypot(*column) / count for column in columns)

@@ -1,4 +1,4 @@
-"""docs/dissertation.md: every experiment of the dissertation beside ours, from stored figures."""
+"""The page docs/dissertation.md: every experiment of the dissertation beside ours, from stored figures."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from itertools import groupby
 
 from neuroflight.training.dissertation.conditions import conditions
 from neuroflight.training.reproduction.conditions import COLUMNS, differences
-from neuroflight.training.reproduction.experiments import Experiments, Figure, Row
+from neuroflight.training.reproduction.experiments import ExperimentRow, Experiments, Figure
 from neuroflight.training.reproduction.lookup import Value
 from neuroflight.training.reproduction.stored import Kept, Result, RowResult, row_result
 from neuroflight.training.reproduction.verdict import Judged, Verdict, bar
@@ -27,7 +27,7 @@ SMALL_DECIMALS = 6  # numbers with more are written with a power of ten
 
 
 def render(experiments: Experiments, kept: Mapping[str, Kept], pictures: str) -> str:
-    """The page; pictures: the folder of pictures, as a link from the page finds it."""
+    """Return the page; pictures: the folder of pictures, as a link from the page finds it."""
     results = [row_result(row, kept) for row in experiments.rows]
     parts = [HEAD, _summary(results)]
     for chapter, rows in groupby(results, lambda result: result.row.chapter):
@@ -41,7 +41,7 @@ def render(experiments: Experiments, kept: Mapping[str, Kept], pictures: str) ->
 
 
 def shown(value: Value | None, figure: Figure) -> str:
-    """A value of ours with the digits that it is judged by, or three that count."""
+    """Return a value of ours with the digits that it is judged by, or three that count."""
     if value is None:
         return "not run"
     values = value if isinstance(value, tuple) else (value,)
@@ -54,32 +54,32 @@ def shown(value: Value | None, figure: Figure) -> str:
 
 
 def quoted(figure: Figure) -> str:
-    """The dissertation's figure as it prints it, with its confidence."""
+    """Return the dissertation's figure as it prints it, with its confidence."""
     return figure.beside or "drawn" if figure.quote is None else figure.quote.text
 
 
 def measured(result: Result) -> str:
-    """Our figure, with its confidence where that is told."""
+    """Return our figure, with its confidence where that is told."""
     text = shown(result.value, result.figure)
     return text if result.margin is None else f"{text} ± {shown(result.margin, result.figure)}"
 
 
 def barred(result: Result) -> str:
-    """What our figure is held against."""
+    """Return what our figure is held against."""
     held = bar(result.figure, result.margin)
     return "" if held is None else str(held)
 
 
 def judged(result: Result) -> str:
-    """The verdict as it is printed."""
+    """Return the verdict as it is printed."""
     told = Verdict.INPUT if result.figure.input else Verdict.UNLIKE if result.figure.unlike else None
     if result.judged is None:  # not measured: some are known all the same
         return "" if told is None else str(Judged(told, why=result.figure.unlike))
     return str(result.judged)
 
 
-def differing(result: Result, row: Row, experiments: Experiments) -> str:
-    """In what our figure was made otherwise, if it has a bar."""
+def differing(result: Result, row: ExperimentRow, experiments: Experiments) -> str:
+    """Tell in what our figure was made otherwise, if it has a bar."""
     if bar(result.figure) is None:
         return ""
     told = [str(each) for each in differences(row.name, result.figure, experiments, result.budget or "full")]
@@ -143,19 +143,19 @@ def _place(place: str, group: Sequence[RowResult], experiments: Experiments, pic
 
 
 def _used(headings: Sequence[str], body: Sequence[Sequence[str]]) -> tuple[list[str], list[list[str]]]:
-    """A table without the columns in which nothing stands."""
+    """Return a table without the columns in which nothing stands."""
     kept = [i for i in range(len(headings)) if i == 0 or any(row[i] for row in body)]
     return [headings[i] for i in kept], [[row[i] for i in kept] for row in body]
 
 
 def _common(titles: Sequence[str]) -> str:
-    """What titles such as "rise time: PPO", "rise time: TRPO" begin with."""
+    """Return what titles such as "rise time: PPO", "rise time: TRPO" begin with."""
     starts = {title.rpartition(": ")[0] for title in titles}
     return starts.pop() if len(starts) == 1 else "; ".join(titles)
 
 
-def _names(rows: Sequence[Row], experiments: Experiments) -> Sequence[str]:
-    """What stands for these rows on the command line: a beginning that no other row has, or their names."""
+def _names(rows: Sequence[ExperimentRow], experiments: Experiments) -> Sequence[str]:
+    """Return what stands for rows on the command line: a beginning that no other row has, or their names."""
     parts = rows[0].name.split("-")
     for count in range(1, len(parts) + 1):
         start = "-".join(parts[:count])
@@ -165,7 +165,7 @@ def _names(rows: Sequence[Row], experiments: Experiments) -> Sequence[str]:
 
 
 def _alike(results: Sequence[RowResult], experiments: Experiments) -> str:
-    """All rows with a verdict: in what they are the same as the dissertation's experiment."""
+    """Tell of all rows with a verdict in what they are the same as the dissertation's experiment."""
     body = []
     for result in results:
         held = [each for each in result.results if bar(each.figure) is not None]
@@ -192,7 +192,7 @@ def _alike(results: Sequence[RowResult], experiments: Experiments) -> str:
     return "\n\n".join([ALIKE, "\n".join(stand_ins), table(headings, body, align="---")])
 
 
-def _hardware(rows: Sequence[Row]) -> str:
+def _hardware(rows: Sequence[ExperimentRow]) -> str:
     body = [(row.place, row.title, row.hardware) for row in rows if row.hardware]
     return f"## What no run fills\n\n{table(('', '', 'why'), body, align='---')}"
 

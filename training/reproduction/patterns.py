@@ -20,7 +20,8 @@ class PatternError(ValueError):
 
 
 def expanded(document: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Return the file with what its patterns stand for. Raises PatternError naming what no value has."""
+    """Return the file with its patterns replaced by their entries. Raises PatternError naming an unknown
+    word."""
     each: Words = document.get("each", {})
     patterns, rows_of = document.get("steps", {}).items(), document.get("rows", {}).items()
     steps = dict(pair for name, text in patterns for pair in _each_of(text, name, each))

@@ -14,7 +14,7 @@ DECIMALS_MAX = 4  # of one
 
 @dataclass(frozen=True)
 class Quoted:
-    """One number or several, with what each may stand for."""
+    """One number or several, with the margin of each."""
 
     name: str  # of the quote, or of a row of a table with columns roll, pitch and yaw
     value: tuple[float, ...]
@@ -26,7 +26,7 @@ class Quoted:
 
     @property
     def rounded(self) -> Quoted:
-        """The same with no more decimals than are shown; a margin is at least the last of them."""
+        """The same, rounded to the decimals that are shown; a margin is at least one of the last of them."""
         least = 10.0**-self.decimals
         value = tuple(round(number, self.decimals) for number in self.value)
         allowed = tuple(max(round(width, self.decimals), least) for width in self.allowed)
@@ -44,7 +44,7 @@ class Quoted:
         return replace(found, confident=self.confident)
 
     def over(self, other: Quoted) -> Quoted:
-        """Its ratio to another figure. Raises ValueError where that may be 0."""
+        """Return its ratio to another figure. Raises ValueError where that may be 0."""
         if len(self.value) != len(other.value):
             raise ValueError(f"{self.name} has {len(self.value)} numbers, {other.name} {len(other.value)}")
         if any(abs(number) <= allowed for number, allowed in zip(other.value, other.allowed, strict=True)):
@@ -59,7 +59,7 @@ class Quoted:
 
 
 def quoted(name: str) -> Quoted:
-    """The quote called `name`, or the three of a table's row. Raises QuoteError if there is none."""
+    """Return the quote called `name`, or the three of a table's row. Raises QuoteError if there is none."""
     known = quotes()
     if name in known or f"{name}/{AXES[0]}" not in known:
         quote = known[name]
@@ -69,7 +69,7 @@ def quoted(name: str) -> Quoted:
 
 
 def printed(name: str, value: Sequence[Printed], margin: Sequence[Printed | None]) -> Quoted:
-    """A figure from its numbers as they are printed, each with its confidence, where that is printed."""
+    """Make a figure of its numbers as they are printed, each with its confidence, where that is printed."""
     allowed, decimals = [], []
     for number, width in zip(value, margin, strict=True):
         rounded = 0.5 * 10.0**-number.decimals
@@ -94,14 +94,14 @@ def printed(name: str, value: Sequence[Printed], margin: Sequence[Printed | None
 
 
 def written(number: Printed) -> str:
-    """A number as the dissertation prints it."""
+    """Return a number as the dissertation prints it."""
     if "e" in number.text.lower():
         return f"{float(number):,.0f}" if abs(number) >= 1.0 else number.text
     return f"{number:,.{number.decimals}f}"
 
 
 def _follows(name: str, value: Sequence[float], allowed: Sequence[float]) -> Quoted:
-    """A figure that is computed from printed ones, to as many decimals as its margin is worth."""
+    """Return a figure that is computed from printed ones, to as many decimals as its margin is worth."""
     least = min(width for width in allowed if width > 0.0)
     decimals = min(DECIMALS_MAX, max(0, DIGITS - 1 - math.floor(math.log10(least))))
     found = Quoted(name, tuple(value), tuple(allowed), "", decimals, decimals).rounded

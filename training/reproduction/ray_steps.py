@@ -13,7 +13,7 @@ from neuroflight.training.sweeps.ray_workers import check_ray, ray_session
 
 @contextmanager
 def on_ray(address: str, jobs: int) -> Iterator[Execute]:
-    """What runs a command on a Ray worker; address: see `ray_session`. Raises TrainingError without Ray."""
+    """Yield what runs a command on a Ray worker; address: see `ray_session`. Without Ray: TrainingError."""
     check_ray()
     with ray_session(address, jobs):
         import ray
@@ -37,7 +37,7 @@ def on_ray(address: str, jobs: int) -> Iterator[Execute]:
 
 
 def _work(words: list[str], folder: str) -> tuple[str, str]:
-    """What the command printed, and why it failed; an exception of ours need not be known to the driver."""
+    """Return what the command printed and why it failed; the driver need not know an exception of ours."""
     try:
         return execute_here(words, Path(folder), lambda: False), ""
     except ReproduceError as error:

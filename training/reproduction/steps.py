@@ -1,4 +1,4 @@
-"""Runs steps: each a command in a process of its own, several at a time; finished ones are not repeated.
+"""Steps as processes, several at a time; a finished step is not repeated.
 
 A step's folder is OUT/BUDGET/NAME with what its command writes, OUT/BUDGET/NAME.json holds what it printed
 and OUT/BUDGET/NAME.png its picture. A result is kept as long as the command has the same words and the files
@@ -45,27 +45,27 @@ class Done:
 
 
 @dataclass(frozen=True)
-class Place:
-    """Where the results of a budget's steps are."""
+class StepOutputs:
+    """The files in which a budget's steps leave their results."""
 
     root: Path  # the project's folder, in which commands run
     out: Path
     budget: Budget
 
     def folder(self, name: str) -> Path:
-        """What the step's command writes."""
+        """Return the folder that the step's command writes."""
         return self.out / self.budget / name
 
     def output(self, name: str) -> Path:
-        """What it printed, with the command."""
+        """Return the file of what it printed, with the command."""
         return self.out / self.budget / f"{name}.json"
 
     def picture(self, name: str) -> Path:
-        """What it drew."""
+        """Return the file of what it drew."""
         return self.out / self.budget / f"{name}.png"
 
     def words(self, step: Step) -> list[str]:
-        """The words of a step's command, after `neuroflight`."""
+        """Return the words of a step's command, after `neuroflight`."""
 
         def filled(word: str) -> str:
             return FOLDER.sub(lambda found: self._path(step, found[1]), word)
@@ -73,7 +73,7 @@ class Place:
         return [filled(word) for word in step.words(self.budget)]
 
     def inputs(self, step: Step) -> dict[str, str]:
-        """Digests of the files that the command reads, see `inputs`; what it writes is none of them."""
+        """Digest the files that the command reads, see `inputs`; what it writes is none of them."""
         pairs = zip(step.words(self.budget), self.words(step), strict=True)
         read = [word for raw, word in pairs if not {OUT, PLOT} & set(FOLDER.findall(raw))]
         return inputs(read, self.root)
@@ -88,16 +88,16 @@ class Watcher:
     """Called while steps run, from one thread; a subclass overrides what it needs."""
 
     def started(self, step: Step) -> None:
-        """A step's command has begun."""
+        """Tell that a step's command has begun."""
 
     def finished(self, done: Done, *, again: bool) -> None:
-        """A step has its result; `again` is False if it was there already."""
+        """Tell that a step has its result; `again` is False if it was there already."""
 
     def outdated(self, step: Step, name: str) -> None:
-        """A step has the result of another content of the input `name`; it is run again."""
+        """Tell that a step has the result of another content of the input `name`; it is run again."""
 
     def failed(self, step: Step, reason: str) -> None:
-        """A step has none; steps that need it are left out."""
+        """Tell that a step has none; steps that need it are left out."""
 
 
 Execute = Callable[[Sequence[str], Path, Callable[[], bool]], str]  # words, folder, stop? -> stdout
@@ -105,7 +105,7 @@ Execute = Callable[[Sequence[str], Path, Callable[[], bool]], str]  # words, fol
 
 def run_steps(
     plan: Sequence[Step],
-    place: Place,
+    outputs: StepOutputs,
     *,
     jobs: int,
     force: bool = False,
@@ -123,7 +123,7 @@ def run_steps(
     lost: set[str] = set()
     if not force:
         for step in plan:
-            kept = None if any(name not in done for name in step.needs) else kept_result(step, place, watcher)
+            kept = kept_result(step, outputs, watcher) if all(name in done for name in step.needs) else None
             if kept is not None:
                 done[step.name] = kept
                 watcher.finished(kept, again=False)
@@ -140,7 +140,7 @@ def run_steps(
                         watcher.failed(step, f"needs {', '.join(n for n in step.needs if n in lost)}")
                     elif len(active) < jobs and all(name in done for name in step.needs):
                         open_steps.remove(step)
-                        active[pool.submit(_run, step, place, execute, stop)] = step
+                        active[pool.submit(_run, step, outputs, execute, stop)] = step
                         watcher.started(step)
                 for future in wait(active, return_when=FIRST_COMPLETED).done if active else ():
                     step = active.pop(future)
@@ -156,32 +156,32 @@ def run_steps(
     return done
 
 
-def kept_result(step: Step, place: Place, watcher: Watcher) -> Done | None:
-    """The result that a step already has, if it is of the same command and inputs."""
-    path = place.output(step.name)
+def kept_result(step: Step, outputs: StepOutputs, watcher: Watcher) -> Done | None:
+    """Return the result that a step already has, if it is of the same command and inputs."""
+    path = outputs.output(step.name)
     if not path.is_file() or file_size(path) > OUTPUT_BYTES_MAX:
         return None
     try:
         record = json.loads(path.read_text())
-        if record["words"] != place.words(step):
+        if record["words"] != outputs.words(step):
             return None
-        if other := changed(record["inputs"], place.inputs(step)):
+        if other := changed(record["inputs"], outputs.inputs(step)):
             watcher.outdated(step, other)
             return None
-        picture = place.picture(step.name) if step.draws else None
+        picture = outputs.picture(step.name) if step.draws else None
         if picture is not None and not picture.is_file():
             return None
         return Done(
-            step, place.budget, _typed(record["words"]), float(record["seconds"]), record["output"], picture
+            step, outputs.budget, _typed(record["words"]), float(record["seconds"]), record["output"], picture
         )
     except (ValueError, KeyError, TypeError, AttributeError, OSError):
         return None
 
 
-def _run(step: Step, place: Place, execute: Execute, stop: Event) -> Done:
-    words = place.words(step)
-    read = place.inputs(step)
-    folder = place.folder(step.name)
+def _run(step: Step, outputs: StepOutputs, execute: Execute, stop: Event) -> Done:
+    words = outputs.words(step)
+    read = outputs.inputs(step)
+    folder = outputs.folder(step.name)
     started = folder.with_suffix(".started")
     before = json.dumps({"words": words, "inputs": read})
     folder.parent.mkdir(parents=True, exist_ok=True)
@@ -197,20 +197,20 @@ def _run(step: Step, place: Place, execute: Execute, stop: Event) -> Done:
     write_text(started, before)
     began = time.monotonic()
     plain = words[0] in PICTURES
-    text = execute([*words, *more, *(() if plain else ("--json",))], place.root, stop.is_set)
+    text = execute([*words, *more, *(() if plain else ("--json",))], outputs.root, stop.is_set)
     seconds = time.monotonic() - began
     try:
         output = {} if plain else json.loads(text)
     except ValueError as error:
         raise ReproduceError(f"{_typed(words)}: printed no JSON ({error})") from error
     record = {"words": words, "inputs": read, "seconds": round(seconds, 1), "output": output}
-    write_text(place.output(step.name), json.dumps(record, indent=1) + "\n")
-    picture = place.picture(step.name) if step.draws else None
-    return Done(step, place.budget, _typed(words), seconds, output, picture)
+    write_text(outputs.output(step.name), json.dumps(record, indent=1) + "\n")
+    picture = outputs.picture(step.name) if step.draws else None
+    return Done(step, outputs.budget, _typed(words), seconds, output, picture)
 
 
 def _begun(folder: Path) -> bool:
-    """Whether a training or a sweep has left something to go on with."""
+    """Return whether a training or a sweep has left something to go on with."""
     return (
         any(folder.glob("checkpoint.pt"))
         or any(folder.glob("seed-*/checkpoint.pt"))
@@ -223,7 +223,7 @@ def _typed(words: Sequence[str]) -> str:
 
 
 def execute_here(words: Sequence[str], folder: Path, stop: Callable[[], bool]) -> str:
-    """Run a command in a process of its own. Raises ReproduceError with what it said last if it fails."""
+    """Run a command in a process of its own. Raises ReproduceError with its last message if it fails."""
     process = subprocess.Popen(
         [sys.executable, "-m", "neuroflight.cli.main", *words],
         cwd=folder,

@@ -1,4 +1,4 @@
-"""Stored figures of the rows: a small file a step, with what the rows read from its output and no more."""
+"""Stored figures of the rows: a small file for each step, with only what the rows read of its output."""
 
 from __future__ import annotations
 
@@ -12,7 +12,14 @@ from typing import Any
 from PIL import Image
 
 from neuroflight.toolchain.files import file_size, replacing, write_text
-from neuroflight.training.reproduction.experiments import BUDGETS, Budget, Figure, ReproduceError, Row, Source
+from neuroflight.training.reproduction.experiments import (
+    BUDGETS,
+    Budget,
+    ExperimentRow,
+    Figure,
+    ReproduceError,
+    Source,
+)
 from neuroflight.training.reproduction.lookup import Value, find, ours, scaled
 from neuroflight.training.reproduction.steps import Done
 from neuroflight.training.reproduction.verdict import Judged, Verdict, judge
@@ -25,7 +32,7 @@ WIDTH_MAX, COLOURS = 1200, 200  # pixels and colours of a stored picture
 
 @dataclass(frozen=True)
 class Kept:
-    """What is kept of a step: the figures that rows read, by their paths in its output."""
+    """The stored part of a step's output: the figures that rows read, by their paths in its output."""
 
     step: str
     budget: Budget
@@ -49,7 +56,7 @@ class Result:
 class RowResult:
     """A row with our figures."""
 
-    row: Row
+    row: ExperimentRow
     results: tuple[Result, ...]
     budgets: tuple[Budget, ...]  # of the steps that its figures are from
     commands: tuple[str, ...]
@@ -57,7 +64,8 @@ class RowResult:
 
     @property
     def verdict(self) -> Verdict | None:
-        """The worst of its figures that have a bar, else what they are; None if one is not measured."""
+        """The worst verdict of its figures that have a bar, else what they are; None if one is not
+        measured."""
         found = {result.judged.verdict for result in self.results if result.judged}
         if not self.measured:
             return None
@@ -65,12 +73,12 @@ class RowResult:
 
     @property
     def measured(self) -> bool:
-        """Whether every figure is measured."""
+        """True if every figure is measured."""
         return all(result.value is not None for result in self.results)
 
 
-def keep(done: Done, rows: Iterable[Row]) -> Kept:
-    """What is kept of a step that has run. Raises ReproduceError on a figure that its output lacks."""
+def keep(done: Done, rows: Iterable[ExperimentRow]) -> Kept:
+    """Return what is kept of a step that has run. Raises ReproduceError on a figure that its output lacks."""
     paths = {source.path for row in rows for source in sources(row) if source.step == done.step.name}
     try:
         figures = {path: find(done.output, path) for path in sorted(paths)}
@@ -79,13 +87,13 @@ def keep(done: Done, rows: Iterable[Row]) -> Kept:
     return Kept(done.step.name, done.budget, done.command, done.seconds, figures)
 
 
-def sources(row: Row) -> tuple[Source, ...]:
-    """Where the figures of a row stand."""
+def sources(row: ExperimentRow) -> tuple[Source, ...]:
+    """Return the places of the figures of a row."""
     return tuple(source for figure in row.figures for source in figure.sources)
 
 
-def row_result(row: Row, kept: Mapping[str, Kept]) -> RowResult:
-    """A row with the figures of the steps that are `kept`."""
+def row_result(row: ExperimentRow, kept: Mapping[str, Kept]) -> RowResult:
+    """Return a row with the figures of the steps that are `kept`."""
     used = [kept[name] for name in row.steps if name in kept]
     return RowResult(
         row,
@@ -118,7 +126,7 @@ def _value(source: Source, kept: Mapping[str, Kept]) -> Value | None:
 
 
 def store(kept: Kept, folder: Path, picture: Path | None, pictures: Path) -> None:
-    """Write what is kept of a step into `folder`, and its picture into `pictures`."""
+    """Write the stored part of a step into `folder`, and its picture into `pictures`."""
     document = {
         "step": kept.step,
         "budget": kept.budget,
@@ -134,7 +142,7 @@ def store(kept: Kept, folder: Path, picture: Path | None, pictures: Path) -> Non
 
 
 def _small(picture: Path) -> Image.Image:
-    """A picture for a page: at most WIDTH_MAX wide, in COLOURS colours, a quarter of the bytes."""
+    """Return a picture for a page: at most WIDTH_MAX wide, in COLOURS colours, a quarter of the bytes."""
     with Image.open(picture) as drawn:
         image = drawn.convert("RGB")
     if image.width > WIDTH_MAX:
@@ -145,7 +153,7 @@ def _small(picture: Path) -> Image.Image:
 
 
 def read_stored(folder: Path) -> dict[str, Kept]:
-    """What is kept in `folder`, by step. Raises ReproduceError naming a file that is damaged."""
+    """Read what is kept in `folder`, by step. Raises ReproduceError naming a file that is damaged."""
     return {kept.step: kept for kept in (_read(path) for path in sorted(folder.glob("*.json")))}
 
 
@@ -166,7 +174,7 @@ def _read(path: Path) -> Kept:
 
 
 def _plain(value: Value) -> float | list[float]:
-    """Seven digits: more than any row prints, fewer than a command does."""
+    """Round to seven digits: more than any row prints, fewer than a command does."""
     if isinstance(value, tuple):
         return [float(f"{each:.7g}") for each in value]
     return float(f"{value:.7g}")

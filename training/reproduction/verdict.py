@@ -1,4 +1,4 @@
-"""Ours beside the dissertation's, by one rule for all figures.
+"""The verdict on our figures beside the dissertation's, by one rule for all.
 
 The margin of a comparison is the printed confidence, or half of the last printed digit, whichever is more,
 and ours beside it: the root of the sum of their squares. Where ours has a confidence and the dissertation's
@@ -23,7 +23,7 @@ AXES = ("roll", "pitch", "yaw")
 
 
 class Verdict(Enum):
-    """How our figure compares with the dissertation's."""
+    """The comparison of our figure with the dissertation's."""
 
     SURPASSED = "surpassed"  # better by more than the margin on every axis
     REACHED = "reached"  # worse by no more than the margin on any axis
@@ -42,14 +42,14 @@ class Judged:
     why: str = ""  # of UNLIKE
 
     def __str__(self) -> str:
-        """As it is printed."""
+        """Return it as it is printed."""
         more = self.why or ", ".join(self.axes)
         return f"{self.verdict.value}: {more}" if more else self.verdict.value
 
 
 @dataclass(frozen=True)
 class Bar:
-    """What our figure is held against, on each axis; no more of its badness than `most` is reached."""
+    """The limits of our figure on each axis; no more of its badness than `most` is reached."""
 
     aim: str
     ideal: tuple[float, ...]  # of "near" and "to NUMBER": the badness is the distance to it
@@ -58,14 +58,14 @@ class Bar:
     decimals: int
 
     def verdict(self, axis: int, value: float) -> Verdict:
-        """The verdict on our value of an axis."""
+        """Return the verdict on our value of an axis."""
         bad = round(_badness(self.aim, round(value, self.decimals), self.ideal[axis]), self.decimals)
         if bad < self.less[axis]:
             return Verdict.SURPASSED
         return Verdict.REACHED if bad <= self.most[axis] else Verdict.NOT_REACHED
 
     def __str__(self) -> str:
-        """As it is printed."""
+        """Return it as it is printed."""
         sign = -1.0 if self.aim == "higher" else 1.0
         limits = _joined(f"{sign * limit + 0.0:,.{self.decimals}f}" for limit in self.most)
         if self.aim in ("lower", "higher"):
@@ -74,7 +74,7 @@ class Bar:
 
 
 def bar(figure: Figure, confidence: Value | None = None) -> Bar | None:
-    """The bar of a figure whose value of ours has that confidence; None: it has none."""
+    """Return the bar of a figure whose value of ours has that confidence; None: it has none."""
     quote = figure.quote
     if quote is None or not figure.aim:
         return None
@@ -92,7 +92,7 @@ def bar(figure: Figure, confidence: Value | None = None) -> Bar | None:
 
 
 def judge(figure: Figure, value: Value, confidence: Value | None = None) -> Judged:
-    """The verdict on our `value` of a figure; one with three numbers is compared axis by axis."""
+    """Return the verdict on our `value` of a figure; one with three numbers is compared axis by axis."""
     if figure.input:
         return Judged(Verdict.INPUT)
     if figure.unlike:
@@ -114,7 +114,7 @@ def judge(figure: Figure, value: Value, confidence: Value | None = None) -> Judg
 
 
 def _margins(quote: Quoted, confidence: Value | None) -> tuple[float, ...]:
-    """How far ours and the dissertation's may lie apart and still be the same, on each axis."""
+    """Return how far ours and the dissertation's may lie apart and still be the same, on each axis."""
     if confidence is None:
         return quote.allowed
     ours = confidence if isinstance(confidence, tuple) else (confidence,) * len(quote.allowed)
@@ -125,13 +125,13 @@ def _margins(quote: Quoted, confidence: Value | None) -> tuple[float, ...]:
 
 
 def _badness(aim: str, value: float, ideal: float) -> float:
-    """What is better the less it is."""
+    """Return a number that is better the less it is."""
     if aim == "lower":
         return value
     return -value if aim == "higher" else abs(value - ideal)
 
 
 def _joined(texts: Iterable[str]) -> str:
-    """Those of all axes, or once what is the same for all."""
+    """Join the texts of all axes, or return once what is the same for all."""
     found = list(texts)
     return found[0] if len(set(found)) == 1 else " / ".join(found)

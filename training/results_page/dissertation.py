@@ -1,4 +1,4 @@
-"""Rows of the page of results, and those of the dissertation from its quoted figures; rates in deg/s."""
+"""The dissertation's rows on the page of results, from its quoted figures; rates in deg/s."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ class Difference:
 
 
 @dataclass(frozen=True)
-class Row:
-    """One controller on one task; unknown figures are missing or None."""
+class ControllerRow:
+    """One controller on one task: a row of a table; unknown figures are missing or None."""
 
     label: str
     episodes: int
@@ -55,8 +55,8 @@ DRIFTS = {("maximal", 2.0): "5/drift_2", ("maximal", 1.0): "5/drift_1", ("maxima
 DRIFTS |= {("reduced", 1.0): "5/drift_reduced_1"}  # the only step that DART ran at
 
 
-def printed_rows(task: str, aircraft: str) -> Sequence[Row]:
-    """The dissertation's rows of a task of chapter 5: none with another aircraft than its own.
+def printed_rows(task: str, aircraft: str) -> Sequence[ControllerRow]:
+    """Return the dissertation's rows of a task of chapter 5: none with another aircraft than its own.
 
     Those of chapter 3's episodic task stand beside its own experiments (`neuroflight reproduce`).
     """
@@ -65,7 +65,7 @@ def printed_rows(task: str, aircraft: str) -> Sequence[Row]:
 
 
 def printed_timing(work: str) -> Sequence[Timing]:
-    """Timing of the "control algorithm" or the "control task", both firmwares, armed and disarmed."""
+    """Return times of the "control algorithm" or the "control task", both firmwares, armed and disarmed."""
     table = {"control algorithm": "4.4", "control task": "4.5"}.get(work)
     if table is None:
         return ()
@@ -76,13 +76,13 @@ def printed_timing(work: str) -> Sequence[Timing]:
 
 
 def printed_drift_mm(formulation: str, step_ms: float) -> float | None:
-    """Largest drift of a link [mm], None where the dissertation shows no such run."""
+    """Return the largest drift of a link [mm], None where the dissertation shows no such run."""
     name = DRIFTS.get((formulation, step_ms))
     return None if name is None else quotes().number(name)
 
 
 def _states() -> dict[str, str]:
-    """Rows of the tables of timing and their labels."""
+    """Return the rows of the tables of timing and their labels."""
     return {
         f"{firmware}-{state}": f"{label}, {state}"
         for firmware, label in FIRMWARES.items()
@@ -90,10 +90,10 @@ def _states() -> dict[str, str]:
     }
 
 
-def _pulses() -> Sequence[Row]:
+def _pulses() -> Sequence[ControllerRow]:
     known = quotes()
     return [
-        Row(
+        ControllerRow(
             f"dissertation, {label}",
             int(known.number("5/commands")),
             tracking={name: known.axes(f"{table}/{name}") for name in METRICS},
@@ -106,11 +106,11 @@ def _pulses() -> Sequence[Row]:
     ]
 
 
-def _envelope() -> Sequence[Row]:
-    """Shares of trials that remained in the band: beside our share of whole trials."""
+def _envelope() -> Sequence[ControllerRow]:
+    """Return shares of trials that remained in the band: beside our share of whole trials."""
     known = quotes()
     return [
-        Row(
+        ControllerRow(
             f"dissertation, {label}",
             int(known.number("5/envelope_setpoints")),
             in_band={"steady": known.number(f"5/envelope_{key}_500")},

@@ -10,7 +10,12 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 from neuroflight.training.dissertation.quotes import quotes
-from neuroflight.training.results_page.dissertation import Difference, Row, printed_drift_mm, printed_rows
+from neuroflight.training.results_page.dissertation import (
+    ControllerRow,
+    Difference,
+    printed_drift_mm,
+    printed_rows,
+)
 from neuroflight.training.results_page.equal_thrust import equal_thrust_section, transparency_section
 from neuroflight.training.results_page.manoeuvres import manoeuvre_section
 from neuroflight.training.results_page.markdown import axes, number, table
@@ -31,8 +36,8 @@ from neuroflight.training.results_page.training import training_section
 
 
 def render(results: Sequence[Stored]) -> str:
-    """The page. Raises ResultsError naming the file and key that cannot be used."""
-    tables: dict[tuple[str, str], list[Row]] = {}
+    """Render the page. Raises ResultsError naming the file and key that cannot be used."""
+    tables: dict[tuple[str, str], list[ControllerRow]] = {}
     drifts, runs, robust, timed, freely, lifted, studies = [], [], [], [], [], [], []
     for stored in results:
         if stored.has("sweep"):
@@ -77,7 +82,7 @@ def render(results: Sequence[Stored]) -> str:
     return "\n\n".join(blocks) + "\n"
 
 
-def _pulse_section(aircraft: str, rows: Sequence[Row]) -> str:
+def _pulse_section(aircraft: str, rows: Sequence[ControllerRow]) -> str:
     errors = [
         (
             row.label,
@@ -116,7 +121,7 @@ def _pulse_section(aircraft: str, rows: Sequence[Row]) -> str:
     return "\n\n".join(parts)
 
 
-def _episodic_section(aircraft: str, rows: Sequence[Row]) -> str:
+def _episodic_section(aircraft: str, rows: Sequence[ControllerRow]) -> str:
     columns = (
         ("success", 1),
         ("success_bare", 1),
@@ -131,7 +136,7 @@ def _episodic_section(aircraft: str, rows: Sequence[Row]) -> str:
     return f"## Episodic task, {aircraft}\n\n{ABOUT_EPISODIC}\n\n{table(('', *headings), body)}"
 
 
-def _envelope_section(aircraft: str, rows: Sequence[Row]) -> str:
+def _envelope_section(aircraft: str, rows: Sequence[ControllerRow]) -> str:
     together = [
         (
             row.label,
@@ -154,8 +159,8 @@ def _envelope_section(aircraft: str, rows: Sequence[Row]) -> str:
     return "\n\n".join(parts)
 
 
-def _differences(rows: Sequence[Row], columns: Sequence[tuple[str, str, float, int]]) -> list[str]:
-    """A table of paired differences, if there are any; columns: figure, heading, factor, digits."""
+def _differences(rows: Sequence[ControllerRow], columns: Sequence[tuple[str, str, float, int]]) -> list[str]:
+    """Return a table of paired differences, if there are any; columns: figure, heading, factor, digits."""
     body = [
         (
             f"{row.label} less {row.against}",
@@ -196,7 +201,7 @@ def _sources(results: Sequence[Stored]) -> str:
 
 
 def _command(stored: Stored) -> str:
-    """The stored command; that of a flight is made from its conditions."""
+    """Return the stored command; that of a flight is made from its conditions."""
     if "command" in stored.document or "flights" not in stored.document:
         return stored.text("command")
     words = ("on", "scenario", "aircraft")
@@ -206,24 +211,24 @@ def _command(stored: Stored) -> str:
     return f"neuroflight fly {options} --throttle {throttle:g} {numbers}"
 
 
-def _mean_mae(row: Row) -> float:
-    """Mean of the axes; for the dissertation from its IAE = 1000 MAE, which has more digits."""
+def _mean_mae(row: ControllerRow) -> float:
+    """Return the mean of the axes; for the dissertation from its IAE = 1000 MAE, which has more digits."""
     return row.means["iae"] / 1000 if row.printed else sum(row.tracking["mae"]) / 3
 
 
-def _mean_mse(row: Row) -> float:
-    """Mean of the axes; the dissertation's as printed, since its axes are cut to whole numbers."""
+def _mean_mse(row: ControllerRow) -> float:
+    """Return the mean of the axes; the dissertation's as printed, since its axes are cut to whole numbers."""
     return row.means["mse"] if row.printed else sum(row.tracking["mse"]) / 3
 
 
-def _margins(row: Row) -> str:
+def _margins(row: ControllerRow) -> str:
     if row.mae_margin is None:
         return axes(row.tracking["mae"], 0 if row.printed else 2)
     pairs = zip(row.tracking["mae"], row.mae_margin, strict=True)
     return " / ".join(f"{value:.2f} ± {margin:.2f}" for value, margin in pairs)
 
 
-def _figure(row: Row, name: str, digits: int) -> str:
+def _figure(row: ControllerRow, name: str, digits: int) -> str:
     return axes(row.response[name], digits) if name in row.response else ""
 
 
@@ -267,7 +272,7 @@ its angular momentum to rounding where pybullet's own step gains or loses 0.2 % 
 second. The dissertation's simulator had another solver, so the magnitudes differ; in both, reduced
 coordinates do not drift and maximal ones do, more at larger steps. It shows reduced ones at 1 ms alone."""
 ABOUT_SOURCES = """Each command reproduces its file from the same aircraft file and policy."""
-SECTIONS: dict[str, Callable[[str, Sequence[Row]], str]] = {
+SECTIONS: dict[str, Callable[[str, Sequence[ControllerRow]], str]] = {
     "pulse": _pulse_section,
     "episodic": _episodic_section,
     "envelope": _envelope_section,

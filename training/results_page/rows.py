@@ -7,7 +7,7 @@ from collections import ChainMap
 from collections.abc import Sequence
 from pathlib import Path
 
-from neuroflight.training.results_page.dissertation import Difference, Known, Row
+from neuroflight.training.results_page.dissertation import ControllerRow, Difference, Known
 from neuroflight.training.results_page.stored_results import Stored
 
 SUMS = ("iae", "ise", "itae", "itse")
@@ -37,17 +37,17 @@ ROOT = Path(__file__).resolve().parents[2]
 SHIPPED = "training/policies/"
 
 
-def compared_rows(stored: Stored) -> list[Row]:
-    """Rows of `compare --json`: one for each controller and throttle."""
-    rows: list[Row] = []
+def compared_rows(stored: Stored) -> list[ControllerRow]:
+    """Return the rows of `compare --json`: one for each controller and throttle."""
+    rows: list[ControllerRow] = []
     for entry in stored.entries("comparison"):
         first = rows[-1].against or rows[-1].label if rows and entry.has("difference") else ""
         rows.append(evaluated_row(Stored(entry.name, ChainMap(entry.document, stored.document)), first))
     return rows
 
 
-def evaluated_row(stored: Stored, against: str = "") -> Row:
-    """The row of `evaluate --json`, or of one controller of a comparison, whose first is `against`."""
+def evaluated_row(stored: Stored, against: str = "") -> ControllerRow:
+    """Return the row of `evaluate --json`, or of one controller of a comparison, whose first is `against`."""
     conditions = []
     if not stored.get("noise"):
         conditions.append("no noise")
@@ -57,7 +57,7 @@ def evaluated_row(stored: Stored, against: str = "") -> Row:
         conditions.append(f"mount {stored.text('mount')}")
     if stored.number("throttle"):
         conditions.append(f"throttle {stored.number('throttle'):g}")
-    return Row(
+    return ControllerRow(
         label=", ".join([controller_label(stored), *conditions]),
         episodes=int(stored.number("episodes")),
         tracking={name: stored.axes(name) for name in ("mae", "mse", *SUMS)},
@@ -74,8 +74,8 @@ def evaluated_row(stored: Stored, against: str = "") -> Row:
     )
 
 
-def flown_rows(stored: Stored) -> list[Row]:
-    """Rows of `fly --json`: the firmware's and the PID's."""
+def flown_rows(stored: Stored) -> list[ControllerRow]:
+    """Return the rows of `fly --json`: the firmware's and the PID's."""
     if stored.text("scenario") != "pulses":
         raise stored.error(
             "scenario", stored.text("scenario"), "pulses, the only flight the page has a table for"
@@ -86,7 +86,7 @@ def flown_rows(stored: Stored) -> list[Row]:
     if not isinstance(flights, dict):
         raise stored.error("flights", flights, "an object")
     return [
-        Row(
+        ControllerRow(
             label=firmware if name == "firmware" else f"{name}, same gyro rate and commands as the row above",
             episodes=int(stored.number("episodes")),
             tracking={key: stored.axes("flights", name, "tracking", key) for key in ("mae", "mse", *SUMS)},
@@ -105,7 +105,7 @@ def flown_rows(stored: Stored) -> list[Row]:
 
 
 def controller_label(stored: Stored) -> str:
-    """Label of a controller: Betaflight, a PID's name or a policy's folder, and the idle unless 0."""
+    """Return the label of a controller: Betaflight, a PID's name or a policy's folder; the idle unless 0."""
     name = stored.text("controller")
     if stored.has("betaflight"):
         own = stored.text("betaflight_settings") if stored.has("betaflight_settings") else None
@@ -118,7 +118,7 @@ def controller_label(stored: Stored) -> str:
 
 
 def digests(stored: Stored) -> Sequence[str]:
-    """Hashes of the aircraft and the policies of a file."""
+    """Return hashes of the aircraft and the policies of a file."""
     of_training = {"config": ("config", "aircraft"), "sweep": ("aircraft",)}
     for kind, path in of_training.items():
         if stored.has(kind):
@@ -164,7 +164,7 @@ def _response(stored: Stored, *path: str) -> dict[str, Known]:
 
 
 def _all_axes(stored: Stored, *path: str) -> dict[str, float]:
-    """Share of the time, and of the commands, [%] in which all axes are in the band."""
+    """Return the share of the time, and of the commands, [%] in which all axes are in the band."""
     if stored.get(*path) is None:
         return {}
     found = {name: 100 * stored.number(*path, f"all_{name}", "value") for name in ALL_AXES}

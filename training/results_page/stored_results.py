@@ -32,14 +32,14 @@ class Stored:
     document: MutableMapping[str, Any]
 
     def error(self, key: str, got: object, expected: str) -> ResultsError:
-        """The exception about `key`, for the caller to raise."""
+        """Return the exception about `key`, for the caller to raise."""
         return ResultsError(
             f"{self.name}: {key}: got {str(got)[:60]!r}, expected {expected}; "
             f"make the file anew by its command"
         )
 
     def get(self, *path: str) -> Any:  # noqa: ANN401 - any JSON value
-        """The value at a path of keys. Raises ResultsError naming the path if there is none."""
+        """Return the value at a path of keys. Raises ResultsError naming the path if there is none."""
         value: Any = self.document
         for depth, key in enumerate(path, start=1):
             if not isinstance(value, Mapping) or key not in value:
@@ -48,7 +48,7 @@ class Stored:
         return value
 
     def has(self, *path: str) -> bool:
-        """Whether there is a value at a path of keys."""
+        """Return whether there is a value at a path of keys."""
         value: Any = self.document
         for key in path:
             if not isinstance(value, Mapping) or key not in value:
@@ -57,7 +57,7 @@ class Stored:
         return True
 
     def entries(self, *path: str) -> list[Stored]:
-        """The objects of the list at a path, at least one."""
+        """Return the objects of the list at a path, at least one."""
         value = self.get(*path)
         if not isinstance(value, list) or not value or not all(isinstance(item, dict) for item in value):
             raise self.error(".".join(path), value, "a list of objects")
@@ -65,21 +65,21 @@ class Stored:
         return [Stored(f"{where}[{number}]", item) for number, item in enumerate(value)]
 
     def number(self, *path: str) -> float:
-        """A finite number at a path."""
+        """Return a finite number at a path."""
         value = self.get(*path)
         if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
             raise self.error(".".join(path), value, "a finite number")
         return float(value)
 
     def text(self, *path: str) -> str:
-        """A line of text at a path."""
+        """Return a line of text at a path."""
         value = self.get(*path)
         if not isinstance(value, str) or not value.isprintable():
             raise self.error(".".join(path), value, "a line of text")
         return value
 
     def axes(self, *path: str) -> Axes:
-        """Three finite numbers at a path."""
+        """Return three finite numbers at a path."""
         value = self.get(*path)
         good = isinstance(value, list) and len(value) == 3
         if not good or not all(isinstance(v, int | float) and math.isfinite(v) for v in value):
@@ -89,7 +89,7 @@ class Stored:
 
 
 def read_results(folder: Path) -> list[Stored]:
-    """The stored results of a folder, by name. Raises ResultsError naming a file that is none."""
+    """Read the stored results of a folder, by name. Raises ResultsError naming a file that is none."""
     paths = sorted(folder.glob("*.json"))
     if not 1 <= len(paths) <= FILES_MAX:
         raise ResultsError(
@@ -111,10 +111,10 @@ def read_results(folder: Path) -> list[Stored]:
 
 
 def read_commands(folder: Path) -> dict[str, list[str]]:
-    """The command that makes each file of a folder of results: words after `neuroflight`, without --json.
+    """Read the command that makes each file of a folder of results: words after `neuroflight`, no --json.
 
-    They stand in its commands.txt, a line a file; # begins a remark. Raises ResultsError naming a line that
-    is none.
+    They stand in its commands.txt, a line for each file; # begins a remark. Raises ResultsError naming a /
+    wrong line.
     """
     path = folder / COMMANDS
     if not path.is_file():

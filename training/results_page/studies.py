@@ -26,7 +26,7 @@ class Point:
 
 
 def study_section(stored: Stored) -> str:
-    """A row for each variant: its figures, what they are more than the baseline's, and what it costs."""
+    """Render a row for each variant: its figures, what they are more than the baseline's, what it costs."""
     if stored.get("complete") is not True:
         raise stored.error("complete", stored.get("complete"), "true: a study with all its runs")
     runs = stored.entries("runs")

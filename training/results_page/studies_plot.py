@@ -17,7 +17,7 @@ ROOM = 0.1  # beside the outermost points, of an axis' span
 
 
 def draw_sizes(drawn: Sequence[Point], title: str) -> Figure:
-    """Two panels over the same instructions: the error, and the change of the motors; at least one point."""
+    """Draw two panels over instructions: the error, and the change of the motors; at least one point."""
     figure = titled_figure((11, 4.8), title)
     error, change = figure.subplots(1, 2, sharex=True)
     _draw(error, drawn, [point.mae for point in drawn], [point.margin for point in drawn])
@@ -45,7 +45,7 @@ def draw_sizes(drawn: Sequence[Point], title: str) -> Figure:
 
 
 def _draw(panel: Axes, drawn: Sequence[Point], values: Sequence[float], margins: Sequence[float]) -> None:
-    """Dots with bars of 95 % confidence, each with its name beside it, alternately above and below."""
+    """Draw dots with bars of 95 % confidence, each with its name beside it, alternately above and below."""
     at = [point.instructions for point in drawn]
     panel.errorbar(at, values, yerr=margins, fmt="none", ecolor=GRID, elinewidth=1.6, zorder=2)
     colour = MOTOR_COLOURS[0]

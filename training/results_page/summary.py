@@ -1,4 +1,4 @@
-"""Results as they are stored: what the page, its plot and its guards read of a command's output, no more."""
+"""Results as they are stored: only what the page, its plot and its guards read of a command's output."""
 
 from __future__ import annotations
 

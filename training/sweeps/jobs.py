@@ -18,7 +18,6 @@ from neuroflight.training.sweeps.trial import run_trial
 FAILURES_MAX = 3  # restarts of a run after its worker died
 REPORT_S = 1.0  # between two reports of a run
 STOP = "stop"  # a file of this name in the sweep's folder makes runs save their last segment and end
-THREADS = dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
 
 Report = Callable[[int, float], None]  # steps trained, reward
 

@@ -2,31 +2,13 @@
 
 from __future__ import annotations
 
-import multiprocessing
-import os
-import signal
 from collections import deque
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass
+from collections.abc import Sequence
 from multiprocessing.connection import Connection, wait
-from multiprocessing.process import BaseProcess
 from pathlib import Path
 
-from neuroflight.training.sweeps.jobs import FAILURES_MAX, THREADS, End, Job, SweepCallback, do
-
-
-@dataclass(frozen=True, eq=False)
-class _Worker:
-    """A process at work on a run."""
-
-    job: Job
-    process: BaseProcess
-    link: Connection
-
-    @property
-    def number(self) -> int:
-        return self.job.trial.number
+from neuroflight.toolchain.workers import Worker
+from neuroflight.training.sweeps.jobs import FAILURES_MAX, End, Job, SweepCallback, do
 
 
 def run_jobs(jobs: Sequence[Job], out: Path, cpus: int, callback: SweepCallback) -> None:
@@ -35,74 +17,47 @@ def run_jobs(jobs: Sequence[Job], out: Path, cpus: int, callback: SweepCallback)
     A run whose process dies is resumed in another one, up to FAILURES_MAX times.
     """
     open_jobs, deaths = deque(jobs), dict.fromkeys((job.trial.number for job in jobs), 0)
-    active: dict[Connection, _Worker] = {}
+    active: dict[Connection, tuple[Job, Worker]] = {}
     try:
         while open_jobs or active:
             while open_jobs and len(active) < cpus:
-                worker = _start(open_jobs.popleft(), out)
-                active[worker.link] = worker
+                job = open_jobs.popleft()
+                worker = Worker(_work, job, out, name=f"run {job.trial.number}")
+                active[worker.link] = job, worker
             for link in wait(list(active)):
                 assert isinstance(link, Connection)
-                worker = active[link]
+                job, worker = active[link]
+                number = job.trial.number
                 try:
-                    news = link.recv()
-                except (EOFError, ConnectionError):  # it is dead; what it says last is its End
-                    _close(active.pop(link))
-                    deaths[worker.number] += 1
-                    if deaths[worker.number] <= FAILURES_MAX:
-                        open_jobs.appendleft(worker.job)
-                        callback.restarted(worker.number)
+                    news = worker.hear()
+                except (EOFError, RuntimeError) as error:  # what a run that is not dead says last is its End
+                    del active[link]
+                    worker.process.join()
+                    worker.end(kill=True)
+                    deaths[number] += 1
+                    if deaths[number] <= FAILURES_MAX:
+                        open_jobs.appendleft(job)
+                        callback.restarted(number)
                     else:
-                        status = f"at last with status {worker.process.exitcode}"
+                        why = str(error) or f"status {worker.process.exitcode}"
                         times = f"ended {FAILURES_MAX + 1} times before it was done"
-                        callback.failed(worker.number, f"{times}, {status}")
+                        callback.failed(number, f"{times}, at last with {why}")
                     continue
                 if isinstance(news, End):
-                    _close(active.pop(link))
+                    del active[link]
+                    worker.end(kill=True)
                     if news.finished:
-                        callback.finished(worker.number)
+                        callback.finished(number)
                     elif news.reason:
-                        callback.failed(worker.number, news.reason)
+                        callback.failed(number, news.reason)
                 else:
                     steps, reward = news
-                    callback.progressed(worker.number, steps, reward, worker.process.pid or 0)
+                    callback.progressed(number, steps, reward, worker.process.pid or 0)
     finally:
-        for worker in active.values():
-            worker.process.kill()
-            _close(worker)
+        for _, worker in active.values():
+            worker.end(kill=True)
 
 
-def _start(job: Job, out: Path) -> _Worker:
-    context = multiprocessing.get_context("spawn")  # a fork would share torch's threads and the twin
-    ours, theirs = context.Pipe()
-    process = context.Process(target=_work, args=(job, out, theirs), daemon=True)
-    with _one_thread():
-        process.start()
-    theirs.close()
-    return _Worker(job, process, ours)
-
-
-def _close(worker: _Worker) -> None:
-    worker.link.close()
-    worker.process.join()
-
-
-@contextmanager
-def _one_thread() -> Iterator[None]:
-    """Let processes started meanwhile compute on one thread: small matrices gain nothing from more."""
-    before = {name: os.environ.get(name) for name in THREADS}
-    os.environ.update(THREADS)
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value
-
-
-def _work(job: Job, out: Path, link: Connection) -> None:
-    """Do a job in a process, which ignores Ctrl-C: the process that started it asks it to stop."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+def _work(link: Connection, job: Job, out: Path) -> None:
+    """Do a run. Ctrl-C is for the process that began this one, which asks it to stop."""
     link.send(do(job, out, lambda steps, reward: link.send((steps, reward))))

@@ -15,7 +15,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from neuroflight.toolchain.errors import TrainingError
-from neuroflight.training.sweeps.jobs import FAILURES_MAX, THREADS, Job, SweepCallback, do
+from neuroflight.toolchain.workers import THREADS
+from neuroflight.training.sweeps.jobs import FAILURES_MAX, Job, SweepCallback, do
 
 if TYPE_CHECKING:
     import ray.tune

@@ -11,11 +11,11 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
-from neuroflight.cli.sim.fly_jobs import Crew, Show, usable_cores
 from neuroflight.cli.training.evaluation.conditions import check_controllers
 from neuroflight.cli.training.evaluation.contenders import CONTENDER, betaflight_tune, is_betaflight
 from neuroflight.cli.training.evaluation.foreign import say_foreign
 from neuroflight.cli.training.evaluation.ranges import check_ranges
+from neuroflight.toolchain.workers import Crew, Show, usable_cores
 
 if TYPE_CHECKING:
     from neuroflight.sim.aircraft.model import Aircraft

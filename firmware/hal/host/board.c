@@ -5,7 +5,7 @@
 #include "hal/host/convert.h"
 #include "policy.h"
 
-const struct msp_identity host_identity = {
+const struct board_identity host_identity = {
 	.board = "HOST",
 	.target = "HOST",
 	.maker = "NRFL",

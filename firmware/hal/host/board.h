@@ -3,14 +3,14 @@
 #ifndef NF_HOST_BOARD_H
 #define NF_HOST_BOARD_H
 
-#include "common/imu.h"
-#include "hal/hal.h"
 #include "hal/host/flash_model.h"
 #include "hal/host/receiver_line.h"
-#include "msp/msp_identity.h"
 #include "nf_contract.h"
+#include "port/board_identity.h"
+#include "port/hal.h"
+#include "port/imu.h"
 
-extern const struct msp_identity host_identity;
+extern const struct board_identity host_identity;
 
 #define HOST_GYRO_ALIGNMENT ((enum board_alignment)NF_SIM_GYRO_ALIGNMENT)
 #define HOST_BANK 0u /* of images, that it stands for one of: its flash has none there */

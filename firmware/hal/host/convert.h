@@ -6,9 +6,9 @@
 #include <stddef.h>
 #include <stdint.h>
 
-#include "common/imu.h"
-#include "housekeeping/power_sample.h"
 #include "nf_contract.h"
+#include "port/imu.h"
+#include "port/power_sample.h"
 #include "receiver/channels.h"
 
 /* Body rates [rad/s], axes forward, right, down, to the counts of a chip with this alignment, +-2000 deg/s over int16,

@@ -5,7 +5,7 @@
 #include <stdbool.h>
 #include <stdint.h>
 
-#include "storage/flash.h"
+#include "port/flash.h"
 
 struct flash_file {
 	const char *path;

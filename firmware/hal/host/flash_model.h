@@ -8,7 +8,7 @@
 #include <stdint.h>
 
 #include "nf_contract.h"
-#include "storage/flash.h"
+#include "port/flash.h"
 
 #define FLASH_MODEL_NEVER UINT32_MAX /* the cut that does not come */
 

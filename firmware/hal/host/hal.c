@@ -1,6 +1,6 @@
 /* The host as a board: the simulator's packets are its sensors and motors, lockstep is its clock. */
 #define _GNU_SOURCE
-#include "hal/hal.h"
+#include "port/hal.h"
 
 #include <errno.h>
 #include <math.h>
@@ -21,7 +21,7 @@
 #include "hal/host/options.h"
 #include "hal/host/replay_stream.h"
 #include "policy.h"
-#include "program.h"
+#include "runtime.h"
 
 static struct host {
 	struct options options;
@@ -273,7 +273,7 @@ int hal_run(const struct hal_handlers *handlers, const struct nf_settings *setti
 {
 	receiver_line_start(&host.board.line, settings->receiver_protocol);
 	if (host.options.replay)
-		return replay_stream_run(((const struct program *)handlers->context)->firmware, host.options.replay);
+		return replay_stream_run(((const struct runtime *)handlers->context)->firmware, host.options.replay);
 	int code = host_print_ready() ? 0 : 1;
 
 	while (!ended && code == 0) {

@@ -7,7 +7,7 @@
 #include <stdint.h>
 #include <sys/types.h>
 
-#include "blackbox/log_device.h"
+#include "port/log_device.h"
 
 /* Logs of a run that can be read back. Later ones are in the file, but not listed, which is told once: places never move
  * while somebody reads. */

@@ -6,7 +6,7 @@
 #include <stddef.h>
 #include <stdint.h>
 
-#include "blackbox/log_device.h"
+#include "port/log_device.h"
 
 #define LOG_PIPE_BYTES 65536u
 

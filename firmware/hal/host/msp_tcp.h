@@ -7,8 +7,8 @@
 #include <stddef.h>
 #include <stdint.h>
 
-#include "hal/hal.h"
 #include "nf_contract.h"
+#include "port/hal.h"
 
 #define MSP_TCP_SOCKETS (1 + NF_MSP_PORT_COUNT)
 #define MSP_TCP_REPLY_BYTES 4096

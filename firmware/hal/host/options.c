@@ -7,8 +7,8 @@
 #include <stdio.h>
 #include <stdlib.h>
 
-#include "hal/hal.h"
 #include "hal/host/changes.h"
+#include "port/hal.h"
 
 #define PORT_MAX 65535u
 #define MOTOR_MS_MAX 10000u

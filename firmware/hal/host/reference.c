@@ -8,14 +8,14 @@
 #include "hal/host/changes.h"
 #include "hal/host/convert.h"
 #include "hal/host/log_pipe.h"
-#include "program.h"
+#include "runtime.h"
 
 struct reference {
 	struct firmware firmware;
 	_Alignas(8) float weights[POLICY_WEIGHT_COUNT];
 	struct task_stats stats[TASK_COUNT];
 	struct background background;
-	struct program program;
+	struct runtime runtime;
 	struct host_board board;
 	struct hal hal;              /* of the board */
 	struct setting_change changes[NF_SETTING_COUNT];
@@ -64,7 +64,7 @@ int reference_init(void *self, unsigned gyro_hz, const char *const settings[], s
 	log_pipe_init(&r->pipe);
 	r->board.log = &r->pipe.device;
 	r->hal = host_board_hal(&r->board);
-	r->program = (struct program){
+	r->runtime = (struct runtime){
 		.hal = &r->hal,
 		.firmware = &r->firmware,
 		.stats = r->stats,
@@ -109,8 +109,8 @@ bool reference_sample(void *self, const double rates[3], const double force[3], 
 	reference_turn(rates, rates_frd);
 	reference_turn(force, force_frd);
 	const struct imu_sample sample = host_board_sample(rates_frd, force_frd);
-	program_sample(&r->program, &sample);
-	program_background(&r->program);
+	runtime_sample(&r->runtime, &sample);
+	runtime_background(&r->runtime);
 	const size_t size = r->board.motor_count * sizeof dshot[0];
 	const bool changed = memcmp(dshot, r->board.dshot, size) != 0;
 	memcpy(dshot, r->board.dshot, size);
@@ -128,8 +128,8 @@ void reference_silent(void *self, uint16_t dshot[])
 {
 	struct reference *r = self;
 
-	program_gyro_silent(&r->program);
-	program_background(&r->program);
+	runtime_gyro_silent(&r->runtime);
+	runtime_background(&r->runtime);
 	memcpy(dshot, r->board.dshot, r->board.motor_count * sizeof dshot[0]);
 }
 
@@ -168,7 +168,7 @@ void reference_watch(void *self)
 	struct reference *r = self;
 
 	log_ring_init(&r->watched, true);
-	r->program.log = &r->watched;
+	r->runtime.log = &r->watched;
 }
 
 bool reference_record(void *self, struct log_record *record)
@@ -221,33 +221,33 @@ size_t reference_link(void *self, unsigned port, const uint8_t *in, size_t n, ui
 {
 	struct reference *r = self;
 
-	return program_link(&r->program, port, in, n, out, cap);
+	return runtime_link(&r->runtime, port, in, n, out, cap);
 }
 
 void reference_link_reset(void *self, unsigned port)
 {
 	struct reference *r = self;
 
-	program_link_reset(&r->program, port);
+	runtime_link_reset(&r->runtime, port);
 }
 
 void reference_link_pause(void *self, unsigned port)
 {
 	struct reference *r = self;
 
-	program_link_pause(&r->program, port);
+	runtime_link_pause(&r->runtime, port);
 }
 
 void reference_link_lost(void *self, unsigned port)
 {
 	struct reference *r = self;
 
-	program_link_lost(&r->program, port);
+	runtime_link_lost(&r->runtime, port);
 }
 
 bool reference_link_busy(void *self, unsigned port)
 {
 	struct reference *r = self;
 
-	return program_link_busy(&r->program, port);
+	return runtime_link_busy(&r->runtime, port);
 }

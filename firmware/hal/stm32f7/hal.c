@@ -1,7 +1,8 @@
 /* hal.h for the STM32F722: joins the drivers. */
-#include "hal/hal.h"
+#include "port/hal.h"
 
 #include "board.h"
+#include "common/status.h"
 #include "hal/stm32f7/core/clock.h"
 #include "hal/stm32f7/core/core.h"
 #include "hal/stm32f7/core/fault.h"
@@ -185,7 +186,7 @@ int hal_init(int argc, char **argv, struct hal_info *info)
 	info->clock_inexact = !clock_is_exact();
 	info->alignment_disputed = BOARD_ALIGNMENT_DISPUTED(info->gyro_chip);
 	info->real_time = true;
-	info->identity = (struct msp_identity){
+	info->identity = (struct board_identity){
 		.board = BOARD_ID,
 		.target = BOARD_TARGET,
 		.maker = BOARD_MAKER,

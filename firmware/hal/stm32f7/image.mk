@@ -9,7 +9,7 @@ PYTHON ?= $(firstword $(wildcard ../.venv/bin/python) python3)
 # The boot part is made of its own sources and of what it shares with the image, compiled once more; of its names only
 # those remain that the linker needs, so that the image's may be the same.
 BOOT_SOURCES := $(sort $(wildcard hal/stm32f7/boot/*.c)) hal/stm32f7/core/gpio.c hal/stm32f7/startup/memory.c \
-	src/storage/image_bank.c src/storage/flash.c
+	src/storage/image_bank.c src/port/flash.c
 BOOT_OBJECTS := $(BOOT_SOURCES:%.c=$(OBJ)/boot/%.o)
 HAL_SOURCES := $(filter-out hal/stm32f7/boot/%,$(sort $(wildcard hal/stm32f7/*.c hal/stm32f7/*/*.c)))
 
@@ -25,7 +25,8 @@ $(OBJ)/src/%.o: CFLAGS += -Os
 # But for what every step of a policy that observes much goes through number by number.
 $(addprefix $(OBJ)/src/control/,estimator.o mixer.o observation.o): CFLAGS += -O2
 # What only the background runs keeps less in registers, so that it saves and restores fewer.
-$(OBJ)/src/background.o $(OBJ)/src/blackbox/%.o $(OBJ)/src/command_line/%.o $(OBJ)/src/msp/%.o $(OBJ)/src/storage/%.o: \
+$(addprefix $(OBJ)/src/,background.o background_start.o background_services.o \
+	$(addsuffix /%.o,blackbox command_line msp port storage)): \
 	CFLAGS += -fno-move-loop-invariants -fno-schedule-insns2
 # The drivers are small, too, but for those of the gyro's path and what delays the motors' first stop frame.
 QUICK := devices/gyro_chip devices/motors peripherals/spi startup/memory startup/startup

@@ -10,11 +10,11 @@
 #include <stddef.h>
 #include <stdint.h>
 
-#include "blackbox/log_device.h"
 #include "blackbox/log_frames.h"
 #include "blackbox/log_header.h"
 #include "blackbox/log_ring.h"
 #include "nf_contract.h"
+#include "port/log_device.h"
 #include "sensing/gyro.h"
 
 /* What it needs of the firmware; the pointers live as long as it. */

@@ -1,7 +1,7 @@
 /* What the blackbox keeps of one control step: all that the control path was given, and what came of it. The gyro's
  * interrupt copies it; the background makes frames of it.
  *
- * The order is that of the copying (firmware_log, program.c): neighbours here are neighbours there. */
+ * The order is that of the copying (firmware_log, runtime.c): neighbours here are neighbours there. */
 #ifndef NF_LOG_RECORD_H
 #define NF_LOG_RECORD_H
 

@@ -1,15 +1,12 @@
-/* What a command is, for the files that have them. */
+/* What a command is, and those that there are. */
 #ifndef NF_COMMAND_H
 #define NF_COMMAND_H
 
 #include <stdbool.h>
-#include <stddef.h>
 
 #include "command_line/printer.h"
 #include "command_line/session.h"
 #include "common/status.h"
-
-#define COMMAND_ERROR "###ERROR " /* so begins every line that tells an error */
 
 /* A command at work. */
 struct task_line {
@@ -30,36 +27,6 @@ struct command {
 	bool (*run)(const struct task_line *t);
 };
 
-extern const struct command command_table[];
-extern const size_t command_count;
-
-/* The command that `line` begins with; NULL: none. *arguments is what stands behind it. */
-const struct command *command_find(const char *line, const char **arguments);
-
-/* Begins a line that tells an error: `save` is refused from here on. Its own errors change nothing there: it may be
- * tried again. */
-void command_error(const struct task_line *t);
-
-/* Begins an error of command `name` about its argument `got`, cut where it is long: what was got stands there, what was
- * expected is to follow. */
-void command_got(const struct task_line *t, const char *name, const char *got);
-
-/* Ends an error line about what may come from a diff of Betaflight's: says who takes that. */
-void command_end_foreign(const struct task_line *t);
-
-/* Ends an error line about armed motors or a motor test. */
-void command_say_armed(const struct task_line *t);
-
-/* Name and hash of the policy. */
-void command_say_policy(const struct task_line *t);
-void command_say_version(const struct task_line *t);
-
-/* Is `text` exactly the word `word`? */
-bool command_is(const char *text, const char *word);
-
-/* Reads digits alone. Returns what stands behind them and the spaces after them; NULL: there are none, or too many. */
-const char *command_number(const char *text, uint32_t *value);
-
 /* Commands, by file. */
 bool command_version(const struct task_line *t); /* report_commands.c */
 bool command_status(const struct task_line *t);
@@ -75,9 +42,7 @@ bool command_defaults(const struct task_line *t);
 bool command_exit(const struct task_line *t);
 bool command_motor(const struct task_line *t);   /* motor_commands.c */
 
-/* Stops the motor that a command turns and closes its motor test. */
-void command_stop_motor(struct command_line *cl);
-/* Keeps it turning for its time. Returns NULL, or what is to be said. */
+/* Runs the motor that a command turns for its duration. Returns NULL, or the reply text once it has stopped. */
 const char *command_turn_motor(struct command_line *cl, const struct firmware_status *status);
 
 #endif

@@ -1,6 +1,8 @@
 #include "command_line/command_line.h"
 
 #include "command_line/command.h"
+#include "command_line/commands.h"
+#include "command_line/reply.h"
 #include "common/limit.h"
 
 #define BACKSPACE 0x08
@@ -93,13 +95,6 @@ static void command_line_run(struct command_line *cl, const struct command *comm
 	cl->found = false;
 }
 
-static void command_line_clear(struct command_line *cl)
-{
-	cl->length = 0;
-	cl->line[0] = '\0';
-	cl->fault = COMMAND_LINE_GOOD;
-}
-
 bool command_line_begin(struct command_line *cl, uint8_t byte)
 {
 	if (byte != COMMAND_LINE_OPENS && byte != COMMAND_LINE_FRAME)
@@ -116,25 +111,6 @@ bool command_line_begin(struct command_line *cl, uint8_t byte)
 	cl->mode = COMMAND_LINE_TYPED;
 	command_line_run(cl, &greeting);
 	return true;
-}
-
-void command_line_stop(struct command_line *cl)
-{
-	if (cl->motor.turning)
-		command_stop_motor(cl);
-}
-
-void command_line_leave(struct command_line *cl)
-{
-	if (cl->mode == COMMAND_LINE_CLOSED)
-		return;
-	command_line_stop(cl);
-	cl->motor.allowed = false;
-	command_line_clear(cl);
-	cl->running = NULL;
-	cl->frame_ended = false;
-	cl->mode = COMMAND_LINE_CLOSED;
-	(void)cl->services->session(cl->services->context, false);
 }
 
 void command_line_spoil(struct command_line *cl)

@@ -26,9 +26,6 @@ void command_line_init(struct command_line *cl, const struct command_line_servic
  * open. */
 bool command_line_begin(struct command_line *cl, uint8_t byte);
 
-/* Ends the session because the peer speaks MSP or has gone: its motor stops, half a line is forgotten. */
-void command_line_leave(struct command_line *cl);
-
 bool command_line_open(const struct command_line *cl);
 
 /* Is output outstanding? Then no byte may be taken. */
@@ -36,9 +33,6 @@ bool command_line_busy(const struct command_line *cl);
 
 /* Does the next byte begin a line? */
 bool command_line_at_start(const struct command_line *cl);
-
-/* A byte came that the command line does not take: a motor stops for it as for any. */
-void command_line_stop(struct command_line *cl);
 
 /* Bytes were lost, or came that are no text: the line that they belong to is not carried out, and `save` is refused. */
 void command_line_lost(struct command_line *cl);

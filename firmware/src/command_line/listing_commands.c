@@ -1,6 +1,6 @@
 /* diff and dump, save, defaults and exit: all settings at once. */
 #include "command_line/command.h"
-#include "command_line/command_line.h"
+#include "command_line/reply.h"
 #include "storage/settings.h"
 #include "storage/settings_store.h"
 #include "storage/settings_text.h"
@@ -25,7 +25,7 @@ static void listing_header(const struct task_line *t, unsigned row)
 		printer_text(t->out, "# ");
 		command_say_version(t);
 		printer_text(t->out, " on ");
-		printer_text(t->out, t->services->board);
+		printer_text(t->out, t->services->identity->target);
 	}
 	printer_end(t->out);
 }

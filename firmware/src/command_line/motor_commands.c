@@ -1,5 +1,6 @@
 /* motor: turns one motor for some seconds, under the interlock of the motor test. */
 #include "command_line/command.h"
+#include "command_line/reply.h"
 #include "policy.h"
 
 #define SECONDS_MAX 5u
@@ -20,12 +21,6 @@ static enum nf_refusal motor_give(const struct command_line *cl)
 	for (unsigned i = 0; i < POLICY_ACTION_COUNT; ++i)
 		values_us[i] = i + 1 == cl->motor.turning ? cl->motor.value_us : NF_CHANNEL_MIN_US;
 	return cl->services->motors(cl->services->context, values_us, POLICY_ACTION_COUNT);
-}
-
-void command_stop_motor(struct command_line *cl)
-{
-	cl->motor.turning = 0;
-	(void)cl->services->motor_test(cl->services->context, 0);
 }
 
 const char *command_turn_motor(struct command_line *cl, const struct firmware_status *status)

@@ -1,5 +1,6 @@
 /* Commands that tell what the firmware is and does. */
 #include "command_line/command.h"
+#include "command_line/reply.h"
 #include "common/nf_math.h"
 #include "housekeeping/battery.h"
 #include "policy.h"
@@ -35,7 +36,7 @@ bool command_version(const struct task_line *t)
 {
 	command_say_version(t);
 	printer_text(t->out, " on ");
-	printer_text(t->out, t->services->board);
+	printer_text(t->out, t->services->identity->target);
 	printer_text(t->out, ", MSP API ");
 	printer_number(t->out, NF_MSP_API_MAJOR);
 	printer_char(t->out, '.');

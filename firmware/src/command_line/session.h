@@ -10,8 +10,9 @@
 #include "common/status.h"
 #include "housekeeping/scheduler.h"
 #include "nf_contract.h"
+#include "port/board_identity.h"
+#include "port/flash.h"
 #include "storage/fault_log.h"
-#include "storage/flash.h"
 #include "storage/policy_slots.h"
 
 #define COMMAND_LINE_BYTES 96u /* of a line, its end not counted */
@@ -30,8 +31,7 @@ struct command;
 
 /* What the commands act on; all of it belongs to the background. */
 struct command_line_services {
-	const char *board;             /* build target */
-	uint32_t unique_id[3];
+	const struct board_identity *identity;
 	const struct flash *flash;
 	struct nf_settings *settings;  /* as changed and perhaps not saved; not those that are flown */
 	const struct policy_slots *slots;
@@ -79,5 +79,17 @@ struct command_line {
 	struct command_line_motor motor;
 	char line[COMMAND_LINE_BYTES + 1];
 };
+
+/* Stops the motor that a command turns and closes its motor test. */
+void command_stop_motor(struct command_line *cl);
+
+/* A byte came that the command line does not take: a motor stops for it as for any. */
+void command_line_stop(struct command_line *cl);
+
+/* Forgets the line that is being typed. */
+void command_line_clear(struct command_line *cl);
+
+/* Ends the session because the peer speaks MSP or has gone: its motor stops, half a line is forgotten. */
+void command_line_leave(struct command_line *cl);
 
 #endif

@@ -1,5 +1,6 @@
 /* get and set. */
 #include "command_line/command.h"
+#include "command_line/reply.h"
 #include "policy.h"
 #include "storage/settings.h"
 #include "storage/settings_text.h"
@@ -14,13 +15,13 @@ static void item_version(const struct task_line *t)
 
 static void item_board(const struct task_line *t)
 {
-	printer_text(t->out, t->services->board);
+	printer_text(t->out, t->services->identity->target);
 }
 
 static void item_uid(const struct task_line *t)
 {
 	for (unsigned i = 0; i < 3; ++i)
-		printer_hex(t->out, t->services->unique_id[i], 8);
+		printer_hex(t->out, t->services->identity->unique_id[i], 8);
 }
 
 static void item_policy(const struct task_line *t)

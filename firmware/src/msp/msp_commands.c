@@ -36,7 +36,7 @@ static enum nf_refusal command_tasks(struct request *q)
 	return NF_REFUSAL_NONE;
 }
 
-static enum nf_refusal command_faults_read(struct request *q)
+static enum nf_refusal command_faults(struct request *q)
 {
 	const struct fault_log *log = q->services->faults;
 
@@ -104,7 +104,7 @@ static enum nf_refusal command_setting_set(struct request *q)
 	return settings_set(q->services->settings, index, &value);
 }
 
-static enum nf_refusal command_settings_write(struct request *q)
+static enum nf_refusal command_eeprom_write(struct request *q)
 {
 	const enum nf_refusal refusal = settings_save(q->services->settings, q->services->flash);
 
@@ -117,7 +117,7 @@ static enum nf_refusal command_settings_write(struct request *q)
 }
 
 /* In a receiver's order, which the channel map is laid over, as the ecosystem's clients expect. */
-static enum nf_refusal command_channels(struct request *q)
+static enum nf_refusal command_set_raw_rc(struct request *q)
 {
 	const struct msp_services *s = q->services;
 	uint16_t channels_us[NF_CHANNEL_COUNT];
@@ -160,7 +160,7 @@ static enum nf_refusal command_wizard(const struct request *q, bool opens)
 #define WIZARD_MAX_US (NF_CHANNEL_MIN_US + (unsigned)(NF_MOTOR_WIZARD_MAX * (NF_CHANNEL_MAX_US - NF_CHANNEL_MIN_US)))
 
 /* As many values as there may be motors; a motor that is not there may only be stopped, by 1000 or 0. */
-static enum nf_refusal command_motors(struct request *q)
+static enum nf_refusal command_set_motor(struct request *q)
 {
 	const struct msp_services *s = q->services;
 	bool wizard = q->payload.left == POLICY_ACTION_COUNT * sizeof(uint16_t);
@@ -206,7 +206,7 @@ static enum nf_refusal command_dshot_command(struct request *q)
 /* Type, motor, count, commands. The frames of a command take time on the wire, so one command is taken at a time, or
  * one followed by SAVE. The type tells the ecosystem's firmware whether to wait for it and makes no difference here.
  * The app's wizard sends commands while motors turn: they stop, and the wizard turns them again. */
-static enum nf_refusal command_send_dshot(struct request *q)
+static enum nf_refusal command_send_dshot_command(struct request *q)
 {
 	const struct msp_services *s = q->services;
 
@@ -231,7 +231,7 @@ static enum nf_refusal command_settings_default(struct request *q)
 	return NF_REFUSAL_NONE;
 }
 
-static enum nf_refusal command_reset_configuration(struct request *q)
+static enum nf_refusal command_reset_conf(struct request *q)
 {
 	settings_default(q->services->settings);
 	return settings_save(q->services->settings, q->services->flash);
@@ -243,7 +243,7 @@ static bool command_slots_held(const struct request *q)
 	return q->services->image && image_update_holds_slots(q->services->image);
 }
 
-static enum nf_refusal command_slot_begin(struct request *q)
+static enum nf_refusal command_policy_slot_begin(struct request *q)
 {
 	if (command_slots_held(q))
 		return NF_REFUSAL_ORDER;
@@ -254,14 +254,14 @@ static enum nf_refusal command_slot_begin(struct request *q)
 	return refusal;
 }
 
-static enum nf_refusal command_slot_write(struct request *q)
+static enum nf_refusal command_policy_slot_write(struct request *q)
 {
 	const uint32_t offset = msp_take_u32(&q->payload);
 
 	return policy_slots_write(q->services->slots, offset, q->payload.at, q->payload.left);
 }
 
-static enum nf_refusal command_slot_end(struct request *q)
+static enum nf_refusal command_policy_slot_end(struct request *q)
 {
 	enum nf_err why;
 	const enum nf_refusal refusal = policy_slots_end(q->services->slots, &why);
@@ -270,12 +270,12 @@ static enum nf_refusal command_slot_end(struct request *q)
 	return refusal;
 }
 
-static enum nf_refusal command_slot_revert(struct request *q)
+static enum nf_refusal command_policy_slot_revert(struct request *q)
 {
 	return command_slots_held(q) ? NF_REFUSAL_ORDER : policy_slots_revert(q->services->slots);
 }
 
-static enum nf_refusal command_slot_info(struct request *q)
+static enum nf_refusal command_policy_slot_info(struct request *q)
 {
 	const struct policy_slots *slots = q->services->slots;
 	const unsigned source = msp_take_u8(&q->payload);
@@ -471,41 +471,9 @@ static const struct command {
 	uint16_t shortest, longest; /* payload [bytes] */
 	enum nf_refusal (*run)(struct request *q);
 } commands[] = {
-	{ NF_MSP_TASKS, ALWAYS, 0, 0, command_tasks },
-	{ NF_MSP_FAULTS, ALWAYS, 0, 0, command_faults_read },
-	{ NF_MSP_FAULTS, STORING, 4, 4, command_faults_acknowledge },
-	{ NF_MSP_ACKNOWLEDGE, STORING, 0, 0, command_acknowledge },
-	{ NF_MSP_SETTING_INFO, ALWAYS, 2, 2, command_setting_info },
-	{ NF_MSP_SETTING_GET, ALWAYS, 2, 2, command_setting_get },
-	{ NF_MSP_SETTING_SET, STOPPED, 6, 2 + NF_SETTING_TEXT_BYTES, command_setting_set },
-	{ NF_MSP_EEPROM_WRITE, STORING, 0, 0, command_settings_write },
-	{ NF_MSP_SET_RAW_RC, ALWAYS, 8, 2 * NF_CHANNEL_COUNT, command_channels },
-	{ NF_MSP_SETTINGS_DEFAULT, STOPPED, 0, 0, command_settings_default },
-	{ NF_MSP_RESET_CONF, STORING, 0, 0, command_reset_configuration },
-	{ NF_MSP_CALIBRATE, STOPPED, 0, 0, command_calibrate },
-	{ NF_MSP_ARMING_DISABLE, ALWAYS, 1, 2, command_arming_disable },
-	{ NF_MSP_SEND_DSHOT_COMMAND, STOPPED, 4, NF_MSP_PAYLOAD_MAX, command_send_dshot },
-	{ NF_MSP_MOTOR_TEST, STOPPED, 4, 4, command_motor_test },
-	{ NF_MSP_SET_MOTOR, STOPPED, 2, 2 * NF_MOTOR_COUNT_MAX, command_motors },
-	{ NF_MSP_DSHOT_COMMAND, STOPPED, 2, 2, command_dshot_command },
-	{ NF_MSP_POLICY_SLOT_BEGIN, STORING, 4, 4, command_slot_begin },
-	{ NF_MSP_POLICY_SLOT_WRITE, STORING, 8, NF_MSP_PAYLOAD_MAX, command_slot_write },
-	{ NF_MSP_POLICY_SLOT_END, STORING, 0, 0, command_slot_end },
-	{ NF_MSP_POLICY_SLOT_REVERT, STORING, 0, 0, command_slot_revert },
-	{ NF_MSP_POLICY_SLOT_INFO, ALWAYS, 1, 1, command_slot_info },
-	{ NF_MSP_IMAGE_INFO, ALWAYS, 0, 0, command_image_info },
-	{ NF_MSP_IMAGE_BEGIN, STORING, sizeof(struct nf_image_header), sizeof(struct nf_image_header),
-	  command_image_begin },
-	{ NF_MSP_IMAGE_WRITE, STORING, 8, NF_MSP_PAYLOAD_MAX, command_image_write },
-	{ NF_MSP_IMAGE_END, STORING, 0, 0, command_image_end },
-	{ NF_MSP_IMAGE_HASH, STOPPED, 1, 1, command_image_hash },
-	{ NF_MSP_IMAGE_SWITCH, STORING, SHA256_BYTES, SHA256_BYTES, command_image_switch },
-	{ NF_MSP_STREAM, ALWAYS, 2, 2, command_stream },
-	{ NF_MSP_LOG_INFO, ALWAYS, 0, 0, command_log_info },
-	{ NF_MSP_LOG_ENTRY, STOPPED, 2, 2, command_log_entry },
-	{ NF_MSP_LOG_READ, STOPPED, 8, 8, command_log_read },
-	{ NF_MSP_LOG_ERASE, STOPPED, 4, 4, command_log_erase },
-	{ NF_MSP_REBOOT, STOPPED, 0, 1, command_reboot },
+#define COMMAND(message, when, shortest, longest, function) \
+	{ NF_MSP_##message, when, shortest, longest, command_##function },
+	NF_MSP_COMMANDS(COMMAND)
 };
 
 /* The row of a command with a payload of that size; one of another size, *fits false, or NULL. */

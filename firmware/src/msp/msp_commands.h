@@ -14,8 +14,8 @@
 #include "msp/msp_payload.h"
 #include "msp/msp_peer.h"
 #include "nf_contract.h"
+#include "port/flash.h"
 #include "storage/fault_log.h"
-#include "storage/flash.h"
 #include "storage/image_update.h"
 #include "storage/policy_slots.h"
 

@@ -4,7 +4,7 @@
 #include "msp/msp_configure.h"
 #include "msp/msp_replies.h"
 
-void msp_port_init(struct msp_port *port, const struct msp_identity *identity, const struct msp_services *services)
+void msp_port_init(struct msp_port *port, const struct board_identity *identity, const struct msp_services *services)
 {
 	*port = (struct msp_port){ .identity = identity, .services = services };
 	msp_reset(&port->msp);

@@ -9,8 +9,8 @@
 #include "command_line/command_line.h"
 #include "common/status.h"
 #include "msp/msp.h"
-#include "msp/msp_identity.h"
 #include "msp/msp_peer.h"
+#include "port/board_identity.h"
 
 struct msp_services;
 
@@ -18,7 +18,7 @@ struct msp_services;
 #define MSP_PORT_HOLDS 128u
 
 struct msp_port {
-	const struct msp_identity *identity;
+	const struct board_identity *identity;
 	const struct msp_services *services; /* NULL: only commands that read are served */
 	struct msp msp;                      /* the request being read */
 	struct msp_peer peer;
@@ -29,7 +29,7 @@ struct msp_port {
 };
 
 /* `identity` and `services` must outlive the port. */
-void msp_port_init(struct msp_port *port, const struct msp_identity *identity, const struct msp_services *services);
+void msp_port_init(struct msp_port *port, const struct board_identity *identity, const struct msp_services *services);
 
 /* The peer has gone, or a new one is there: nothing of the last one's is left. */
 void msp_port_reset(struct msp_port *port);

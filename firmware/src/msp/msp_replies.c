@@ -278,7 +278,7 @@ static void reply_current_meters(struct msp_writer *w, const struct msp_facts *s
 }
 
 /* The modes, in the order of their bits in STATUS. */
-static void reply_box_names(struct msp_writer *w, const struct msp_facts *s)
+static void reply_boxnames(struct msp_writer *w, const struct msp_facts *s)
 {
 	static const char *const names[] = {
 		[MODE_ARM] = "ARM", [MODE_BEEPER] = "BEEPER", [MODE_BLACKBOX] = "BLACKBOX",
@@ -293,20 +293,20 @@ static void reply_box_names(struct msp_writer *w, const struct msp_facts *s)
 	}
 }
 
-static void reply_box_ids(struct msp_writer *w, const struct msp_facts *s)
+static void reply_boxids(struct msp_writer *w, const struct msp_facts *s)
 {
 	(void)s;
 	for (unsigned mode = 0; mode < MODE_COUNT; ++mode)
 		msp_put_u8(w, mode_range_mode((enum mode_index)mode));
 }
 
-static void reply_pid_names(struct msp_writer *w, const struct msp_facts *s)
+static void reply_pidnames(struct msp_writer *w, const struct msp_facts *s)
 {
 	(void)s;
 	msp_put_text(w, "ROLL;PITCH;YAW;LEVEL;MAG;", UINT8_MAX);
 }
 
-static void reply_mcu(struct msp_writer *w, const struct msp_facts *s)
+static void reply_mcu_info(struct msp_writer *w, const struct msp_facts *s)
 {
 	msp_put_u8(w, MCU_NOT_TOLD);
 	msp_put_counted_text(w, s->identity->mcu, MSP_TEXT_MAX);
@@ -386,30 +386,8 @@ static const struct command {
 	enum nf_msp code;
 	void (*write)(struct msp_writer *w, const struct msp_facts *s);
 } commands[] = {
-	{ NF_MSP_API_VERSION, reply_api_version },
-	{ NF_MSP_FC_VARIANT, reply_fc_variant },
-	{ NF_MSP_FC_VERSION, reply_fc_version },
-	{ NF_MSP_BOARD_INFO, reply_board_info },
-	{ NF_MSP_BUILD_INFO, reply_build_info },
-	{ NF_MSP_NAME, reply_name },
-	{ NF_MSP_STATUS, reply_status },
-	{ NF_MSP_RAW_IMU, reply_raw_imu },
-	{ NF_MSP_MOTOR, reply_motor },
-	{ NF_MSP_RC, reply_rc },
-	{ NF_MSP_ATTITUDE, reply_attitude },
-	{ NF_MSP_ANALOG, reply_analog },
-	{ NF_MSP_BATTERY_STATE, reply_battery_state },
-	{ NF_MSP_STATUS_EX, reply_status_ex },
-	{ NF_MSP_UID, reply_uid },
-	{ NF_MSP_VOLTAGE_METERS, reply_voltage_meters },
-	{ NF_MSP_CURRENT_METERS, reply_current_meters },
-	{ NF_MSP_BOXNAMES, reply_box_names },
-	{ NF_MSP_BOXIDS, reply_box_ids },
-	{ NF_MSP_PIDNAMES, reply_pid_names },
-	{ NF_MSP_MCU_INFO, reply_mcu },
-	{ NF_MSP_IDENTITY, reply_identity },
-	{ NF_MSP_POLICY_INFO, reply_policy_info },
-	{ NF_MSP_SAFETY, reply_safety },
+#define REPLY(message, function) { NF_MSP_##message, reply_##function },
+	NF_MSP_REPLIES(REPLY)
 };
 
 bool msp_reply(uint16_t command, const struct msp_facts *facts, struct msp_writer *reply)

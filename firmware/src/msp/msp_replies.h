@@ -6,13 +6,13 @@
 #include <stdint.h>
 
 #include "common/status.h"
-#include "msp/msp_identity.h"
 #include "msp/msp_payload.h"
+#include "port/board_identity.h"
 #include "storage/policy_slots.h"
 
 /* What they tell about. */
 struct msp_facts {
-	const struct msp_identity *identity;
+	const struct board_identity *identity;
 	const struct firmware_status *status;
 	const struct policy_slots *slots; /* NULL: there is no policy */
 	const struct nf_settings *settings; /* NULL: names and variant are the defaults */

@@ -5,9 +5,9 @@
 #include <stdbool.h>
 #include <stdint.h>
 
-#include "common/imu.h"
 #include "common/nf_err.h"
 #include "nf_contract.h"
+#include "port/imu.h"
 #include "sensing/calibration.h"
 
 struct gyro {

@@ -11,8 +11,8 @@
 #include <stdint.h>
 
 #include "nf_contract.h"
-#include "storage/fault_record.h"
-#include "storage/flash.h"
+#include "port/fault_record.h"
+#include "port/flash.h"
 
 struct fault_log {
 	const struct flash *flash;

@@ -11,7 +11,7 @@
 
 #include "common/nf_err.h"
 #include "nf_contract.h"
-#include "storage/flash.h"
+#include "port/flash.h"
 
 #define IMAGE_BANK_COUNT 2u
 #define IMAGE_BANK_NONE IMAGE_BANK_COUNT /* as a bank: no bank */

@@ -19,7 +19,7 @@
 #include <stdint.h>
 
 #include "nf_contract.h"
-#include "storage/flash.h"
+#include "port/flash.h"
 
 struct image_probation {
 	const struct flash *flash;

@@ -12,7 +12,7 @@
 #include "common/nf_err.h"
 #include "common/sha256.h"
 #include "nf_contract.h"
-#include "storage/flash.h"
+#include "port/flash.h"
 #include "storage/image_bank.h"
 #include "storage/policy_slots.h"
 

@@ -15,7 +15,7 @@
 #include "common/nf_err.h"
 #include "nf_contract.h"
 #include "policy.h"
-#include "storage/flash.h"
+#include "port/flash.h"
 #include "storage/policy_blob.h"
 
 /* Where a policy can come from. */

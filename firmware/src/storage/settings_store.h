@@ -5,7 +5,7 @@
 
 #include <stdbool.h>
 
-#include "storage/flash.h"
+#include "port/flash.h"
 #include "storage/settings.h"
 
 enum settings_loaded {

@@ -131,10 +131,6 @@ class Context(Protocol):
         """Return True if the data cache is on and the MPU lets it hold `address`: DMA must not use it."""
         ...
 
-    def data_cache_on(self) -> bool:
-        """Return True if SCB_CCR.DC is set."""
-        ...
-
     def core_clock(self, hz: int) -> None:
         """Run the core (and DWT, SysTick) at `hz` from now on. After reset: 16 MHz."""
         ...

@@ -136,7 +136,7 @@ class Engine:
         self.profiled = profile
         self._functions = self._function_table() if profile else self.ffi.NULL
         fixed = round(cpi * (1 << FRACTION))
-        self._free = self.library.engine_free  # found now: see Native
+        self._free = self.library.engine_free  # looked up now: see Native
         self.handle = self.library.engine_new(fixed, strict, profile, self._functions)
         error = self.library.engine_open(self.handle)
         if error:
@@ -410,10 +410,6 @@ class Engine:
     def is_cached(self, address: int) -> bool:
         """Return True if the data cache covers `address`."""
         return bool(self.library.engine_cached(self.handle, address))
-
-    def data_cache_on(self) -> bool:
-        """Return True if SCB_CCR.DC is set."""
-        return bool(self.load(0xE000ED14, 4) >> 16 & 1)
 
     def core_clock(self, hz: int) -> None:
         """Run the core at `hz` from now on."""

@@ -24,11 +24,6 @@ def load_library(*parts: Path, folder: Path = CACHE) -> Library:
     return compiled.load(_source((CORE, *parts)), folder)
 
 
-def build_library(parts: tuple[Path, ...], folder: Path) -> Path:
-    """Build the library if it is missing; return its path. Raises BuildError."""
-    return compiled.build(_source(parts), folder)
-
-
 def _source(parts: tuple[Path, ...]) -> compiled.Source:
     """Return the sources of `parts`. Raises BuildError if unicorn's headers or library are missing."""
     package = Path(unicorn.__file__).parent

@@ -216,7 +216,7 @@ class ControlMeter:
         if not call.name:
             self.interruptions += 1
             self.interrupting += instructions
-            for outer in self._open:  # as if it had not been
+            for outer in self._open:  # as if the interruption had not happened
                 outer.counts = outer.counts + counts
                 outer.instructions += instructions
                 outer.accesses += accesses

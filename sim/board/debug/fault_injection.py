@@ -243,7 +243,7 @@ class FaultPlan:
 
     def __init__(self, faults: Sequence[Fault], rate_hz: int) -> None:
         """rate_hz: of the gyro samples. Faults of the boot are due at once."""
-        self.begun = False  # one has come that nothing need keep step after
+        self.begun = False  # a fault has come after which lockstep is not guaranteed
         self._rate_hz = rate_hz
         # What is to come: sample, fault, whether it ends then.
         self.due = [(0, fault, False) for fault in faults if fault.at_s is None]

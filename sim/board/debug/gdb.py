@@ -121,7 +121,7 @@ class GdbServer:
             self._stop(INTERRUPT)
 
     def _has_stepped(self, outcome: Outcome) -> bool:
-        """Return whether a step is over; a handler that interrupts its instruction belongs to it."""
+        """Return True if a step is over; a handler that interrupts its instruction belongs to it."""
         return outcome is Outcome.RESET or (outcome is Outcome.LIMIT and self._engine.depth <= self._depth)
 
     def _stop(self, signal: int, why: str = "") -> None:
@@ -153,7 +153,7 @@ class GdbServer:
                     self._send(reply)
 
     def _is_readable(self, timeout: float | None) -> bool:
-        """Return whether the client has sent something within `timeout` [s]. Turns others away meanwhile."""
+        """Return True if the client has sent something within `timeout` [s]. Turns others away meanwhile."""
         assert self._client is not None
         ready = select.select([self._client, self._listener], [], [], timeout)[0]
         if self._listener in ready:

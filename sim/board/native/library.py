@@ -65,7 +65,7 @@ class Native:
         }
         self._kept = {name: self.ffi.callback(f"{name}_callback", f) for name, f in functions.items()}
         callbacks = self.ffi.new("struct native_callbacks *", self._kept)
-        # Found now: the collector may come while cffi finds another name, which would then wait for itself.
+        # Looked up now: if the garbage collector ran while cffi looks up a name, it would wait for itself.
         self._free = self.library.native_free
         self.handle = self.library.native_new(engine.handle, engine.callbacks, callbacks)
 

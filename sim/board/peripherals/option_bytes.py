@@ -35,11 +35,6 @@ class OptionBytes:
         return (self.optcr1 >> 16) << BOOT_ADDRESS_UNIT
 
     @property
-    def read_protection(self) -> int:
-        """RDP: 0xAA none, 0xCC permanent, otherwise level 1."""
-        return self.optcr >> 8 & 0xFF
-
-    @property
     def hardware_watchdog(self) -> bool:
         """True if IWDG runs from reset on (IWDG_SW 0)."""
         return not self.optcr >> 5 & 1

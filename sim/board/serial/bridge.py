@@ -3,7 +3,7 @@
 `UartLine` is the end of the wires: bytes that the board has sent, bytes that go in, each at its exact time,
 and what of either was no byte for its receiver because both ends run at different speeds. On it stand
 
-- `LineTransport`: a client in this very program (flash.client), in lockstep with the board. It waits in
+- `LineTransport`: a client in this very program (flash.link.client), in lockstep with the board. It waits in
   emulated time only, so that a conversation is repeatable to the bit.
 - `Bridge`: programs elsewhere on this computer, behind a `PtyEnd` or a `TcpEnd`. It has no thread and never
   waits: whoever runs the board calls `exchange` between two slices.
@@ -33,7 +33,7 @@ SLICE = TIME_HZ // 10_000  # cycles between two reads of what the board has sent
 PENDING_MAX = 64 * 1024  # bytes kept for a program that does not read; what comes then is lost, as on wires
 READ_MAX = 4096
 AHEAD_MAX = 16 << 20  # bytes read to see whether a program has gone: more than a connection holds
-AHEAD_S = 0.02  # until the system has moved on what a program that has gone had sent
+AHEAD_S = 0.02  # until the system has delivered what a closed program had sent
 
 
 class UartLine:

@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from neuroflight.flash.client import Client
-from neuroflight.flash.settings import Settings, as_stored, in_order
+from neuroflight.flash.link.client import Client
+from neuroflight.flash.settings.values import Settings, as_stored, in_order
 from neuroflight.sim.board.board import Board
 from neuroflight.sim.board.core.context import TIME_HZ
 from neuroflight.sim.board.devices.gyro_mount import accel_counts, gyro_counts
@@ -41,7 +41,7 @@ GYRO_NOISE, ACCEL_NOISE = np.radians(0.16), 0.005 * GRAVITY  # standard deviatio
 TEMPERATURE_DEG_C = 26.0  # of the gyro chip
 NOISE_STEPS = 1000  # drawn at once
 BOOT_S = 2.0  # within which an image is up, if it ever is
-LAG_MAX_S = 0.1  # behind the clock on the wall; what is more is not made up for
+LAG_MAX_S = 0.1  # greatest lag behind real time; a longer one is not caught up
 FLASH_REST = TIME_HZ // 10  # cycles without an operation after which flash is worth keeping
 
 
@@ -161,7 +161,7 @@ def serve(
     """
     board = idle.board
     end = None if seconds is None else board.cycle + round(seconds * TIME_HZ)
-    zero = clock() - board.cycle / TIME_HZ  # when the board had been powered had it kept up
+    zero = clock() - board.cycle / TIME_HZ  # time of power-up, if the board had kept up with real time
     while end is None or board.cycle < end:
         for bridge in bridges:
             bridge.exchange(STEP)

@@ -11,9 +11,9 @@ import struct
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from neuroflight.flash import records
-from neuroflight.flash.msp import Decoder, Direction, Message, encode, request
-from neuroflight.flash.stream import Sample, decode_sample
+from neuroflight.flash.link import records
+from neuroflight.flash.link.msp import Decoder, Direction, Message, encode, request
+from neuroflight.flash.monitoring.stream import Sample, decode_sample
 from neuroflight.sim.board.board import Board
 from neuroflight.sim.board.core.context import TIME_HZ
 from neuroflight.sim.board.peripherals.usart import Format

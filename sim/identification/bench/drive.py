@@ -24,7 +24,7 @@ Clock = Callable[[], float]
 TICK_S = 0.02  # between two commands: a ramp of 20 s moves by 0.1 %, the resolution of SET_MOTOR
 CHECK_S = 0.2  # between two looks at the board's state
 HELD_UP_S = 0.25  # a longer gap between two commands stops: the board would, after 0.5 s
-SETTLE_S = 0.3  # in which what the sensor's line had in store is read and forgotten
+SETTLE_S = 0.3  # for reading and discarding old bytes of the sensor's line
 START_S = 6.0  # in which a sensor has to send readings: a board that resets when its port opens takes 2 s
 START_ROWS = 5
 

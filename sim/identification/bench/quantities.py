@@ -16,8 +16,8 @@ from neuroflight.toolchain.errors import DynoError
 
 Array = NDArray[np.float64]
 
-# [s] over which the speed of pulses is averaged: a tenth of a rise where the sensor stamps them, twice that
-# where it only counts them, so that one more or less weighs less.
+# [s] over which the speed of pulses is averaged: a tenth of a rise if the sensor stamps them, twice that if
+# it only counts them, so that one pulse more or less matters less.
 STAMPED_WINDOW_S, COUNTED_WINDOW_S = 0.02, 0.04
 WRAP_SHORT = 2.0**16  # of a counter of 16 bits
 PULSE_S = TIMES["time_us"]

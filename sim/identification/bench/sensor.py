@@ -114,7 +114,7 @@ class LineReader:
             torn, self._torn = self._torn, False
             if (row := self._read(line, arrival, torn)) is not None:
                 rows.append(row)
-        if len(rest) > LINE_BYTES_MAX:  # no line ends: what comes up to its end is none of ours
+        if len(rest) > LINE_BYTES_MAX:  # a line without an end: discard it up to its end
             self.bad += not self._torn
             self._torn, rest = True, b""
         self._rest = rest

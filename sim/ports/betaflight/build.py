@@ -31,7 +31,7 @@ MAKE_VARIABLES = (
     "TARGET=SITL",
     "REVISION=norevision",  # or it asks git, which answers for whatever repository surrounds the folder
     "CFLAGS_DISABLED=-Werror",  # a newer compiler warns of more
-    "EXTRA_FLAGS=-U_FORTIFY_SOURCE",  # a default of some systems, which renames what CLOCK stands for
+    "EXTRA_FLAGS=-U_FORTIFY_SOURCE",  # a default of some systems, which renames functions that CLOCK replaces
 )
 TOOLS = {"make": "make", "gcc": "build-essential"}  # and the system's packages that bring them
 CLOCK = Path(__file__).with_name("clock.c")

@@ -26,9 +26,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from neuroflight.flash import messages
-from neuroflight.flash.client import Client
-from neuroflight.flash.transport import Transport
+from neuroflight.flash.link import messages
+from neuroflight.flash.link.client import Client
+from neuroflight.flash.link.transport import Transport
 from neuroflight.sim.aircraft.model import Aircraft
 from neuroflight.sim.control import sticks
 from neuroflight.sim.physics.imu import RATE_PER_COUNT, counts
@@ -93,7 +93,7 @@ PROMPT, CLI_ERROR = b"\n# ", b"###ERROR"
 CLI_ANSWER_S = 30.0  # real, for one line; on a busy machine it takes seconds
 CLI_BYTES_MAX = 1 << 16
 STOP_US, FULL_US = 1000.0, 2000.0  # pulse widths of a stopped motor and of one at full power
-COUNTS_PER_DEG_S = 16.4  # of its virtual gyro, which drops what is left of a count
+COUNTS_PER_DEG_S = 16.4  # of its virtual gyro, which drops fractions of a count
 # Betaflight truncates the times of packets to nanoseconds: a time slightly too large becomes the right one,
 # a time slightly too small would become one nanosecond less.
 TIME_MARGIN = 1e-9

@@ -19,7 +19,7 @@ import time
 from pathlib import Path
 from typing import IO
 
-from neuroflight.flash.transport import TcpPort, TcpTransport
+from neuroflight.flash.link.transport import TcpPort, TcpTransport
 from neuroflight.sim.ports.betaflight.build import Betaflight
 from neuroflight.sim.ports.simulator_link import LOOPBACK, PACKET_BYTES_MAX, SERVO
 from neuroflight.toolchain.contract import MSP_TCP_PORT, SIM_RECEIVER_PORT, SIM_STATE_PORT
@@ -30,7 +30,7 @@ STEP_NS = 1_000_000  # of simulated time, between two checks of its output
 ANSWER_S = 10.0  # real; a millisecond of its time takes some 50 us, on a busy machine longer
 END_S = 30.0  # real, from its decision to restart to its end
 LAST_WORDS_S = 0.1  # real, for the exit status of one that fails
-SPIN_NS = 200_000  # real, for which an answer is looked for before the process sleeps: a wake-up takes longer
+SPIN_NS = 200_000  # real, of polling for an answer before the process sleeps, because a wake-up takes longer
 POLL_S = 0.0005  # real, for its TCP thread to carry bytes
 EEPROM = "eeprom.bin"  # its settings, in its working directory
 

@@ -2,7 +2,7 @@
 
 A file holds lines of Betaflight's command line, as `diff` prints them and as its app takes them in pasted:
 what flies here can be pasted there, and the other way round. Of several profiles the last one chosen counts.
-Rates, sticks, ports and all else that every contender has in common here, or that no simulator has, is not
+Rates, sticks, ports and all else that every controller has in common here, or that no simulator has, is not
 taken over, nor are the positions of the app's sliders: what they set stands beside them. Betaflight itself
 checks the names and values that are.
 """

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from neuroflight.flash.msp import Direction, Message, Version, encode
-from neuroflight.flash.requests import set_raw_rc
+from neuroflight.flash.link.msp import Direction, Message, Version, encode
+from neuroflight.flash.link.requests import set_raw_rc
 from neuroflight.toolchain.contract import (
     BOOT_GRACE_MS,
     CALIBRATION_STEP_DEG_S,

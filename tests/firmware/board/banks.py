@@ -10,8 +10,8 @@ from pathlib import Path
 from elftools.elf.elffile import ELFFile
 from elftools.elf.sections import SymbolTableSection
 
-from neuroflight.flash.client import Client
-from neuroflight.flash.info import Info, read_info
+from neuroflight.flash.board.info import Info, read_info
+from neuroflight.flash.link.client import Client
 from neuroflight.sim.board.board import Board
 from neuroflight.sim.board.core.context import TIME_HZ
 from neuroflight.sim.board.matekf722 import FULL_VOLTS

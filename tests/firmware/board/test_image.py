@@ -40,7 +40,7 @@ HOT = (
         "gyro_sample_handler",
         "spi_start",
         "spi_finish",
-        "program_sample",
+        "runtime_sample",
         "tick_handler",
     ),
     *(

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from neuroflight.flash.msp import Direction, Message, Version, encode
+from neuroflight.flash.link.msp import Direction, Message, Version, encode
 from neuroflight.sim.board.core.context import TIME_HZ
 from neuroflight.sim.board.debug.snapshot import Snapshot, restore_snapshot, take_snapshot
 from neuroflight.sim.board.peripherals.usart import Format

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from neuroflight.flash.msp import Decoder, Direction, Message, Version, encode, request
-from neuroflight.flash.settings import parse_change
+from neuroflight.flash.link.msp import Decoder, Direction, Message, Version, encode, request
+from neuroflight.flash.settings.values import parse_change
 from neuroflight.sim.board.core.context import TIME_HZ
 from neuroflight.sim.board.core.engine import code_row
 from neuroflight.sim.board.debug.profile import code_counts
@@ -127,21 +127,21 @@ def test_all_of_it_is_answered_when_six_kilobytes_are_pasted_and_more_comes_back
     peer, board_info = line(MSP_UART), encode(Message(Version.V1, Direction.REQUEST, Msp.BUILD_INFO, b""))
     pasted = (API * 3 + board_info) * 256
     assert len(pasted) == 6144
-    lost = executions(idle, "program_link_lost")
+    lost = executions(idle, "runtime_link_lost")
     told = answer(idle, peer, pasted, 1600)
     answers = [message for message in Decoder().feed(told) if isinstance(message, Message)]
     assert [message.command for message in answers] == ([Msp.API_VERSION] * 3 + [Msp.BUILD_INFO]) * 256
     assert len(told) > 2 * len(pasted)
-    assert executions(idle, "program_link_lost") == lost
+    assert executions(idle, "runtime_link_lost") == lost
 
 
 @pytest.mark.parametrize("uart", BAUDS)
 def test_it_is_known_and_the_next_request_served_when_more_is_pasted_than_the_line_can_answer(
     idle: IdleBoard, line: Callable[[str], UartLine], uart: str
 ) -> None:
-    peer, lost = line(uart), executions(idle, "program_link_lost")
+    peer, lost = line(uart), executions(idle, "runtime_link_lost")
     told = answer(idle, peer, STATUS * 3000, 18000 * 1e4 / BAUDS[uart])
-    assert executions(idle, "program_link_lost") > lost
+    assert executions(idle, "runtime_link_lost") > lost
     run(idle, (RING_BYTES / len(STATUS) * 35 + 2 * SEND_BYTES) * 1e4 / BAUDS[uart])
     told += peer.take()
     answers = Decoder().feed(told)
@@ -154,12 +154,12 @@ def test_it_is_known_when_bytes_come_while_flash_is_erased(
     idle: IdleBoard, line: Callable[[str], UartLine]
 ) -> None:
     first, second = line(MSP_UART), line(UART3)
-    lost, operations = executions(idle, "program_link_lost"), idle.board.hardware.flash.operations
+    lost, operations = executions(idle, "runtime_link_lost"), idle.board.hardware.flash.operations
     first.send(encode(request(Msp.EEPROM_WRITE)))
     second.send(API * 4000)  # 260 ms
     run(idle, 600)
     assert idle.board.hardware.flash.operations > operations
-    assert executions(idle, "program_link_lost") > lost
+    assert executions(idle, "runtime_link_lost") > lost
     (saved,) = Decoder().feed(first.take())
     assert isinstance(saved, Message) and saved.direction is Direction.REPLY
     assert second.take().replace(API_ANSWER, b"") == b""  # every answer is whole
@@ -201,9 +201,9 @@ def test_a_peer_that_says_nothing_is_told_nothing_when_the_board_lies_still(
 
 def test_the_image_sleeps_between_samples_when_both_ports_are_open(idle: IdleBoard) -> None:
     """The background's rounds do not run on without something to do."""
-    rounds = executions(idle, "program_background")
+    rounds = executions(idle, "runtime_background")
     run(idle, 100)
-    assert executions(idle, "program_background") - rounds <= 100 * 5 * 1.05  # 4 samples and a tick each ms
+    assert executions(idle, "runtime_background") - rounds <= 100 * 5 * 1.05  # 4 samples and a tick each ms
 
 
 RESET_WAIT_MS = 2500  # of hal.c

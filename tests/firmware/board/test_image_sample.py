@@ -66,12 +66,12 @@ class Flight:
         self.sketch.poke(DMA2 + 0x10 + 0x18 * stream, self.stream(stream, "SCR") & ~1)
 
     def _on_code(self, address: int) -> None:
-        if address == self.symbols["program_sample"] & ~1:
+        if address == self.symbols["runtime_sample"] & ~1:
             at = self.sketch.uc.reg_read(UC_ARM_REG_R1)
             words = struct.unpack("<7h?xH", self.sketch.uc.mem_read(at, 18))  # struct imu_sample
             self.samples.append((words[:3], words[3:6], words[6], words[7]))
             self.lost.append(words[8])
-        if address == self.symbols["program_gyro_silent"] & ~1:
+        if address == self.symbols["runtime_gyro_silent"] & ~1:
             self.silences += 1
 
     @property

@@ -159,7 +159,7 @@ def test_a_lost_request_is_void_when_dma_has_gone_round_since_the_last_look(
     """Both flags are up, which the model does not raise by itself: nobody knows how many bytes came."""
     host = Line(board, symbols["msp_rings"], DMA2_S5NDTR, MSP_RING_BYTES)
     handlers = next(symbols[name] for name in symbols if name.split(".")[0] == "handlers")
-    lost = symbols["program_link_lost"] & ~1
+    lost = symbols["runtime_link_lost"] & ~1
     cleared: list[int] = []
     board.on_write = lambda register, value: cleared.append(value) if register.name == "DMA_HIFCR" else None
     for flags, told in ((HALF, False), (FULL, False), (HALF | FULL, True)):

@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 
-from neuroflight.flash import records, requests
-from neuroflight.flash.msp import Decoder, Direction, Message, Version, encode
+from neuroflight.flash.link import records, requests
+from neuroflight.flash.link.msp import Decoder, Direction, Message, Version, encode
 from neuroflight.toolchain.contract import BOOT_GRACE_MS, SETTINGS, ArmingReason, Msp, Task
 
 GYRO_HZ = 1000  # one control step a sample, one sample a millisecond
@@ -16,7 +16,7 @@ G = 9.80665
 PROMPT = "# "
 STANDS_BEFORE_BOARD = (
     *("struct firmware", "float[2]", f"struct task_stats[{len(Task)}]"),
-    *("struct background", "struct program"),
+    *("struct background", "struct runtime"),
 )
 PIECE = 96  # bytes that come at once, as over TCP
 CAPACITY = 4096

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from neuroflight.flash import requests
-from neuroflight.flash.msp import Direction, Message, Version, encode
+from neuroflight.flash.link import requests
+from neuroflight.flash.link.msp import Direction, Message, Version, encode
 from neuroflight.toolchain.contract import MOTOR_TEST_MAGIC, MOTOR_TEST_TIMEOUT_MS, ArmingReason, Msp
 from tests.firmware.command_line.conftest import Desk
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from neuroflight.flash import records
+from neuroflight.flash.link import records
 from neuroflight.toolchain.contract import ArmingReason, Msp, Task
 from neuroflight.toolchain.rendering.msp_page import commands
 from tests.firmware.command_line.conftest import Desk

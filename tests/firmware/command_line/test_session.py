@@ -6,7 +6,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from neuroflight.flash.msp import Direction, Message, Version, encode
+from neuroflight.flash.link.msp import Direction, Message, Version, encode
 from neuroflight.toolchain.contract import SETTINGS, ArmingReason, Msp, Refusal
 from tests.firmware.command_line.conftest import Desk
 

@@ -19,7 +19,7 @@ from tests.firmware.fuzz.msp_seeds import (
 
 OPENS, ENDS, FRAME, FRAME_END = b"#", b"\r\n", b"\x02", b"\x03"
 LISTEN = bytes([Step.LISTEN])
-# As firmware/src/command_line/command.c has them; the fuzzer finds what is missing.
+# As firmware/src/command_line/commands.c has them; the fuzzer finds what is missing.
 COMMANDS = (
     *("help", "help get", "help nothing", "version", "status", "tasks", "get", "get rate", "get nothing"),
     *("set", "set gyro_rate_hz", "set gyro_rate_hz = 2000", "set gyro_rate_hz = 2001", "set nothing = 1"),

@@ -139,7 +139,7 @@ static void world_boot(struct world *w, bool msp)
 	w->hal.motors_write = world_motors_write;
 	w->hal.reset = world_reset;
 	w->hal.flash = (struct flash){ .context = w, .at = world_at, .erase = world_erase, .program = world_program };
-	w->program = (struct program){
+	w->runtime = (struct runtime){
 		.hal = &w->hal,
 		.firmware = &w->firmware,
 		.stats = w->stats,
@@ -290,8 +290,8 @@ void world_pass(struct world *w, unsigned samples)
 		const double force[3] = { 0.0, 0.0, down }, rates[3] = { w->shaken, w->shaken, w->shaken };
 		const struct imu_sample sample = host_board_sample(rates, force);
 		world_pilot(w);
-		program_sample(&w->program, &sample);
-		program_background(&w->program);
+		runtime_sample(&w->runtime, &sample);
+		runtime_background(&w->runtime);
 		++w->sample;
 	}
 }
@@ -308,7 +308,7 @@ size_t world_talk(struct world *w, unsigned port, const uint8_t *bytes, size_t c
 	*reply = malloc(capacity ? capacity : 1);
 	if (!*reply)
 		abort();
-	const size_t written = program_link(&w->program, port, bytes, count, *reply, capacity);
+	const size_t written = runtime_link(&w->runtime, port, bytes, count, *reply, capacity);
 	PROMISE(written <= capacity);
 	typing |= world_typing(w, port);
 	world_check_said(*reply, written, typing || world_may_open(bytes, count));
@@ -317,12 +317,12 @@ size_t world_talk(struct world *w, unsigned port, const uint8_t *bytes, size_t c
 
 void world_pause(struct world *w, unsigned port)
 {
-	program_link_pause(&w->program, port);
+	runtime_link_pause(&w->runtime, port);
 }
 
 void world_hang_up(struct world *w, unsigned port)
 {
-	program_link_reset(&w->program, port);
+	runtime_link_reset(&w->runtime, port);
 }
 
 /* --- The end --------------------------------------------------------------------------------------------- */
@@ -346,7 +346,7 @@ static void world_expect_answer(struct world *w, unsigned port)
 		answered = world_has_version(reply, count);
 		free(reply);
 		/* What the command line has to say before it reads on. */
-		for (unsigned i = 0; i < LISTENS && !answered && program_link_busy(&w->program, port); ++i) {
+		for (unsigned i = 0; i < LISTENS && !answered && runtime_link_busy(&w->runtime, port); ++i) {
 			count = world_talk(w, port, NULL, 0, REPLY_ROOM, &reply);
 			answered = world_has_version(reply, count);
 			free(reply);

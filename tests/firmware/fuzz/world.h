@@ -7,7 +7,7 @@
 #include "fuzz.h"
 
 #include "hal/host/board.h"
-#include "program.h"
+#include "runtime.h"
 
 #define GYRO_HZ 1000u
 
@@ -28,7 +28,7 @@ struct world {
 	_Alignas(8) float weights[POLICY_WEIGHT_COUNT];
 	struct task_stats stats[TASK_COUNT];
 	struct background background;
-	struct program program;
+	struct runtime runtime;
 	struct log_ring log;
 	uint16_t channels_us[NF_CHANNEL_COUNT]; /* of the pilot */
 	bool silent;              /* the pilot's transmitter */

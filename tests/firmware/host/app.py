@@ -7,9 +7,9 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
 
-from neuroflight.flash import layouts, requests
-from neuroflight.flash.client import Client, RefusedError
-from neuroflight.flash.transport import open_transport
+from neuroflight.flash.link import layouts, requests
+from neuroflight.flash.link.client import Client, RefusedError
+from neuroflight.flash.link.transport import open_transport
 from neuroflight.toolchain.contract import CONFIGURATIONS, SETTINGS, Direction, Msp, layout_of
 
 Values = dict[str, Any]

@@ -27,7 +27,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-from neuroflight.flash.msp import Decoder, Direction, Message, encode, request
+from neuroflight.flash.link.msp import Decoder, Direction, Message, encode, request
 
 GYRO_HZ = 1000
 POLL = (110, 130, 116, 150)

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from neuroflight.flash import messages, records
+from neuroflight.flash.link import messages, records
 from neuroflight.toolchain.contract import ArmingReason, Msp
 from tests.firmware.host.app import App, connected
 

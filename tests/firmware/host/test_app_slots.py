@@ -9,8 +9,8 @@ from typing import Any
 
 import pytest
 
-from neuroflight.flash import layouts
-from neuroflight.flash.client import NoAnswerError
+from neuroflight.flash.link import layouts
+from neuroflight.flash.link.client import NoAnswerError
 from neuroflight.toolchain.contract import Direction, ModeRange, Msp, layout_of
 from neuroflight.toolchain.contract.modes import Mode
 from tests.firmware.host.app import GETS, App, connected

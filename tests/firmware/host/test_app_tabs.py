@@ -12,9 +12,9 @@ from typing import Any
 
 import pytest
 
-from neuroflight.flash import layouts
-from neuroflight.flash.client import Client, RefusedError
-from neuroflight.flash.transport import open_transport
+from neuroflight.flash.link import layouts
+from neuroflight.flash.link.client import Client, RefusedError
+from neuroflight.flash.link.transport import open_transport
 from neuroflight.sim.aircraft.model import load_aircraft
 from neuroflight.toolchain.contract import Direction, Msp, layout_of
 from tests.firmware.host.app import GETS, App, connected, stored

@@ -9,9 +9,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from neuroflight.flash import requests
-from neuroflight.flash.client import Client
-from neuroflight.flash.transport import open_transport
+from neuroflight.flash.link import requests
+from neuroflight.flash.link.client import Client
+from neuroflight.flash.link.transport import open_transport
 from neuroflight.toolchain.contract import SETTINGS, Msp
 from tests.firmware.command_line.test_settings import legal
 

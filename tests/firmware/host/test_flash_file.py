@@ -11,9 +11,9 @@ from typing import Any
 
 import pytest
 
-from neuroflight.flash import records, requests
-from neuroflight.flash.client import Client
-from neuroflight.flash.transport import open_transport
+from neuroflight.flash.link import records, requests
+from neuroflight.flash.link.client import Client
+from neuroflight.flash.link.transport import open_transport
 from neuroflight.toolchain import contract
 from neuroflight.toolchain.contract import SETTINGS, Msp
 from neuroflight.toolchain.errors import LinkError

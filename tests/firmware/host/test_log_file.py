@@ -13,11 +13,11 @@ import numpy as np
 import pytest
 
 from neuroflight.cli.main import main
-from neuroflight.flash.client import Client, RefusedError
+from neuroflight.flash.link.client import Client, RefusedError
+from neuroflight.flash.link.transport import open_transport
 from neuroflight.flash.logs.catalogue import Wait, read_entries, read_info
 from neuroflight.flash.logs.messages import LogEntry, entry_request, erase_request, read_request
 from neuroflight.flash.logs.reading import read_bytes
-from neuroflight.flash.transport import open_transport
 from neuroflight.sim.blackbox.log import list_logs, read_log
 from neuroflight.sim.ports.host import HostPort
 from neuroflight.sim.ports.port import Sample

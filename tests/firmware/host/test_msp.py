@@ -16,11 +16,11 @@ import pytest
 import serial
 from yamspy import MSPy
 
-from neuroflight.flash import messages, records, requests
-from neuroflight.flash.client import Client
-from neuroflight.flash.info import read_info
-from neuroflight.flash.msp import Decoder, Message, encode, request
-from neuroflight.flash.transport import open_transport
+from neuroflight.flash.board.info import read_info
+from neuroflight.flash.link import messages, records, requests
+from neuroflight.flash.link.client import Client
+from neuroflight.flash.link.msp import Decoder, Message, encode, request
+from neuroflight.flash.link.transport import open_transport
 from neuroflight.toolchain import contract
 from neuroflight.toolchain.contract import SETTINGS, Msp
 from neuroflight.toolchain.errors import LinkError

@@ -3,8 +3,8 @@
 #include <stdio.h>
 #include <string.h>
 
-#include "hal/hal.h"
 #include "hal/host/board.h"
+#include "port/hal.h"
 
 static struct host_board board;
 static struct hal hal;

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from neuroflight.flash import messages, records
-from neuroflight.flash.client import Client
-from neuroflight.flash.records import FaultKind
+from neuroflight.flash.link import messages, records
+from neuroflight.flash.link.client import Client
+from neuroflight.flash.link.records import FaultKind
 from neuroflight.toolchain import contract
 from neuroflight.toolchain.contract import (
     CHANNEL_PITCH,
@@ -85,7 +85,7 @@ class Field:
         lib.scripted_action = [0.3] * 4
         self.log = new("struct log_ring *")
         parts = (self.hal, self.fw, stats, self.background, self.log)
-        self.program = new("struct program *", parts)
+        self.runtime = new("struct runtime *", parts)
         self.ms = 0
         self.sticks: dict[int, int] = {}
         self.arm, self.throttle, self.pid = 1000, 1000, 1000
@@ -102,15 +102,15 @@ class Field:
                 self.core.ffi.addressof(self.board.line), self.core.new("uint16_t[]", channels)
             )
         sample = self.core.lib.host_board_sample([0.0] * 3, [0.0, 0.0, -G - 0.01 * (self.ms % 2)])
-        self.core.lib.program_sample(self.program, self.core.new("struct imu_sample *", sample))
+        self.core.lib.runtime_sample(self.runtime, self.core.new("struct imu_sample *", sample))
         self.ms += 1
 
     def run(self, ms: int) -> None:
         self.beeps = self.light = ""
         for _ in range(ms):
             self.sample()
-            self.core.lib.program_background(self.program)
-            self.core.lib.program_background(self.program)
+            self.core.lib.runtime_background(self.runtime)
+            self.core.lib.runtime_background(self.runtime)
             self.beeps += ".#"[self.beeping]
             self.light += ".#"[self.lit]
 
@@ -144,7 +144,7 @@ class Field:
     # An MSP line of its own.
     def write(self, data: bytes) -> None:
         reply = self.core.new("uint8_t[1024]")
-        count = self.core.lib.program_link(self.program, 0, data, len(data), reply, 1024)
+        count = self.core.lib.runtime_link(self.runtime, 0, data, len(data), reply, 1024)
         self._reply += bytes(self.core.ffi.buffer(reply, count))
 
     def read(self, timeout: float) -> bytes:

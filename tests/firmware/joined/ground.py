@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from neuroflight.flash.msp import Decoder, Direction, Message, Version, encode
+from neuroflight.flash.link.msp import Decoder, Direction, Message, Version, encode
 from neuroflight.toolchain import contract
 from neuroflight.toolchain.contract import CHANNEL_ARM, CHANNEL_COUNT, CHANNEL_THROTTLE, ArmingReason, Msp
 from tests.firmware.conftest import Chip, Core
@@ -70,16 +70,16 @@ class Ground:
         self.firmware = core.new("struct firmware *")
         self.stats = core.new("struct task_stats[]", len(contract.Task))
         self.background = core.new("struct background *")
-        self.program = core.new("struct program *")
+        self.runtime = core.new("struct runtime *")
         self._memory = core.new("uint64_t[]", 4)  # aligned as weights are
         self._weights = ffi.cast("float *", self._memory)
         self.lib.host_board_install(self.chip._bytes)
         self.lib.host_board_init(self.board, self.chip._bytes)
         self.hal[0] = self.lib.host_board_hal(self.board)
-        self.program.hal, self.program.firmware = self.hal, self.firmware
-        self.program.stats, self.program.background = self.stats, self.background
+        self.runtime.hal, self.runtime.firmware = self.hal, self.firmware
+        self.runtime.stats, self.runtime.background = self.stats, self.background
         self.log = core.new("struct log_ring *")
-        self.program.log = self.log
+        self.runtime.log = self.log
         self._rates, self._force = core.new("double[3]"), core.new("double[3]", [0, 0, -9.80665])
         self._reply, self._channels = core.new("uint8_t[]", ROOM), core.new("uint16_t[]", CHANNEL_COUNT)
         self.channels = [contract.CHANNEL_MID_US] * 4 + [contract.CHANNEL_MIN_US] * (CHANNEL_COUNT - 4)
@@ -87,7 +87,7 @@ class Ground:
         self.silent, self.ms = False, 0
         self.reason: int | None = None  # why the last request was refused, a Refusal
         self._parts = (
-            *(self.board, self.firmware, self.background, self.program, self.hal),
+            *(self.board, self.firmware, self.background, self.runtime, self.hal),
             *(self.stats, self._memory),
         )
         self._boot({"arming_delay_ms": contract.BOOT_GRACE_MS, **settings})
@@ -122,8 +122,8 @@ class Ground:
             self._force[2] = -9.80665 - 0.01 * (self.ms % 2)
             sample = self.core.new("struct imu_sample *")
             sample[0] = self.lib.host_board_sample(self._rates, self._force)
-            self.lib.program_sample(self.program, sample)
-            self.lib.program_background(self.program)
+            self.lib.runtime_sample(self.runtime, sample)
+            self.lib.runtime_background(self.runtime)
             self.ms += 1
         return self.motors
 
@@ -143,7 +143,7 @@ class Ground:
     # --- Lines --------------------------------------------------------------------------------
     def send(self, data: bytes, port: int = 0) -> bytes:
         """Bytes from the peer of a port; returns what goes to it."""
-        count = self.lib.program_link(self.program, port, data, len(data), self._reply, ROOM)
+        count = self.lib.runtime_link(self.runtime, port, data, len(data), self._reply, ROOM)
         return bytes(self.core.ffi.buffer(self._reply, count))
 
     def ask(self, request: Request, port: int = 0, version: Version = Version.V2) -> bool:
@@ -158,11 +158,11 @@ class Ground:
 
     def pause(self, port: int = 0) -> None:
         """The peer says nothing for longer than within a frame."""
-        self.lib.program_link_pause(self.program, port)
+        self.lib.runtime_link_pause(self.runtime, port)
 
     def leave(self, port: int = 0) -> None:
         """The peer hangs up."""
-        self.lib.program_link_reset(self.program, port)
+        self.lib.runtime_link_reset(self.runtime, port)
 
     def answers(self, port: int = 0) -> bool:
         """Does a request for the API's version get its answer at once?

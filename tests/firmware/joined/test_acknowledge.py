@@ -9,9 +9,9 @@ from typing import Any
 
 import pytest
 
-from neuroflight.flash.acknowledge import Acknowledged, acknowledge
-from neuroflight.flash.client import Client
-from neuroflight.flash.records import FaultKind
+from neuroflight.flash.board.acknowledge import Acknowledged, acknowledge
+from neuroflight.flash.link.client import Client
+from neuroflight.flash.link.records import FaultKind
 from neuroflight.toolchain.contract import (
     CHANNEL_PITCH,
     CHANNEL_ROLL,

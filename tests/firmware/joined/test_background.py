@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from neuroflight.flash import messages, records
-from neuroflight.flash.client import Client
-from neuroflight.flash.settings import Settings
+from neuroflight.flash.link import messages, records
+from neuroflight.flash.link.client import Client
+from neuroflight.flash.settings.values import Settings
 from neuroflight.sim.control import sticks
 from neuroflight.sim.ports.library import Reference
 from neuroflight.sim.ports.port import flight_settings

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from neuroflight.flash.records import FaultKind
+from neuroflight.flash.link.records import FaultKind
 from neuroflight.toolchain.contract import CHANNEL_AUX1, CHANNEL_BEEPER, SETTINGS, Mode, ModeRange
 from tests.firmware.joined.field import Field
 

@@ -65,7 +65,7 @@ class Board:
         self.hal = core.new("struct hal *", {**hal, "flash": flash[0]})
         self.fw, self.stats = core.new("struct firmware *"), core.new("struct task_stats[]", len(Task))
         self.pid, self.target = core.new("struct pid_gains *"), core.new("char[]", b"TARGET")
-        self.identity = core.new("struct msp_identity *", {"target": self.target})
+        self.identity = core.new("struct board_identity *", {"target": self.target})
         self.weights = core.new("double[]", 8)
         settings = {"gyro_alignment": alignment, "arming_delay_ms": BOOT_GRACE_MS}
         self.change = core.new("struct setting_change[]", len(settings))

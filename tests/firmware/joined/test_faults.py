@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from neuroflight.flash import messages, records
-from neuroflight.flash.client import Client
-from neuroflight.flash.transport import TcpPort, TcpTransport
+from neuroflight.flash.link import messages, records
+from neuroflight.flash.link.client import Client
+from neuroflight.flash.link.transport import TcpPort, TcpTransport
 from neuroflight.sim.aircraft.model import load_aircraft
 from neuroflight.sim.analysis.metrics import figures
 from neuroflight.sim.flight.loop import fly

@@ -15,9 +15,9 @@ from itertools import product
 
 import pytest
 
-from neuroflight.flash import requests
-from neuroflight.flash.layouts import decode, encode
-from neuroflight.flash.msp import Decoder, Message, Version
+from neuroflight.flash.link import requests
+from neuroflight.flash.link.layouts import decode, encode
+from neuroflight.flash.link.msp import Decoder, Message, Version
 from neuroflight.toolchain import contract
 from neuroflight.toolchain.contract import (
     MOTOR_TEST_MAGIC,

@@ -1,4 +1,4 @@
-"""program.c: samples that were lost, the watchdog, and what the battery tells the PID."""
+"""runtime.c: samples that were lost, the watchdog, and what the battery tells the PID."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from neuroflight.flash import records
+from neuroflight.flash.link import records
 from neuroflight.toolchain.contract import DEADLINE_MISSES_MAX, FallbackCause, FlightState, Msp, Task
 from tests.firmware.joined.field import Field
 
@@ -26,7 +26,7 @@ def lose(f: Field, count: int) -> None:
     """A sample before which so many were lost; nothing comes by the receiver."""
     sample = f.core.lib.host_board_sample([0.0] * 3, [0.0, 0.0, -G - 0.01 * (f.ms % 2)])
     sample.lost = count
-    f.core.lib.program_sample(f.program, f.core.new("struct imu_sample *", sample))
+    f.core.lib.runtime_sample(f.runtime, f.core.new("struct imu_sample *", sample))
     f.ms += 1
 
 
@@ -64,7 +64,7 @@ def test_the_watchdog_is_fed_only_while_samples_come(field: Field) -> None:
     field.run(20)
     assert len(fed) == 20
     for _ in range(20):
-        field.core.lib.program_background(field.program)
+        field.core.lib.runtime_background(field.runtime)
     assert len(fed) == 20
 
 

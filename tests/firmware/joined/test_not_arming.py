@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
-from neuroflight.flash.client import Client
-from neuroflight.flash.records import FaultKind
+from neuroflight.flash.link.client import Client
+from neuroflight.flash.link.records import FaultKind
 from neuroflight.toolchain.contract import Msp
 from tests.firmware.joined.field import Field
 

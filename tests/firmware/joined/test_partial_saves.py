@@ -7,8 +7,8 @@ import random
 
 import pytest
 
-from neuroflight.flash import layouts
-from neuroflight.flash.msp import Decoder, Message
+from neuroflight.flash.link import layouts
+from neuroflight.flash.link.msp import Decoder, Message
 from neuroflight.toolchain.contract import CONFIGURATIONS, SETTINGS, Direction, Msp, Refusal, layout_of
 from tests.firmware.conftest import Core
 from tests.firmware.joined.ground import Ground, Request, State

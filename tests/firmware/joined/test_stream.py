@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from neuroflight.flash import records
-from neuroflight.flash.msp import Decoder, Direction, Message, encode, request
+from neuroflight.flash.link import records
+from neuroflight.flash.link.msp import Decoder, Direction, Message, encode, request
 from neuroflight.sim.control import sticks
 from neuroflight.sim.ports.library import Reference
 from neuroflight.toolchain.contract import BOOT_GRACE_MS, FlightState, Msp, Refusal

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from neuroflight.flash import requests
+from neuroflight.flash.link import requests
 from neuroflight.toolchain.contract import SETTINGS, Msp
 from neuroflight.toolchain.contract.frame_time_sensors import AXES
 from tests.firmware.conftest import Core

@@ -12,11 +12,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from neuroflight.flash.layouts import decode, encode
-from neuroflight.flash.msp import Decoder, Direction, Message
+from neuroflight.flash.link.layouts import decode, encode
+from neuroflight.flash.link.msp import Decoder, Direction, Message
 from neuroflight.toolchain.contract import SETTINGS
 from neuroflight.toolchain.contract.msp_configuration import CONFIGURATIONS
-from neuroflight.toolchain.contract.msp_layouts import NUMBERS, Bound, Configuration, MspField, MspHow
+from neuroflight.toolchain.contract.msp_fields import NUMBERS, Bound, MspField, MspHow
+from neuroflight.toolchain.contract.msp_layouts import Configuration
 from tests.firmware.conftest import Core
 from tests.firmware.joined.ground import Ground, Request
 

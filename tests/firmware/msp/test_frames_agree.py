@@ -9,7 +9,15 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from neuroflight.flash.msp import JUMBO_MARK, V1_COMMAND_MAX, Decoder, Direction, Message, Version, encode
+from neuroflight.flash.link.msp import (
+    JUMBO_MARK,
+    V1_COMMAND_MAX,
+    Decoder,
+    Direction,
+    Message,
+    Version,
+    encode,
+)
 from neuroflight.toolchain.contract import MSP_PAYLOAD_MAX
 from tests.firmware.conftest import Core
 

@@ -12,8 +12,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from neuroflight.flash import layouts, requests
-from neuroflight.flash.msp import Direction, Message, Version, encode
+from neuroflight.flash.link import layouts, requests
+from neuroflight.flash.link.msp import Direction, Message, Version, encode
 from neuroflight.toolchain.contract import (
     FLASH_BANKS,
     FLASH_POLICY_SLOTS,

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from neuroflight.flash import layouts
+from neuroflight.flash.link import layouts
 from neuroflight.toolchain.contract import LOG_ERASE_MAGIC, LogDevice, LogError, LogState, Msp, Refusal
 from neuroflight.toolchain.contract.msp_layouts import Direction
 from neuroflight.toolchain.contract.msp_messages import layout_of

@@ -8,8 +8,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from neuroflight.flash.layouts import decode, encode
-from neuroflight.toolchain.contract.msp_layouts import NUMBERS, MspField, MspGroup, MspLayout
+from neuroflight.flash.link.layouts import decode, encode
+from neuroflight.toolchain.contract.msp_fields import NUMBERS, MspField, MspGroup
+from neuroflight.toolchain.contract.msp_layouts import MspLayout
 from neuroflight.toolchain.contract.msp_messages import LAYOUTS
 from neuroflight.toolchain.errors import LinkError
 

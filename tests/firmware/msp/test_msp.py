@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from neuroflight.flash import layouts, messages, records
-from neuroflight.flash.messages import PolicyInfo, PolicySource
+from neuroflight.flash.link import layouts, messages, records
+from neuroflight.flash.link.messages import PolicyInfo, PolicySource
 from neuroflight.toolchain.contract import (
     MSP_PAYLOAD_MAX,
     ArmingReason,
@@ -58,7 +58,7 @@ class Server:
     def __init__(self, core: Any, **status: object) -> None:
         self.core = core
         self._texts = {name: core.new("char[]", text) for name, text in IDENTITY.items()}
-        self._identity = core.new("struct msp_identity *", {**self._texts, "unique_id": UNIQUE_ID})
+        self._identity = core.new("struct board_identity *", {**self._texts, "unique_id": UNIQUE_ID})
         self._port = core.new("struct msp_port *")
         self._status = core.new("struct firmware_status *", {"gyro_rate_hz": 4000, **status})
         core.lib.msp_port_init(self._port, self._identity, core.ffi.NULL)

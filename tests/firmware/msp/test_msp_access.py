@@ -6,9 +6,10 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
-from neuroflight.flash.msp import Direction
+from neuroflight.flash.link.msp import Direction
 from neuroflight.toolchain.contract import Msp, Refusal
-from neuroflight.toolchain.contract.msp_access import Access, MspWhen, access_of, acknowledge_access
+from neuroflight.toolchain.contract.msp_messages import access_of
+from neuroflight.toolchain.contract.msp_table import Access, MspWhen
 from tests.firmware.msp.test_msp_commands import GOOD, STORED, Server, server
 
 __all__ = ["server"]  # the fixture
@@ -25,7 +26,7 @@ def payloads(message: Msp) -> Iterator[bytes]:
 
 
 def access(message: Msp, payload: bytes) -> Access:
-    return acknowledge_access() if message is Msp.FAULTS and payload else access_of(message)
+    return (message.row.acknowledges if payload else None) or access_of(message)
 
 
 @pytest.mark.parametrize("message", Msp, ids=lambda message: message.name)

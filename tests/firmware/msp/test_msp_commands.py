@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from neuroflight.flash import messages, records, requests
-from neuroflight.flash.msp import Decoder, Direction, Message, Version, encode
+from neuroflight.flash.link import messages, records, requests
+from neuroflight.flash.link.msp import Decoder, Direction, Message, Version, encode
 from neuroflight.toolchain.contract import (
     CHANNEL_UNTOLD_US,
     FLASH_POLICY_SLOTS,
@@ -117,7 +117,7 @@ class Server:
             },
         )
         self._texts = [self.core.new("char[]", text) for text in (b"BRD1", b"TARGETNAME", b"MAKR", b"CHIP")]
-        self._identity = self.core.new("struct msp_identity *", [*self._texts, False, (1, 2, 3)])
+        self._identity = self.core.new("struct board_identity *", [*self._texts, False, (1, 2, 3)])
         self.status = self.core.new("struct firmware_status *", {"gyro_rate_hz": 4000})
         self._port = self.core.new("struct msp_port *")
         lib.settings_default(self.settings)

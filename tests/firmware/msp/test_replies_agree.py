@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from neuroflight.flash import messages, records
-from neuroflight.flash.msp import Decoder, Direction, Message, Version
+from neuroflight.flash.link import messages, records
+from neuroflight.flash.link.msp import Decoder, Direction, Message, Version
 from neuroflight.toolchain import contract
 from neuroflight.toolchain.contract import (
     CHANNEL_COUNT,

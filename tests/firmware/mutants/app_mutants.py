@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from tests.firmware.mutants.mutant import Mutant
 
+HANDOVER = "firmware_handover.c"
+SERVICES = "background_services.c"
 COMMANDS, COMMAND, BACKGROUND = "msp/msp_commands.c", "motors/dshot_command.c", "background.c"
 LISTS = "msp/msp_lists.c"
 OF_WIZARDS, OF_SEQUENCES = "joined/test_wizards.py", "joined/test_wizard_sequences.py"
@@ -20,14 +22,14 @@ APP_MUTANTS = (
     ),
     Mutant(
         name="a wizard's test bears the values of the sliders'",
-        file=BACKGROUND,
+        file=SERVICES,
         old="\t\tif (disabled)\n\t\t\tfw->motor_test.most = NF_MOTOR_WIZARD_MAX;\n",
         new="",
         tests=(OF_SEQUENCES,),
     ),
     Mutant(
         name="commands go to motors that turn",
-        file=BACKGROUND,
+        file=SERVICES,
         old="!fw->status.trace.armed && !motor_test_open(&fw->motor_test));",
         new="!fw->status.trace.armed);",
         tests=(OF_WIZARDS,),
@@ -41,14 +43,14 @@ APP_MUTANTS = (
     ),
     Mutant(
         name="flash may be written while a test has values",
-        file="firmware.c",
+        file=HANDOVER,
         old="!motor_test_open(test) && test->left == 0 &&",
         new="test->left != 1 &&",
         tests=(OF_SEQUENCES,),
     ),
     Mutant(
         name="flash may be written while a test's last values are at the motors",
-        file="firmware.c",
+        file=HANDOVER,
         old="!motor_test_open(test) && test->left == 0 &&",
         new="!motor_test_open(test) &&",
         tests=(OF_WIZARDS,),
@@ -98,7 +100,7 @@ APP_MUTANTS = (
     ),
     Mutant(
         name="a motor test opens while a restart is under way",
-        file=BACKGROUND,
+        file=SERVICES,
         old="fw->status.state == NF_FLIGHT_DISARMED && !background->rebooting);",
         new="fw->status.state == NF_FLIGHT_DISARMED);",
         tests=(

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from tests.firmware.mutants.mutant import Mutant
 
+SESSION = "command_line/session.c"
+SERVICES = "background_services.c"
 LINE, MOTOR = "command_line/command_line.c", "command_line/motor_commands.c"
 LISTING, SETTING, REPORT = (
     "command_line/listing_commands.c",
@@ -22,21 +24,21 @@ OF_TEXT, OF_DECIMAL = "storage/test_settings_text.py", "common/test_decimal.py"
 COMMAND_LINE_MUTANTS = (
     Mutant(
         name="a command line opens while armed",
-        file=BACKGROUND,
+        file=SERVICES,
         old="const bool refused = open && firmware_armed(fw);",
         new="const bool refused = false;",
         tests=(OF_SESSION,),
     ),
     Mutant(
         name="arming is allowed while a command line is open",
-        file=BACKGROUND,
+        file=SERVICES,
         old="firmware_forbid(fw, NF_ARMING_REASON_CLI, background->sessions > 0);",
         new="firmware_forbid(fw, NF_ARMING_REASON_CLI, false);",
         tests=(OF_SESSION,),
     ),
     Mutant(
         name="arming stays forbidden when a command line has ended",
-        file=LINE,
+        file=SESSION,
         old="\t(void)cl->services->session(cl->services->context, false);\n",
         new="",
         tests=(OF_SESSION,),
@@ -191,7 +193,7 @@ COMMAND_LINE_MUTANTS = (
     ),
     Mutant(
         name="the leave to turn motors outlives its session",
-        file=LINE,
+        file=SESSION,
         old="\tcl->motor.allowed = false;\n",
         new="",
         tests=(OF_MOTOR,),

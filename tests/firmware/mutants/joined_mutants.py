@@ -1,10 +1,14 @@
-"""Mistakes in firmware.c, background.c, program.c and MSP's ports."""
+"""Mistakes in firmware.c, background.c, runtime.c and MSP's ports."""
 
 from __future__ import annotations
 
 from tests.firmware.mutants.mutant import Mutant
 
-FIRMWARE, BACKGROUND, PROGRAM = "firmware.c", "background.c", "program.c"
+START = "background_start.c"
+SERVICES = "background_services.c"
+HANDOVER = "firmware_handover.c"
+INIT = "firmware_init.c"
+FIRMWARE, BACKGROUND, RUNTIME = "firmware.c", "background.c", "runtime.c"
 PORT, STREAM = "msp/msp_port.c", "msp/msp_stream.c"
 OF_FIRMWARE, OF_BACKGROUND = "joined/test_firmware.py", "joined/test_background.py"
 OF_STREAM = "joined/test_stream.py"
@@ -32,7 +36,7 @@ JOINED_MUTANTS = (
     ),
     Mutant(
         name="only the last motor's wiring is looked at",
-        file=FIRMWARE,
+        file=INIT,
         old="fw->rewired |= fw->outputs[i] != i;",
         new="fw->rewired = fw->outputs[i] != i;",
         tests=(OF_ORDER,),
@@ -46,7 +50,7 @@ JOINED_MUTANTS = (
     ),
     Mutant(
         name="firmware_status never retries",
-        file=FIRMWARE,
+        file=HANDOVER,
         old="attitude = fw->attitude;\n\t\tfence();\n\t} while (before != fw->published);",
         new="attitude = fw->attitude;\n\t\tfence();\n\t} while (before > fw->published);",
         tests=(OF_INTERRUPT,),
@@ -54,7 +58,7 @@ JOINED_MUTANTS = (
     ),
     Mutant(
         name="firmware_record never retries",
-        file=FIRMWARE,
+        file=HANDOVER,
         old="sizeof fw->control.action);\n\t\tfence();\n\t} while (before != fw->published);",
         new="sizeof fw->control.action);\n\t\tfence();\n\t} while (before > fw->published);",
         tests=(OF_INTERRUPT,),
@@ -96,7 +100,7 @@ JOINED_MUTANTS = (
     ),
     Mutant(
         name="motors turn as fast in a wizard's test as in another",
-        file=BACKGROUND,
+        file=SERVICES,
         old="\t\t\tfw->motor_test.most = NF_MOTOR_WIZARD_MAX;",
         new="\t\t\tfw->motor_test.most = NF_MOTOR_TEST_MAX;",
         tests=(OF_WIZARDS,),
@@ -131,14 +135,14 @@ JOINED_MUTANTS = (
     ),
     Mutant(
         name="another peer's requests keep a motor test alive",
-        file=BACKGROUND,
+        file=SERVICES,
         old="\tif (background_owns_test(background, peer))\n\t\tmotor_test_keep",
         new="\tif (background_owns_test(background, peer) || true)\n\t\tmotor_test_keep",
         tests=(OF_APP_ARMING,),
     ),
     Mutant(
         name="nothing that a peer forbids is forbidden",
-        file=BACKGROUND,
+        file=SERVICES,
         old="\tpeer->locks = disabled;\n",
         new="\tpeer->locks = disabled && test;\n",
         tests=(OF_APP_ARMING,),
@@ -216,7 +220,7 @@ JOINED_MUTANTS = (
     ),
     Mutant(
         name="the arming delay is not that of the setting",
-        file=FIRMWARE,
+        file=INIT,
         old="config->gyro_rate_hz * settings->arming_delay_ms / 1000u",
         new="config->gyro_rate_hz * NF_BOOT_GRACE_MS / 1000u",
         tests=(OF_BACKGROUND,),
@@ -357,7 +361,7 @@ JOINED_MUTANTS = (
     ),
     Mutant(
         name="armed motors are taken for stopped ones",
-        file=FIRMWARE,
+        file=HANDOVER,
         old="return !fw->status.trace.armed && !motor_test_open(test)",
         new="return !motor_test_open(test)",
         tests=(OF_FIRMWARE, OF_BENCH, OF_INTERRUPT),
@@ -392,21 +396,21 @@ JOINED_MUTANTS = (
     ),
     Mutant(
         name="flash may be written while a command is under way",
-        file=FIRMWARE,
+        file=HANDOVER,
         old="test->left == 0 &&\n\t       !dshot_command_busy(&fw->dshot_command);",
         new="test->left == 0;",
         tests=(OF_BENCH, OF_BACKGROUND),
     ),
     Mutant(
         name="channels that wait are overwritten",
-        file=FIRMWARE,
+        file=HANDOVER,
         old="\tif (fw->posted)\n\t\treturn NF_REFUSAL_ORDER;\n",
         new="",
         tests=(OF_BACKGROUND,),
     ),
     Mutant(
         name="channels may be posted after the word that they are there",
-        file=FIRMWARE,
+        file=HANDOVER,
         old="\tfence();\n\tfw->posted = true;",
         new="\tfw->posted = true;",
         tests=(OF_BACKGROUND,),
@@ -414,7 +418,7 @@ JOINED_MUTANTS = (
     ),
     Mutant(
         name="storing looks before it forbids",
-        file=BACKGROUND,
+        file=SERVICES,
         old="\tfirmware_forbid(fw, NF_ARMING_REASON_STORING, busy || background->rebooting);\n"
         "\tif (!busy || firmware_stopped(fw))\n\t\treturn NF_REFUSAL_NONE;\n",
         new="\tconst bool stopped = firmware_stopped(fw);\n\n"
@@ -424,7 +428,7 @@ JOINED_MUTANTS = (
     ),
     Mutant(
         name="a refusal to store forbids arming for good",
-        file=BACKGROUND,
+        file=SERVICES,
         old="\tfirmware_forbid(fw, NF_ARMING_REASON_STORING, background->rebooting);\n"
         "\treturn NF_REFUSAL_ARMED;",
         new="\treturn NF_REFUSAL_ARMED;",
@@ -490,14 +494,14 @@ JOINED_MUTANTS = (
     ),
     Mutant(
         name="a rehearsal is left in the controllers",
-        file=BACKGROUND,
+        file=START,
         old="\treturn firmware_init(config->firmware, &firmware); /* of",
         new="\treturn NF_OK; /* of",
         tests=(OF_BOARD,),
     ),
     Mutant(
         name="the watchdog is not fed while a slow controller is rehearsed",
-        file=BACKGROUND,
+        file=START,
         old="\t\t\thal->watchdog_feed(hal->context);\n",
         new="",
         tests=(OF_BOARD,),
@@ -534,14 +538,14 @@ JOINED_MUTANTS = (
     ),
     Mutant(
         name="a policy stays refused although the pilot knows",
-        file=BACKGROUND,
+        file=SERVICES,
         old="\tif (refusal == NF_REFUSAL_NONE)\n\t\tfirmware_acknowledge(background->config.firmware);\n",
         new="",
         tests=(OF_ACKNOWLEDGE,),
     ),
     Mutant(
         name="rates are changed before their style",
-        file=BACKGROUND,
+        file=START,
         old="(change->index == style) == (pass == 0)",
         new="(change->index == style) == (pass == 1)",
         tests=(OF_BACKGROUND,),
@@ -555,30 +559,30 @@ JOINED_MUTANTS = (
     ),
     Mutant(
         name="lost samples are no misses",
-        file=PROGRAM,
-        old="\tprogram->stats[NF_TASK_GYRO].misses += count;\n",
+        file=RUNTIME,
+        old="\truntime->stats[NF_TASK_GYRO].misses += count;\n",
         new="",
         tests=(OF_LOST,),
     ),
     Mutant(
         name="a control step after lost samples has missed nothing",
-        file=PROGRAM,
-        old="(hal->deadline_missed(hal->context, cycles) || program->lost > 0)",
+        file=RUNTIME,
+        old="(hal->deadline_missed(hal->context, cycles) || runtime->lost > 0)",
         new="hal->deadline_missed(hal->context, cycles)",
         tests=(OF_LOST,),
     ),
     Mutant(
         name="samples that were lost once are misses for ever",
-        file=PROGRAM,
-        old="\t\tprogram->lost = 0;\n",
+        file=RUNTIME,
+        old="\t\truntime->lost = 0;\n",
         new="",
         tests=(OF_LOST,),
     ),
     Mutant(
         name="the watchdog is fed while no sample comes",
-        file=PROGRAM,
-        old="if (now != program->fed_at) {",
-        new="if (now >= program->fed_at) {",
+        file=RUNTIME,
+        old="if (now != runtime->fed_at) {",
+        new="if (now >= runtime->fed_at) {",
         tests=(OF_LOST,),
     ),
     Mutant(

@@ -21,6 +21,13 @@ OF_MSP, OF_COMMANDS, OF_PAYLOAD = "msp/test_msp.py", "msp/test_msp_commands.py",
 
 STORAGE_MUTANTS = (
     Mutant(
+        name="an erase that failed is taken for done",
+        file="port/flash.c",
+        old="return flash->erase(flash->context, sector);",
+        new="return flash->erase(flash->context, sector) || true;",
+        tests=("storage/test_image_update.py",),
+    ),
+    Mutant(
         name="a mode that is not known leaves its place's default",
         file="storage/settings_store.c",
         old="\t(void)settings_set_whole(settings, index, 0);\n",

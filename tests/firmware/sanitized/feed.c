@@ -13,7 +13,7 @@
 
 int main(void)
 {
-	static const struct msp_identity identity = {
+	static const struct board_identity identity = {
 		.board = "FUZZ", .target = "FUZZ", .maker = "FUZZ", .mcu = "FUZZ"
 	};
 	static const struct pid_gains no_pid = { .motor_count = 0 };

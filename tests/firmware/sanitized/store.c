@@ -91,7 +91,7 @@ static void put(const uint8_t *bytes, size_t count)
 
 int main(void)
 {
-	static const struct msp_identity identity = {
+	static const struct board_identity identity = {
 		.board = "FUZZ", .target = "FUZZ", .maker = "FUZZ", .mcu = "FUZZ"
 	};
 	const struct msp_services services = {

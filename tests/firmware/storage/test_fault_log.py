@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from neuroflight.flash.records import FAULT_FILE_BYTES, FAULT_REGISTERS, FaultKind
+from neuroflight.flash.link.records import FAULT_FILE_BYTES, FAULT_REGISTERS, FaultKind
 from neuroflight.toolchain.contract import FLASH_FAULT_RECORD, Refusal
 
 MakeChip = Callable[..., Any]

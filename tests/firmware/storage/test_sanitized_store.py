@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from neuroflight.flash import requests
-from neuroflight.flash.msp import Direction, Message, Version, encode
+from neuroflight.flash.link import requests
+from neuroflight.flash.link.msp import Direction, Message, Version, encode
 from neuroflight.toolchain.contract import (
     FLASH_BASE,
     FLASH_FAULT_RECORD,
@@ -27,12 +27,13 @@ SOURCE = FIRMWARE / "src"
 FEED = Path(__file__).parents[1] / "sanitized" / "store.c"
 CORE = (
     *("common/crc8", "common/crc32", "common/decimal", "housekeeping/scheduler", "housekeeping/battery"),
-    *("command_line/command", "command_line/command_line", "command_line/printer"),
+    *("command_line/commands", "command_line/command_line", "command_line/printer"),
+    *("command_line/reply", "command_line/session"),
     *("command_line/listing_commands", "command_line/motor_commands"),
     *("command_line/report_commands", "command_line/setting_commands", "storage/settings_text"),
     *("msp/msp", "msp/msp_commands", "msp/msp_payload", "msp/msp_port", "msp/msp_replies", "msp/msp_stream"),
     *("msp/msp_configure", "msp/msp_fields", "msp/msp_lists", "msp/msp_sources", "common/nf_math"),
-    *("storage/fault_log", "storage/flash", "storage/policy_blob", "storage/policy_slots"),
+    *("storage/fault_log", "port/flash", "storage/policy_blob", "storage/policy_slots"),
     *("storage/mode_range", "storage/settings", "storage/settings_store", "common/sha256"),
     *(
         "storage/image_bank",

@@ -1,4 +1,4 @@
-"""flash/setting_text.py and settings_text.c write the same text of a value, and each reads the other's."""
+"""flash/settings/text.py and settings_text.c write the same text of a value, and each reads the other's."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from hypothesis import example, given
 from hypothesis import settings as effort
 from hypothesis import strategies as st
 
-from neuroflight.flash.setting_text import Value, as_float32, parse_value, value_text
+from neuroflight.flash.settings.text import Value, as_float32, parse_value, value_text
 from neuroflight.toolchain.contract import (
     AUX_COUNT,
     MODE_LOW_US,

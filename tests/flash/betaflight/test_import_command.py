@@ -12,11 +12,11 @@ from neuroflight.cli.main import main
 from neuroflight.flash.betaflight.diff_file import read_diff
 from neuroflight.flash.betaflight.plan import fitted, needed
 from neuroflight.flash.betaflight.planner import plan_import
-from neuroflight.flash.client import Client
-from neuroflight.flash.msp import Decoder, Message, encode
-from neuroflight.flash.records import safety
-from neuroflight.flash.setting_text import Value, value_text
-from neuroflight.flash.settings import Settings
+from neuroflight.flash.link.client import Client
+from neuroflight.flash.link.msp import Decoder, Message, encode
+from neuroflight.flash.link.records import safety
+from neuroflight.flash.settings.text import Value, value_text
+from neuroflight.flash.settings.values import Settings
 from neuroflight.sim.board.core.context import TIME_HZ
 from neuroflight.sim.board.serial.bridge import LineTransport, UartLine
 from neuroflight.sim.board.serial.idle_board import IdleBoard, with_image

@@ -13,7 +13,7 @@ from neuroflight.flash.betaflight.diff_file import read_diff
 from neuroflight.flash.betaflight.motor_order import OUTPUT_PINS
 from neuroflight.flash.betaflight.plan import ImportPlan
 from neuroflight.flash.betaflight.planner import plan_import
-from neuroflight.flash.setting_text import default_of, value_text
+from neuroflight.flash.settings.text import default_of, value_text
 from neuroflight.toolchain.contract import SETTINGS
 from neuroflight.toolchain.errors import LinkError
 

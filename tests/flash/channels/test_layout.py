@@ -7,7 +7,7 @@ from collections.abc import Callable
 import pytest
 
 from neuroflight.flash.channels.layout import NAMES, REST, Layout, read_layout, throttle_low
-from neuroflight.flash.setting_text import parse_mode
+from neuroflight.flash.settings.text import parse_mode
 from neuroflight.toolchain.contract import CHANNEL_COUNT
 from neuroflight.toolchain.errors import LinkError
 

@@ -8,13 +8,13 @@ from typing import Any
 
 import pytest
 
-from neuroflight.flash import messages, records
 from neuroflight.flash.channels.layout import NAMES, REST, Channels
 from neuroflight.flash.channels.script import parse_script
 from neuroflight.flash.channels.sender import ENDING_FRAMES, LOST_S, Sender
 from neuroflight.flash.channels.source import Instead, Source, SourceLostError
 from neuroflight.flash.channels.timeline import Timeline
-from neuroflight.flash.client import Client
+from neuroflight.flash.link import messages, records
+from neuroflight.flash.link.client import Client
 from neuroflight.toolchain.contract import FlightState, Msp, Refusal, StopCause
 from neuroflight.toolchain.errors import LinkError
 from tests.flash.channels.test_layout import layout, with_aux

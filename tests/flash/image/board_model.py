@@ -13,7 +13,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import Enum, auto
 
-from neuroflight.flash.msp import Decoder, Direction, Message, encode
+from neuroflight.flash.link.msp import Decoder, Direction, Message, encode
 from neuroflight.toolchain.contract import (
     FLASH_BANK_A,
     IMAGE_HEADER_FORMAT,

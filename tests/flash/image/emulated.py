@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import Protocol
 
-from neuroflight.flash.client import Client
 from neuroflight.flash.image.board import check_ready, read_board
 from neuroflight.flash.image.files import ImageFile
 from neuroflight.flash.image.install import Installation, Installed
 from neuroflight.flash.image.plan import plan_install
 from neuroflight.flash.image.settings_kept import read_settings
+from neuroflight.flash.link.client import Client
 from neuroflight.flash.policy import swap as swaps
 from neuroflight.sim.board.board import Board
 from neuroflight.sim.board.core.context import TIME_HZ

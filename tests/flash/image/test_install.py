@@ -9,14 +9,14 @@ from pathlib import Path
 
 import pytest
 
-from neuroflight.flash.client import Client
 from neuroflight.flash.image.board import check_ready, read_board
 from neuroflight.flash.image.files import Image, ImageFile, Policy
 from neuroflight.flash.image.install import Installation, Installed, Stage
 from neuroflight.flash.image.plan import plan_install
 from neuroflight.flash.image.settings_kept import read_settings
 from neuroflight.flash.image.trial import Ending
-from neuroflight.flash.transport import Transport
+from neuroflight.flash.link.client import Client
+from neuroflight.flash.link.transport import Transport
 from neuroflight.toolchain.contract import Msp, Refusal, image_header
 from neuroflight.toolchain.errors import LinkError, NeuroflightError
 from tests.flash.image.board_model import HANDLERS, BoardModel, Fate, ModelLine, Setting, board_with

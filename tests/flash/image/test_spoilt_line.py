@@ -9,11 +9,11 @@ from pathlib import Path
 
 import pytest
 
-from neuroflight.flash.client import Client
 from neuroflight.flash.image.files import Image
 from neuroflight.flash.image.messages import image_info
 from neuroflight.flash.image.update import hash_of, write_image
-from neuroflight.flash.transport import open_transport
+from neuroflight.flash.link.client import Client
+from neuroflight.flash.link.transport import open_transport
 from neuroflight.toolchain.contract import FLASH_BANK_B, FLASH_BASE, Msp, image_header
 from neuroflight.toolchain.errors import LinkError
 from tests.firmware.images import make_image

@@ -7,9 +7,9 @@ import struct
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from neuroflight.flash.client import Client
+from neuroflight.flash.link.client import Client
+from neuroflight.flash.link.msp import Direction, Message, encode
 from neuroflight.flash.logs.catalogue import Wait
-from neuroflight.flash.msp import Direction, Message, encode
 from neuroflight.toolchain.contract import LOG_ERASE_MAGIC, LogError, LogState, Msp, Refusal
 from neuroflight.toolchain.errors import LinkError
 from tests.flash.image.board_model import Bank, BoardModel, ModelLine

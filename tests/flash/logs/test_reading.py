@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from neuroflight.flash.client import RefusedError
+from neuroflight.flash.link.client import RefusedError
 from neuroflight.flash.logs.reading import PATIENCE_S, WINDOW, LogReader, read_bytes
 from neuroflight.toolchain.contract import Refusal
 from neuroflight.toolchain.errors import LinkError

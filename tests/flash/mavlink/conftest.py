@@ -18,12 +18,12 @@ os.environ["MAVLINK20"] = "1"  # of mavutil, which reads it when it is imported
 from pymavlink import mavutil
 from pymavlink.dialects.v20 import common as mavlink
 
-from neuroflight.flash.client import Client
+from neuroflight.flash.link.client import Client
+from neuroflight.flash.link.transport import TcpPort, TcpTransport, Transport
 from neuroflight.flash.mavlink.endpoint import UdpPeer, parse_address
 from neuroflight.flash.mavlink.session import Options, Session
-from neuroflight.flash.setting_text import RATES, STYLE
-from neuroflight.flash.settings import Settings
-from neuroflight.flash.transport import TcpPort, TcpTransport, Transport
+from neuroflight.flash.settings.text import RATES, STYLE
+from neuroflight.flash.settings.values import Settings
 from neuroflight.sim.aircraft.model import load_aircraft
 from neuroflight.sim.control.motors import motor_fractions
 from neuroflight.sim.physics.twin import Twin

@@ -14,7 +14,6 @@ import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
 from neuroflight.flash.mavlink.endpoint import UdpPeer
-from neuroflight.flash.mavlink.parameter_names import SHORT
 from neuroflight.flash.mavlink.streams import DEFAULT_HZ
 from neuroflight.toolchain.contract import SETTINGS
 from tests.flash.mavlink.conftest import LOOPBACK, MakeLockstep
@@ -22,11 +21,6 @@ from tests.flash.mavlink.conftest import LOOPBACK, MakeLockstep
 PAGE = Path(__file__).resolve().parents[3] / "docs" / "guides" / "gateway.md"
 ANSWER_S = 10.0  # how long the example may take for one setpoint before the test fails
 SETPOINT = mavlink.MAVLINK_MSG_ID_SET_ATTITUDE_TARGET.to_bytes(3, "little")  # where a packet has its number
-
-
-def test_the_page_has_every_short_name() -> None:
-    rows = re.findall(r"^\| `(\w+)` \| `(\w+)` \|$", PAGE.read_text(), re.MULTILINE)
-    assert dict(rows) == SHORT
 
 
 def test_the_page_has_every_message_with_its_rate() -> None:

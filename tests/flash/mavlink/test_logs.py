@@ -13,11 +13,11 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
+from neuroflight.flash.link.msp import Decoder, Message, encode
+from neuroflight.flash.link.transport import Transport
 from neuroflight.flash.mavlink.ground import Ground
 from neuroflight.flash.mavlink.log_server import LogServer
 from neuroflight.flash.mavlink.session import Options
-from neuroflight.flash.msp import Decoder, Message, encode
-from neuroflight.flash.transport import Transport
 from neuroflight.toolchain.contract import LogError, Msp
 from tests.flash.logs.log_model import LOG_HANDLERS, LogBoard, PacedLine, client_of, log_board, log_of
 from tests.flash.mavlink.conftest import Lockstep, MakeLockstep, Station

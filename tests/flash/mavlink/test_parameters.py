@@ -7,7 +7,8 @@ import struct
 
 import pytest
 
-from neuroflight.flash.mavlink.parameter_names import NAME_MAX, SHORT, parameter_name
+from neuroflight.flash.link.requests import SettingInfo
+from neuroflight.flash.mavlink.parameter_names import NAME_MAX, parameter_name
 from neuroflight.flash.mavlink.parameters import (
     FLOAT32_WHOLE_MAX,
     INT32,
@@ -19,7 +20,6 @@ from neuroflight.flash.mavlink.parameters import (
     encode_value,
     parameter_list,
 )
-from neuroflight.flash.requests import SettingInfo
 from neuroflight.toolchain.contract import SETTINGS
 
 INFOS = [SettingInfo(len(SETTINGS), s.name, s.unit, s.low, s.high, s.default, s.kind) for s in SETTINGS]
@@ -49,7 +49,8 @@ def test_every_setting_has_a_name_of_its_own_that_mavlink_has_room_for() -> None
 
 def test_only_long_names_are_shortened_and_all_of_them_by_the_table() -> None:
     long = {setting.name for setting in SETTINGS if len(setting.name) > NAME_MAX}
-    assert set(SHORT) == long, "a setting of more than 16 characters needs a row of SHORT"
+    short = {setting.name for setting in SETTINGS if setting.parameter != setting.name}
+    assert short == long, "a setting of more than 16 characters needs a row of _PARAMETERS in settings.py"
 
 
 def test_a_long_name_of_a_newer_firmware_keeps_its_beginning() -> None:

@@ -11,15 +11,15 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
-from neuroflight.flash.client import Client
+from neuroflight.flash.link.client import Client
+from neuroflight.flash.link.transport import LineGoneError, TcpPort, TcpTransport, Transport
 from neuroflight.flash.mavlink.commands import CANCELLED
 from neuroflight.flash.mavlink.endpoint import UdpPeer, parse_address
 from neuroflight.flash.mavlink.ground import REFUSALS_MAX
 from neuroflight.flash.mavlink.parameter_names import parameter_name
 from neuroflight.flash.mavlink.parameter_server import TYPE_MISMATCH
 from neuroflight.flash.mavlink.session import LOOK_S, Options, Session
-from neuroflight.flash.setting_text import BY_NAME
-from neuroflight.flash.transport import LineGoneError, TcpPort, TcpTransport, Transport
+from neuroflight.flash.settings.text import BY_NAME
 from neuroflight.toolchain.contract import SETTINGS, FlightState, Mode, ModeRange
 from neuroflight.toolchain.errors import LinkError
 from tests.flash.mavlink.conftest import FLYING, GYRO_HZ, LOOPBACK, READY_MS, MakeLockstep, Station
@@ -424,7 +424,7 @@ def steer(gateway: Any) -> None:
 def test_no_channel_is_sent_unless_offboard_is_allowed_and_enabled(
     lockstep: MakeLockstep, options: Options, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from neuroflight.flash import requests
+    from neuroflight.flash.link import requests
 
     sent: list[object] = []
 
@@ -887,7 +887,7 @@ def test_a_line_that_does_not_come_back_ends_the_gateway_after_a_minute(lockstep
 
 
 def test_a_firmware_of_another_make_is_refused(tcp_server: Callable[[Callable[[bytes], bytes]], str]) -> None:
-    from neuroflight.flash.msp import Decoder, Message, encode, error, reply
+    from neuroflight.flash.link.msp import Decoder, Message, encode, error, reply
     from neuroflight.toolchain.contract import Msp
 
     def answer(data: bytes) -> bytes:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from neuroflight.flash.mavlink.setpoint_check import SAMPLES, SetpointCheck
-from neuroflight.flash.stream import Sample
+from neuroflight.flash.monitoring.stream import Sample
 from neuroflight.toolchain.contract import FlightState
 
 PERIOD_S = 0.02

@@ -8,12 +8,12 @@ from dataclasses import replace
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
+from neuroflight.flash.link.messages import Attitude, BatteryLevel, BatteryState, Status, StatusEx
+from neuroflight.flash.link.records import Safety
 from neuroflight.flash.mavlink import telemetry
 from neuroflight.flash.mavlink.customs import MODE_OFFBOARD, MODE_RECEIVER
 from neuroflight.flash.mavlink.frames import euler_frd, quaternion_frd, swap_frame
 from neuroflight.flash.mavlink.telemetry import UNKNOWN, Inertial, Vehicle
-from neuroflight.flash.messages import Attitude, BatteryLevel, BatteryState, Status, StatusEx
-from neuroflight.flash.records import Safety
 from neuroflight.toolchain.contract import FallbackCause, FlightState, GyroHealth, StopCause
 
 NF1 = Vehicle(4, (1, 2, 3), "00112233445566778899aabb", 0)

@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import pytest
 
+from neuroflight.flash.link.messages import BatteryLevel
+from neuroflight.flash.link.records import FaultKind
 from neuroflight.flash.mavlink import texts
 from neuroflight.flash.mavlink.texts import CHUNK, Condition, Text, changes, status_texts
-from neuroflight.flash.messages import BatteryLevel
-from neuroflight.flash.records import FaultKind
 from neuroflight.toolchain.contract import ArmingReason, FallbackCause, FlightState, GyroHealth, StopCause
 from tests.flash.mavlink.test_telemetry import SAFE
 

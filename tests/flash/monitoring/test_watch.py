@@ -9,13 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from neuroflight.flash.client import Client
-from neuroflight.flash.info import read_info
+from neuroflight.flash.board.info import read_info
+from neuroflight.flash.link.client import Client
+from neuroflight.flash.link.msp import Decoder, Message, encode, error, reply
+from neuroflight.flash.link.transport import Transport, open_transport
 from neuroflight.flash.monitoring import watch as watching
 from neuroflight.flash.monitoring.snapshot import CHANNELS, read_snapshot
 from neuroflight.flash.monitoring.watch import Watch
-from neuroflight.flash.msp import Decoder, Message, encode, error, reply
-from neuroflight.flash.transport import Transport, open_transport
 from neuroflight.toolchain.contract import Msp
 from neuroflight.toolchain.errors import LinkError
 from tests.flash.lockstep import Lockstep, lockstep

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import pytest
 
-from neuroflight.flash.client import Client, RefusedError
+from neuroflight.flash.link.client import Client, RefusedError
+from neuroflight.flash.link.msp import Decoder, Direction, Message
+from neuroflight.flash.link.transport import open_transport
 from neuroflight.flash.motors.direction import set_direction
 from neuroflight.flash.motors.readiness import await_standing, check_ready, read_bench
 from neuroflight.flash.motors.session import MotorTest, check_fraction, check_limit, check_sum
 from neuroflight.flash.motors.spin import Spin, spin
 from neuroflight.flash.motors.stop import stop
-from neuroflight.flash.msp import Decoder, Direction, Message
-from neuroflight.flash.transport import open_transport
 from neuroflight.toolchain.contract import MOTOR_TEST_TIMEOUT_MS, DshotCommand, Msp
 from neuroflight.toolchain.errors import LinkError
 from tests.flash.lockstep import Lockstep

@@ -8,9 +8,9 @@ from dataclasses import dataclass, field
 
 import pytest
 
+from neuroflight.flash.link.transport import Transport
 from neuroflight.flash.rom.client import RomClient
 from neuroflight.flash.rom.segments import Segment
-from neuroflight.flash.transport import Transport
 from neuroflight.sim.board.peripherals.usart import Format
 from neuroflight.sim.board.serial.bridge import Bridge, End, LineTransport, UartLine
 from neuroflight.sim.board.serial.idle_board import STEP, IdleBoard

@@ -8,12 +8,12 @@ from pathlib import Path
 
 import pytest
 
-from neuroflight.flash import messages
-from neuroflight.flash.restart import enter_rom
+from neuroflight.flash.board.restart import enter_rom
+from neuroflight.flash.link import messages
+from neuroflight.flash.link.transport import Transport
 from neuroflight.flash.rom.client import NoBootLoaderError, RefusedError, RomClient
 from neuroflight.flash.rom.rescue import FlashPlan, install, plan_flash, start, verify
 from neuroflight.flash.rom.segments import Segment, read_segments
-from neuroflight.flash.transport import Transport
 from neuroflight.sim.board.peripherals.flash import Cut
 from neuroflight.sim.board.serial.idle_board import IdleBoard
 from neuroflight.toolchain.contract import (

@@ -51,7 +51,7 @@ class EngineContext:
 
     @property
     def cache(self) -> bool:
-        return self.engine.data_cache_on()
+        return bool(self.engine.load(0xE000ED14, 4) >> 16 & 1)
 
     @cache.setter
     def cache(self, on: bool) -> None:

@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from neuroflight.sim.identification.propeller import doubts, fit_propeller, read_measurements
+from neuroflight.sim.identification.propeller import doubts, fit_propeller
 from neuroflight.sim.identification.propeller_plot import draw_coefficients
-from neuroflight.sim.identification.propeller_tables import Measurements
+from neuroflight.sim.identification.propeller_tables import Measurements, read_tables
 from neuroflight.toolchain.errors import DynoError
 
 
@@ -69,11 +69,11 @@ def test_a_table_is_read_in_any_of_its_forms(tmp_path: Path) -> None:
         "semicolons.csv": '"J";"CT";"CP"\r\n0.1;0.13;0.0628318530717959\r\n0.3;0.1;0.05\r\n',
     }
     for name, text in forms.items():
-        found = read_measurements([table(tmp_path / name, text)])
+        found = read_tables([table(tmp_path / name, text)]).wind
         assert found.ratio.tolist() == [0.1, 0.3]
         assert found.thrust.tolist() == [0.13, 0.1]
         assert found.torque == pytest.approx([0.01, 0.05 / (2 * math.pi)])
-    together = read_measurements([tmp_path / "uiuc.txt", tmp_path / "own.csv"])
+    together = read_tables([tmp_path / "uiuc.txt", tmp_path / "own.csv"]).wind
     assert len(together.ratio) == 4
 
 
@@ -96,7 +96,7 @@ def test_a_table_is_read_in_any_of_its_forms(tmp_path: Path) -> None:
 def test_a_damaged_table_is_one_line_with_its_place(tmp_path: Path, text: str, message: str) -> None:
     path = table(tmp_path / "t.csv", text)
     with pytest.raises(DynoError) as caught:
-        read_measurements([path])
+        read_tables([path])
     assert message in str(caught.value)
     assert str(path) in str(caught.value)
     assert "\n" not in str(caught.value) and len(str(caught.value)) < 400
@@ -104,13 +104,13 @@ def test_a_damaged_table_is_one_line_with_its_place(tmp_path: Path, text: str, m
 
 def test_a_file_that_is_no_table_is_refused(tmp_path: Path) -> None:
     with pytest.raises(DynoError, match="no such file"):
-        read_measurements([tmp_path / "none.csv"])
+        read_tables([tmp_path / "none.csv"])
     (tmp_path / "binary.csv").write_bytes(b"\xff\xfe\x00" * 9)
     with pytest.raises(DynoError, match="not a text file"):
-        read_measurements([tmp_path / "binary.csv"])
+        read_tables([tmp_path / "binary.csv"])
     (tmp_path / "large.csv").write_bytes(b"0" * ((1 << 20) + 1))
     with pytest.raises(DynoError, match="expected at most 1048576"):
-        read_measurements([tmp_path / "large.csv"])
+        read_tables([tmp_path / "large.csv"])
 
 
 def test_measurements_that_show_no_curve_are_refused() -> None:

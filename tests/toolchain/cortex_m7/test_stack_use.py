@@ -137,5 +137,5 @@ def test_the_compilers_word_is_asked_for_when_it_is_missing(tmp_path: Path) -> N
 
 
 def test_a_named_place_must_exist_when_a_pointer_goes_there(tmp_path: Path) -> None:
-    with pytest.raises(StackError, match=r"program\.c:program_background, which .* names, is not in"):
+    with pytest.raises(StackError, match=r"runtime\.c:runtime_background, which .* names, is not in"):
         use(tmp_path, "void (*later)(void); void reset_handler(void) { later(); }", name="hal.c")

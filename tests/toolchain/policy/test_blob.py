@@ -25,7 +25,6 @@ from neuroflight.toolchain.policy.blob import (
     header_values,
     pack,
     parse,
-    same_architecture,
 )
 from neuroflight.toolchain.policy.model_constants import ModelConstants
 from neuroflight.toolchain.rendering.contract_header import blob_header_fields
@@ -374,27 +373,6 @@ def test_a_blob_is_not_made_when_its_arrays_do_not_belong_together() -> None:
 
 
 # --- What may be exchanged --------------------------------------------------------------------
-def test_blobs_are_of_one_architecture_when_only_values_differ() -> None:
-    other = replace(BLOB, sequence=8, weights=-WEIGHTS, aircraft="iris", policy_sha256="b2" * 32, idle=0.0)
-    assert same_architecture(BLOB, other)
-
-
-@pytest.mark.parametrize(
-    "change",
-    [
-        {"architecture_hash": 1},
-        {"filters_hash": 1},
-        {"control_rate_hz": 2000},
-        {"weights": WEIGHTS[:-1]},
-        {"selftest_observation": OBSERVATION[:, :3]},
-        {"selftest_action": ACTION[:, :3]},
-    ],
-    ids=lambda change: next(iter(change)),
-)
-def test_blobs_are_of_two_architectures_when_code_would_differ(change: dict[str, Any]) -> None:
-    assert not same_architecture(BLOB, replace(BLOB, **change))
-
-
 def test_filters_hash_tells_chains_apart_but_not_the_order_of_keys() -> None:
     assert filters_hash([]) == filters_hash(()) == contract.POLICY_FILTERS_NONE == zlib.crc32(b"[]")
     lowpass = {"type": "lowpass", "hz": 100}

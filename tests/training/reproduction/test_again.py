@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from neuroflight.training.reproduction.experiments import Experiments, Step, experiments
-from neuroflight.training.reproduction.steps import Place, run_steps
+from neuroflight.training.reproduction.steps import StepOutputs, run_steps
 from neuroflight.training.reproduction.stored import keep, read_stored
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -40,7 +40,7 @@ def check_again(names: Sequence[str], out: Path) -> int:
     """Run steps and those that they need; how many figures are the stored ones."""
     known, stored = experiments(), read_stored(STORED)
     steps = plan(known, names)
-    done = run_steps(steps, Place(ROOT, out, "full"), jobs=2)
+    done = run_steps(steps, StepOutputs(ROOT, out, "full"), jobs=2)
     assert len(done) == len(steps)
     pairs = {
         f"{name} {path}": (value, keep(done[name], known.rows).figures[path])

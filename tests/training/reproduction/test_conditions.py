@@ -16,9 +16,15 @@ from neuroflight.cli.main import parser
 from neuroflight.sim.aircraft.model import load_aircraft
 from neuroflight.training.dissertation.conditions import FILE, ConditionsError, conditions
 from neuroflight.training.reproduction.conditions import differences
-from neuroflight.training.reproduction.experiments import Experiments, Row, Source, experiments, parse
+from neuroflight.training.reproduction.experiments import (
+    ExperimentRow,
+    Experiments,
+    Source,
+    experiments,
+    parse,
+)
 from neuroflight.training.reproduction.page import differing
-from neuroflight.training.reproduction.steps import Place
+from neuroflight.training.reproduction.steps import StepOutputs
 from neuroflight.training.reproduction.stored import Result, read_stored, row_result
 from neuroflight.training.reproduction.verdict import bar
 from neuroflight.training.tasks.registry import TASKS
@@ -30,7 +36,7 @@ FLOWN = ("compare", "evaluate")
 TERMS = {"aircraft", "mount", "length", "training"}
 
 
-def held(known: Experiments) -> Iterator[tuple[Row, Result]]:
+def held(known: Experiments) -> Iterator[tuple[ExperimentRow, Result]]:
     """Rows with each of their figures that has a bar."""
     kept = read_stored(STORED)
     for row in known.rows:
@@ -50,8 +56,8 @@ def printed(row: str) -> dict[str, Any]:
 
 def arguments(known: Experiments, name: str, result: Result) -> Any:
     """What the command line makes of a step's words."""
-    place = Place(ROOT, Path("out"), result.budget or "full")
-    return _parsed(tuple(place.words(known.steps[name])))
+    outputs = StepOutputs(ROOT, Path("out"), result.budget or "full")
+    return _parsed(tuple(outputs.words(known.steps[name])))
 
 
 @cache
@@ -65,7 +71,7 @@ def trained(known: Experiments, name: str, result: Result) -> float:
     return float(args.steps or tomllib.loads((RECIPES / f"{args.config}.toml").read_text())["steps"])
 
 
-def expected(known: Experiments, row: Row, result: Result) -> set[str]:
+def expected(known: Experiments, row: ExperimentRow, result: Result) -> set[str]:
     """Terms in which the command lines of a flown figure are not as the file of conditions has it."""
     args, his = arguments(known, result.figure.ours.step, result), printed(row.name)
     found = set()

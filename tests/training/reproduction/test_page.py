@@ -14,11 +14,12 @@ from rich.console import Console
 from neuroflight.cli.main import main, parser
 from neuroflight.cli.training import reproduce
 from neuroflight.sim.aircraft.model import FOLDER
-from neuroflight.sim.identification.propeller import fit_propeller, read_measurements
+from neuroflight.sim.identification.propeller import fit_propeller
+from neuroflight.sim.identification.propeller_tables import read_tables
 from neuroflight.training.dissertation.quotes import quotes
 from neuroflight.training.reproduction.experiments import BUDGETS, experiments
 from neuroflight.training.reproduction.page import render
-from neuroflight.training.reproduction.steps import PICTURES, Place
+from neuroflight.training.reproduction.steps import PICTURES, StepOutputs
 from neuroflight.training.reproduction.stored import read_stored, row_result, sources
 from neuroflight.training.reproduction.verdict import Verdict, bar
 
@@ -45,9 +46,9 @@ def test_rows_cover_every_table_that_the_dissertation_measured() -> None:
 @pytest.mark.parametrize("budget", BUDGETS)
 def test_every_command_is_one_that_the_command_line_understands(budget: str) -> None:
     top = parser()
-    place = Place(ROOT, Path("out"), "quick" if budget == "quick" else "full")
+    outputs = StepOutputs(ROOT, Path("out"), "quick" if budget == "quick" else "full")
     for step in experiments().steps.values():
-        words = place.words(step)
+        words = outputs.words(step)
         top.parse_args([*words, *(() if words[0] in PICTURES else ("--json",))])
 
 
@@ -76,7 +77,7 @@ def sizes(words: list[str]) -> dict[str, float]:
 def test_quick_is_never_more_than_full() -> None:
     compared = set()
     for step in experiments().steps.values():
-        quick, full = (sizes(Place(ROOT, Path("out"), budget).words(step)) for budget in BUDGETS)
+        quick, full = (sizes(StepOutputs(ROOT, Path("out"), budget).words(step)) for budget in BUDGETS)
         assert {name for name in quick if name in full and quick[name] > full[name]} == set(), step.name
         compared |= quick.keys() & full.keys()
     assert compared == set(SIZES)
@@ -200,7 +201,7 @@ def test_stored_figures_are_those_that_rows_read() -> None:
 def test_stored_figures_are_of_the_commands_as_they_are_now() -> None:
     known = experiments()
     for name, step in read_stored(STORED).items():
-        words = Place(ROOT, ROOT / reproduce.OUT, step.budget).words(known.steps[name])
+        words = StepOutputs(ROOT, ROOT / reproduce.OUT, step.budget).words(known.steps[name])
         assert shlex.split(step.command) == ["neuroflight", *words], name
 
 
@@ -213,7 +214,7 @@ def test_pictures_of_the_page_are_there() -> None:
 def test_the_extended_nf1_is_the_nf1_with_two_more_tables() -> None:
     own, shipped = ((path).read_text() for path in (EXTENDED, FOLDER / "nf1.toml"))
     table = tomllib.loads(own)
-    fit = fit_propeller(read_measurements([EXTENDED.with_name("gws-5x4.3.csv")]), degree=1)
+    fit = fit_propeller(read_tables([EXTENDED.with_name("gws-5x4.3.csv")]).wind, degree=1)
     advance = table["propulsion"].pop("advance_ratio")
     assert advance == {"thrust": list(fit.advance.thrust), "torque": list(fit.advance.torque)}
     assert table["esc"].pop("thermal")

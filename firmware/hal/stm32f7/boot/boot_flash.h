@@ -2,7 +2,7 @@
 #ifndef STM32F7_BOOT_FLASH_H
 #define STM32F7_BOOT_FLASH_H
 
-#include "storage/flash.h"
+#include "port/flash.h"
 
 /* Erases nothing. Programming stalls the code, which lies in flash too: interrupts are off all along. */
 extern const struct flash boot_flash;

@@ -6,7 +6,7 @@
 #include <stdbool.h>
 #include <stdint.h>
 
-#include "storage/fault_record.h"
+#include "port/fault_record.h"
 
 /* For programming errors, not for bad input: ends the program. Any context. */
 #define HAL_ASSERT(condition)                                                         \

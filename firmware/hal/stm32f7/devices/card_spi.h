@@ -2,7 +2,7 @@
 #ifndef STM32F7_CARD_SPI_H
 #define STM32F7_CARD_SPI_H
 
-#include "blackbox/log_device.h"
+#include "port/log_device.h"
 
 /* Pins and SPI are set up; looking for a card is left to the device's step. */
 const struct log_device *card_spi_start(void);

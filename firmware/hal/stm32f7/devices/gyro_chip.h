@@ -5,7 +5,7 @@
 #include <stdbool.h>
 #include <stdint.h>
 
-#include "hal/hal.h"
+#include "port/hal.h"
 
 struct gyro_found {
 	enum board_alignment alignment; /* how it is turned on this board */

@@ -5,7 +5,7 @@
 
 #include <stdint.h>
 
-#include "blackbox/log_device.h"
+#include "port/log_device.h"
 
 /* The line, 8N1, at one of NF_LOG_BAUDS. MSP must not have that port. */
 const struct log_device *log_uart_start(uint32_t baud);

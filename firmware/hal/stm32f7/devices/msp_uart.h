@@ -4,8 +4,8 @@
 
 #include <stdbool.h>
 
-#include "hal/hal.h"
 #include "hal/stm32f7/peripherals/uart_line.h"
+#include "port/hal.h"
 
 /* Port 0..NF_MSP_PORT_COUNT - 1 begins. baud: one of NF_MSP_BAUDS. Bytes that came before are lost. */
 void msp_uart_start(unsigned port, uint32_t baud);

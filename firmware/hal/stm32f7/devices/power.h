@@ -2,7 +2,7 @@
 #ifndef STM32F7_POWER_H
 #define STM32F7_POWER_H
 
-#include "hal/hal.h"
+#include "port/hal.h"
 
 void power_start(void);
 

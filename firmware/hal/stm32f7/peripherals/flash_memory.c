@@ -7,7 +7,7 @@
 #include "hal/stm32f7/core/watchdog.h"
 #include "hal/stm32f7/peripherals/flash_registers.h"
 #include "nf_contract.h"
-#include "storage/flash.h"
+#include "port/flash.h"
 
 /* Waits are counted in reads of the register, each after a pause of so many loop turns of at least a cycle: the cycle
  * counter may wrap before a sector is erased. The data sheet's times are 31 ms a kilobyte and 0.1 ms a word at most, 16

@@ -7,11 +7,10 @@
 #include "hal/stm32f7/core/stop.h"
 
 /* Linker script: where each part lies in flash (load) and where it runs; all word-aligned. */
-extern const uint32_t itcm_load[], data_load[];
+extern const uint32_t bank_start[], itcm_load[], data_load[];
 extern uint32_t itcm_start[], itcm_end[], data_start[], data_end[], bss_start[], bss_end[];
 extern uint32_t sram_bss_start[], sram_bss_end[], uncached_bss_start[], uncached_bss_end[];
 extern uint32_t fast_vectors[], fast_vectors_end[];
-extern const uint32_t vectors[];
 
 int main(int argc, char **argv);
 
@@ -40,7 +39,7 @@ void reset_handler(void)
 	SCB_CPACR |= SCB_CPACR_CP10 | SCB_CPACR_CP11; /* full access (ARMv7-M B3.2.20) */
 	barrier_instructions();
 
-	startup_copy(fast_vectors, fast_vectors_end, vectors);
+	startup_copy(fast_vectors, fast_vectors_end, bank_start); /* the vectors head the bank */
 	startup_copy(itcm_start, itcm_end, itcm_load);
 	startup_copy(data_start, data_end, data_load);
 	startup_clear(bss_start, bss_end);

@@ -8,7 +8,7 @@
 #include <stddef.h>
 #include <stdint.h>
 
-#include "blackbox/log_device.h"
+#include "port/log_device.h"
 #include "storage/card/card_files.h"
 #include "storage/card/sd_card.h"
 

@@ -45,7 +45,7 @@ class SdCard:
         """
         assert erased in (0x00, 0xFF)
         self.image = CardImage(path)
-        self.fail: Callable[[str], NoReturn] = _raise  # hears what a card does not forgive; does not return
+        self.fail: Callable[[str], NoReturn] = _raise  # called with an error of the host; does not return
         self.on_power_cut: Callable[[], None] = lambda: None  # a scripted one: the board loses its power
         self._delays = Delays(timing or CardTiming(), seed)
         self._store = Store(self.image, self._delays, erased)
@@ -54,7 +54,7 @@ class SdCard:
         self._protocol.before_write = self._happen_with_write
         self._parts: tuple[Companion, ...] = (self._delays, self._store, self._line, self._events)
         self._fitted, self._powered = True, True
-        self._hot = False  # put into a slot with power, and has not heard a command since
+        self._hot = False  # inserted with the power on, without a command since
         self._powered_at = 0
         self._clocks = 0  # with the select line high, since then
         self._frame = b""  # of a command that is not complete

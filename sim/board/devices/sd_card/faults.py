@@ -22,7 +22,7 @@ class Cut(Enum):
 class CardFault(Enum):
     """Kinds of faults, and what their value is."""
 
-    STALL = "stall"  # what it is doing, or does next, takes so many seconds more
+    STALL = "stall"  # the present or next operation takes this many seconds longer
     SLOW = "slow"  # from then on every time is multiplied by that
     WORN = "worn"  # every block that is written from so many writes later on is a write error
     WORN_FROM = "worn-from"  # likewise, in blocks from that address on

@@ -29,11 +29,12 @@ class Protocol:
 
     def __init__(self, store: Store, delays: Delays, line: LineErrors, serial: int) -> None:
         self.state = State()
-        # Hears of a block that is to be written: address, data, cycle; false: it cannot be any more.
+        # Called with a block to be written: address, data, cycle; returns False if it can no longer be
+        # written.
         self.before_write: Callable[[int, bytes, int], bool] = lambda address, data, at: True
         self._store, self._delays, self._line, self._serial = store, delays, line, serial
         self._stall = 0  # by how much the next wait is longer
-        self._told = 0  # more bits of the answer to the command that is carried out
+        self._told = 0  # further bits of the present command's answer
         self._commands: dict[int, Callable[[int, int], None]] = {
             8: self._send_interface,
             9: lambda argument, at: self._read_register(sd.csd(store.blocks), at),

@@ -186,8 +186,8 @@ CLOCK_MUTANTS = (
     ),
     Mutant(
         name="watchdog never fed",
-        file="src/program.c",
-        old="\t\tprogram->hal->watchdog_feed(program->hal->context);\n",
+        file="src/runtime.c",
+        old="\t\truntime->hal->watchdog_feed(runtime->hal->context);\n",
         new="",
         message=r"the watchdog was not fed for 5\d\d ms: it would reset the chip",
         seconds=1.0,

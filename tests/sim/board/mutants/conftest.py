@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from neuroflight.flash.msp import encode, request
+from neuroflight.flash.link.msp import encode, request
 from neuroflight.sim.board.board import Board, Report
 from neuroflight.sim.board.matekf722 import FULL_VOLTS
 from neuroflight.sim.board.peripherals.usart import SBUS, Format

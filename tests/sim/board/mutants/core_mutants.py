@@ -7,7 +7,7 @@ from tests.sim.board.mutants.mutant import Mutant
 GYRO = "hal/stm32f7/devices/gyro_chip.c"
 HAL = "hal/stm32f7/hal.c"
 FLASH = "hal/stm32f7/peripherals/flash_memory.c"
-PROGRAM = "src/program.c"
+RUNTIME = "src/runtime.c"
 LINKER = "hal/stm32f7/image.ld"
 BURN = "for (volatile uint32_t i = 0; i < 4000u; ++i)\n\t\t;"  # 180 us
 
@@ -70,12 +70,12 @@ CORE_MUTANTS = (
     ),
     Mutant(
         name="stack overflow by a large local in the control task",
-        file=PROGRAM,
+        file=RUNTIME,
         old="\tuint16_t dshot[POLICY_ACTION_COUNT];\n\n\tif (control_step) {",
         new="\tuint16_t dshot[POLICY_ACTION_COUNT];\n\tvolatile uint8_t scratch[8192];\n\n"
         "\tscratch[0] = (uint8_t)start;\n\t(void)scratch[0];\n\tif (control_step) {",
         message=r"(write|read) of \d bytes at 0x1FFF\w{4}, below DTCM: the stack overflows",
-        place="program_sample",
+        place="runtime_sample",
         seconds=0.4,
     ),
     Mutant(

@@ -24,9 +24,9 @@ if TYPE_CHECKING:
 MUTANTS = (*CLOCK_MUTANTS, *BUS_MUTANTS, *CORE_MUTANTS)
 UNCHANGED = Mutant(
     name="none",
-    file="src/program.c",
-    old="void program_sample(",
-    new="void program_sample(",
+    file="src/runtime.c",
+    old="void runtime_sample(",
+    new="void runtime_sample(",
     message="",
 )
 

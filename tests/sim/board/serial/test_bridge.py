@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 import serial
 
-from neuroflight.flash import messages
-from neuroflight.flash.client import Client
-from neuroflight.flash.msp import encode, request
+from neuroflight.flash.link import messages
+from neuroflight.flash.link.client import Client
+from neuroflight.flash.link.msp import encode, request
 from neuroflight.sim.board.board import Board
 from neuroflight.sim.board.core.context import TIME_HZ
 from neuroflight.sim.board.debug.snapshot import Snapshot, restore_snapshot, take_snapshot

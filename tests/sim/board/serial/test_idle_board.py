@@ -9,10 +9,10 @@ from pathlib import Path
 import pytest
 import serial
 
-from neuroflight.flash import messages, records
-from neuroflight.flash.info import read_info
-from neuroflight.flash.msp import encode, request
-from neuroflight.flash.settings import Settings
+from neuroflight.flash.board.info import read_info
+from neuroflight.flash.link import messages, records
+from neuroflight.flash.link.msp import encode, request
+from neuroflight.flash.settings.values import Settings
 from neuroflight.sim.board.core.context import TIME_HZ
 from neuroflight.sim.board.debug.gdb import GdbServer
 from neuroflight.sim.board.debug.snapshot import Snapshot, restore_snapshot, take_snapshot

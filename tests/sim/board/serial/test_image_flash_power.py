@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from neuroflight.flash import requests
+from neuroflight.flash.board.info import read_info
 from neuroflight.flash.image.files import Image, read_images
 from neuroflight.flash.image.messages import (
     DATA_BYTES_MAX,
@@ -18,8 +18,8 @@ from neuroflight.flash.image.messages import (
     image_switch,
     image_write,
 )
-from neuroflight.flash.info import read_info
-from neuroflight.flash.msp import Decoder, Message, encode, request
+from neuroflight.flash.link import requests
+from neuroflight.flash.link.msp import Decoder, Message, encode, request
 from neuroflight.flash.policy.slots import read_policies
 from neuroflight.sim.board.core.context import TIME_HZ
 from neuroflight.sim.board.debug.snapshot import Snapshot, restore_snapshot, take_snapshot

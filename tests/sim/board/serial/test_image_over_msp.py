@@ -9,9 +9,9 @@ from typing import Any
 
 import pytest
 
-from neuroflight.flash import layouts, requests
-from neuroflight.flash.client import Client
-from neuroflight.flash.info import read_info
+from neuroflight.flash.board.info import read_info
+from neuroflight.flash.link import layouts, requests
+from neuroflight.flash.link.client import Client
 from neuroflight.sim.board.core.context import TIME_HZ
 from neuroflight.sim.board.serial.idle_board import IdleBoard, configured
 from neuroflight.toolchain.contract import ARMING_DELAY_MS, MSP_IMAGE_NUMBERED, Msp, image_field_offset

@@ -9,11 +9,11 @@ from pathlib import Path
 import pytest
 
 from neuroflight.cli.flash.policy_swap import candidate_of
-from neuroflight.flash import requests
-from neuroflight.flash.client import Client
-from neuroflight.flash.info import read_info
-from neuroflight.flash.messages import PolicySource
-from neuroflight.flash.msp import Decoder, Message, encode, request
+from neuroflight.flash.board.info import read_info
+from neuroflight.flash.link import requests
+from neuroflight.flash.link.client import Client
+from neuroflight.flash.link.messages import PolicySource
+from neuroflight.flash.link.msp import Decoder, Message, encode, request
 from neuroflight.flash.policy import revert as reverts
 from neuroflight.flash.policy import swap as swaps
 from neuroflight.flash.policy.candidate import Candidate

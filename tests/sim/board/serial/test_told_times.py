@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from neuroflight.flash.stream import Sample
+from neuroflight.flash.monitoring.stream import Sample
 from neuroflight.sim.board.core.context import TIME_HZ
 from neuroflight.sim.board.serial.idle_board import IdleBoard
 from neuroflight.sim.board.serial.told_times import (

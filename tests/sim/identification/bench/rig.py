@@ -20,8 +20,8 @@ from types import TracebackType
 
 import numpy as np
 
-from neuroflight.flash.client import Client
-from neuroflight.flash.transport import SerialPort, SerialTransport, TcpPort, TcpTransport
+from neuroflight.flash.link.client import Client
+from neuroflight.flash.link.transport import SerialPort, SerialTransport, TcpPort, TcpTransport
 from neuroflight.sim.aircraft.model import RPM, Propulsion
 from neuroflight.sim.control.motors import each_fraction
 from neuroflight.sim.physics.rotor import next_speed, target_speed, thrust_and_torque

@@ -9,10 +9,10 @@ from typing import Any
 
 import pytest
 
-from neuroflight.flash import requests
-from neuroflight.flash.client import Client, RefusedError
+from neuroflight.flash.link import requests
+from neuroflight.flash.link.client import Client, RefusedError
+from neuroflight.flash.link.transport import TcpPort, TcpTransport, Transport
 from neuroflight.flash.motors.bench import MotorBench
-from neuroflight.flash.transport import TcpPort, TcpTransport, Transport
 from neuroflight.sim.identification.bench.drive import Log, Sensor, drive
 from neuroflight.sim.identification.bench.guard import Guard, Limits, StoppedError
 from neuroflight.sim.identification.bench.quantities import Rig as Meaning

@@ -1,0 +1,15 @@
+/* The table of commands. */
+#ifndef NF_COMMANDS_H
+#define NF_COMMANDS_H
+
+#include <stddef.h>
+
+#include "command_line/command.h"
+
+extern const struct command command_table[];
+extern const size_t command_count;
+
+/* The command that `line` begins with; NULL: none. *arguments is what stands behind it. */
+const struct command *command_find(const char *line, const char **arguments);
+
+#endif
