@@ -77,16 +77,16 @@ arm: # the ARM compiler and llvm-mca, from the system's packages where that is a
 	$(call bring,arm-none-eabi-gcc,llvm-mca,$(ARM_PACKAGES))
 
 firmware: $(READY) arm ## the flash image: TARGET=MATEKF722 [AIRCRAFT=nf1|mine.toml] [POLICY=path.onnx] [BUILD="--no-pid"]
-	@$(RUN) build --target $(TARGET) $(OF) $(BUILD)
+	@$(RUN) image build --target $(TARGET) $(OF) $(BUILD)
 
 flash: firmware ## the image, as built last, onto a board that runs Neuroflight: PORT=/dev/ttyUSB0 [ARGS="--dry-run"]
-	@$(RUN) flash build/$(TARGET)/neuroflight.nfi --port "$(PORT)" $(ARGS)
+	@$(RUN) board flash build/$(TARGET)/neuroflight.nfi --port "$(PORT)" $(ARGS)
 
 host: $(READY) ## the same firmware as a program of this machine
-	@$(RUN) build --target HOST $(OF) $(BUILD)
+	@$(RUN) image build --target HOST $(OF) $(BUILD)
 
 train: $(READY) ## a policy from the twin: AIRCRAFT=nf1 [ALGORITHM=ppo] [CONFIG=] [STEPS=] [SEED=] [OUT=]
-	@$(RUN) train --aircraft "$(AIRCRAFT)" $(CONFIG:%=--config %) $(ALGORITHM:%=--algorithm %) $(STEPS:%=--steps %) \
+	@$(RUN) policy train --aircraft "$(AIRCRAFT)" $(CONFIG:%=--config %) $(ALGORITHM:%=--algorithm %) $(STEPS:%=--steps %) \
 	  --seed $(SEED) --out "$(OUT)" $(ARGS)
 
 fly: host ## a firmware against the twin: [ON=host] [SCENARIO=flight] [COUNT=10] [SEED=] [ARGS="--trace FILE.npz"]
@@ -96,14 +96,14 @@ view: $(READY) ## a Split-S in 3D, as a page for the browser: [POLICY=path.onnx]
 	@$(RUN) view $(POLICY) $(TWIN) --scenario sim/scenarios/split_s.toml --mount free --seed $(SEED) --out build/flight.html $(ARGS)
 
 emulate: firmware ## the image to be flashed flies on an emulated board: roll, flip, Split-S, a minute of commands and hover
-	@$(RUN) fly --on emulator --build build/$(TARGET) $(TWIN) --seed $(SEED) \
+	@$(RUN) fly --on board --build build/$(TARGET) $(TWIN) --seed $(SEED) \
 	  --scenario roll flip sim/scenarios/split_s.toml flight $(ARGS)
 
 test: firmware host peers ## the tests, on all cores: [JOBS=4] [ARGS=tests/sim]
 	@$(PYTEST) $(ARGS)
 
 prove: firmware host chromium clang peers ## the long version of what the tests sample: [JOBS=] [ARGS=]
-	@$(PYTEST) -m "slow or not slow" $(ARGS)
+	@NEUROFLIGHT_PROVES=1 $(PYTEST) -m "slow or not slow" $(ARGS)
 
 clang: # the compiler that brings libFuzzer, as the ARM compiler is brought
 	$(call bring,clang,,$(CLANG_PACKAGES))

@@ -16,7 +16,7 @@ cd "$(dirname "$0")"
 
 EXTRAS="firmware gateway sim train sweep dev" # from the smallest to the largest
 PYTHONS="3.11 3.12 3.13 3.14"         # with wheels of everything that an image needs, in the order tried
-PYBULLET_PYTHON=3.11                  # the newest that pybullet has wheels for, and these for x86_64 alone
+FLYING="3.11 3.12 3.13"               # with wheels of pybullet, or of pybullet-arm64: pyproject.toml says which
 TORCH_INDEX=https://download.pytorch.org/whl/cpu
 VENV=.venv
 FETCHED=.python # where uv puts an interpreter that this machine lacks
@@ -52,9 +52,14 @@ find_python() (
 	done
 )
 
+# Whether this machine's kind has wheels of pybullet for some Python.
+has_wheels() {
+	case "$(uname -s) $(uname -m)" in *" x86_64" | "Darwin arm64") ;; *) false ;; esac
+}
+
 # Whether pybullet is in $VENV or comes to it without a compiler.
 can_fly() {
-	[ "$(uname -m) $have" = "x86_64 $PYBULLET_PYTHON" ] || has pybullet
+	has pybullet || has pybullet-arm64 || { has_wheels && case " $FLYING " in *" $have "*) ;; *) false ;; esac; }
 }
 
 # Whether the distribution $1 is in $VENV, in a version that begins with $2.
@@ -69,7 +74,7 @@ pip() {
 	"$VENV/bin/python" -m pip --quiet --disable-pip-version-check --no-input "$@"
 }
 
-# Brings an interpreter of $PYBULLET_PYTHON into $FETCHED by uv, which is installed aside if need be.
+# Brings the first interpreter of $FLYING into $FETCHED by uv, which is installed aside if need be.
 fetch_python() (
 	uv=$(command -v uv || true)
 	if [ -z "$uv" ]; then
@@ -79,7 +84,7 @@ fetch_python() (
 		"$aside/bin/python" -m pip install --constraint constraints.txt uv || return 1
 		uv=$aside/bin/uv
 	fi
-	UV_PYTHON_INSTALL_DIR=$PWD/$FETCHED UV_PYTHON_INSTALL_BIN=0 "$uv" python install "$PYBULLET_PYTHON"
+	UV_PYTHON_INSTALL_DIR=$PWD/$FETCHED UV_PYTHON_INSTALL_BIN=0 "$uv" python install "${FLYING%% *}"
 )
 
 # Makes $VENV with the interpreter $1, in place of what is there.
@@ -103,14 +108,14 @@ elif [ "$extra" = firmware ] || [ "$extra" = gateway ]; then
 		make_environment "$base"
 	fi
 elif [ -z "$have" ] || ! can_fly; then
-	lack="pybullet has wheels for Python $PYBULLET_PYTHON on x86_64 only"
+	lack="pybullet has wheels for Python 3.11 to 3.13 on x86_64 only"
 	source="or let pip build it, about ten minutes on one core with a C++ compiler: make setup EXTRA=$extra PYTHON=python3"
-	[ "$(uname -m)" = x86_64 ] || fail "$lack, this is $(uname -m); $source"
-	base=$(find_python "$PYBULLET_PYTHON")
+	has_wheels || fail "$lack, this is $(uname -m); $source"
+	base=$(find_python "$FLYING")
 	if [ -z "$base" ]; then
 		echo "$lack; fetching that Python with uv into $FETCHED"
 		fetch_python >/dev/null 2>&1 || true
-		base=$(find_python "$PYBULLET_PYTHON")
+		base=$(find_python "$FLYING")
 	fi
 	[ -n "$base" ] || fail "$lack, found none and uv fetches none: install python3.11 with venv, $source"
 	[ -z "$have" ] || echo "$VENV has Python $have, which pybullet has no wheel for; making it anew with $base"

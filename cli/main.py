@@ -1,7 +1,6 @@
 """The `neuroflight` command: parses, makes one call into a room, prints, returns an exit code.
 
-Each module named in `COMMANDS` owns one subcommand: `add_arguments(parser)` and `run(args) -> int`.
-It imports its room inside `run`, so that `--help` stays quick.
+`cli/tree.py` says which module carries out which command.
 """
 
 from __future__ import annotations
@@ -12,82 +11,20 @@ import errno
 import importlib
 import importlib.util
 import os
+import shutil
 import sys
+import textwrap
 from collections.abc import Sequence
 
+from neuroflight.cli import tree
+from neuroflight.cli.extras import EXTRAS, install_command
+from neuroflight.cli.parsing import suggestion
+from neuroflight.cli.tree import PROGRAM
 from neuroflight.toolchain.errors import NeuroflightError
 
 SUMMARY = (
     "From the digital twin of an aircraft to a flight firmware whose rate controller is a neural network."
 )
-ROOMS = {  # which folder of cli/ holds the module of a command; its name is the command's
-    "toolchain": ("build", "compile", "verify", "timing", "freeze"),
-    "sim": ("dyno", "stability", "fly", "board", "twin", "aircraft", "view"),
-    "training": (
-        "train",
-        "policy",
-        "learning-curves",
-        "sweep",
-        "tune-pid",
-        "adapt",
-        "results",
-        "reproduce",
-    ),
-    "training/evaluation": ("evaluate", "compare", "robustness", "failure", "manoeuvres", "power"),
-    "flash": ("msp", "flash", "rescue", "motor", "rc", "monitor", "gateway"),
-    "logs": ("log",),
-}
-COMMANDS = {
-    "build": "build a firmware image or the host program around a policy",
-    "compile": "turn policy.onnx into policy.c and policy.h",
-    "verify": "run a policy on every machine, from torch to the Cortex-M7, and compare them",
-    "timing": "count what a policy, or an image in flight, takes on the board: instructions, cycles",
-    "freeze": "turn a checkpoint, or the model of another trainer, into policy.onnx",
-    "train": "train a policy in the twin of an aircraft",
-    "policy": "check that a policy is fit to fly before it is built and flashed",
-    "learning-curves": "draw the training reward of runs over their steps, averaged over seeds",
-    "sweep": "train many policies at once and show those that no other beats in every figure",
-    "tune-pid": "find the gains of a PID, or Betaflight's settings, for an aircraft in its twin",
-    "evaluate": "measure a policy or the PID on unseen commands",
-    "compare": "compare policies and PIDs on the same unseen commands",
-    "robustness": "measure controllers on aircraft whose parameters differ from their file",
-    "failure": "fly controllers through a motor that fails, or a payload that comes, goes or shifts",
-    "adapt": "refine a policy on what a flight told of the aircraft, and prove it",
-    "manoeuvres": "fly roll, flip, Split-S, punch-out, dive, prop wash freely, with drag, battery, gusts",
-    "power": "measure what controllers draw from the battery: disarmed, armed idling, in flight",
-    "dyno": "measure a rotor on a dynamometer, simulated or real, and fit its model to the log",
-    "stability": "measure how far the links of an aircraft drift apart in pybullet",
-    "results": "write the page of results from stored figures",
-    "reproduce": "run the dissertation's experiments again, its figures beside ours",
-    "fly": "fly a firmware against the twin and print tracking figures",
-    "board": "run the image on an emulated board that lies still; other programs use its serial ports",
-    "twin": "gyro noise, moments of inertia and a propeller's fall of thrust, from recordings",
-    "aircraft": "check and draw an aircraft file",
-    "view": "show the aircraft in the attitudes of a flight: in a window, as a page that plays it, GIF, PNG",
-    "rescue": "put an image on a board through the boot loader in its chip's ROM, whatever its flash holds",
-    "msp": "ask a running firmware over MSP, change and keep its settings",
-    "motor": "turn motors on the bench, propellers off; stop them; set their directions and order",
-    "rc": "send a firmware its channels over MSP, from a script or a gamepad",
-    "monitor": "watch a running firmware live: state, attitude, channels, motors, battery, load",
-    "gateway": "a running firmware as a MAVLink aircraft: QGroundControl, companion computers",
-    "flash": "put an image or another policy onto a board that runs Neuroflight; list, go back",
-    "log": "logs of flights: cards for them, getting them off the aircraft, reading them",
-}
-EXTRAS = {  # of pyproject.toml: packages that not every command needs, under the names they are imported by
-    "gateway": ("pymavlink",),
-    "sim": ("PIL", "cffi", "matplotlib", "pybullet", "scipy", "trimesh"),
-    "train": (
-        "gymnasium",
-        "onnxruntime",
-        "onnxscript",
-        "sb3_contrib",
-        "stable_baselines3",
-        "tensorboard",
-        "torch",
-    ),
-    "sweep": ("ray",),
-}
-ROOM_EXTRAS = {"training": "train", "training/evaluation": "train"}  # what every command there needs at least
 # Matrices here are small: a second thread gains little, loses twenty times as much to a busy neighbour, and
 # may round otherwise than the first alone, so that a seed would no longer say what a run gives.
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
@@ -113,19 +50,59 @@ LINE_MAX = 2000  # characters of an error; what is longer quotes something of th
 NAME_SHOWN = 200  # characters of a file's name
 
 
-def parser() -> argparse.ArgumentParser:
-    """The whole command line."""
-    top = argparse.ArgumentParser(prog="neuroflight", description=SUMMARY)
-    room_of = {name: room for room, names in ROOMS.items() for name in names}
-    commands = top.add_subparsers(dest="command", required=True, metavar="COMMAND")
-    for name, summary in COMMANDS.items():
-        sub = commands.add_parser(name, help=summary, description=summary)
-        module = importlib.import_module(
-            f"neuroflight.cli.{room_of[name].replace('/', '.')}.{name.replace('-', '_')}"
-        )
-        module.add_arguments(sub)
-        sub.set_defaults(run=module.run)
-    return top
+def parse(argv: Sequence[str]) -> argparse.Namespace:
+    """Read a command line. Ends the process for --help, --version and, status 2, for unreadable lines.
+
+    Where the line has old words, the result's `renamed` says which are the new ones, otherwise it is "".
+    """
+    line, renamed = tree.rewritten(argv)
+    words, rest = tree.find(line)
+    if words:
+        return tree.leaf_parser(words).parse_args(rest, argparse.Namespace(renamed=renamed))
+    group = next((" ".join(line[:n]) for n in (2, 1) if " ".join(line[:n]) in tree.NOUNS), "")
+    word = next(iter(line[len(group.split()) :]), "")
+    if word in ("-h", "--help"):
+        print(_help(group))
+        sys.exit(0)
+    if word == "--version" and not group:
+        print(f"{PROGRAM} {version()}")
+        sys.exit(0)
+    if not word:
+        print(_help(group), file=sys.stderr)
+        sys.exit(2)
+    name = f"{PROGRAM} {group}".strip()
+    print(f"{name}: no command {word!r}{_meant(group, word)}; {name} --help lists them", file=sys.stderr)
+    sys.exit(2)
+
+
+def _meant(group: str, word: str) -> str:
+    """Return "; did you mean ...?" of a command that is like the word, at its place or below another noun."""
+    near = suggestion(word, [*tree.below(group), *(() if group else tree.ALIASES)])
+    elsewhere = [words for words in tree.COMMANDS if words.split()[-1] == word]
+    return f"; did you mean {' or '.join(elsewhere)}?" if elsewhere else near
+
+
+def _help(group: str) -> str:
+    """Return the help of a noun; of all, where `group` is ""."""
+    name, width = f"{PROGRAM} {group}".strip(), shutil.get_terminal_size().columns - 2
+    below = tree.below(group)
+    column = max(map(len, below)) + 4
+    lines = [f"usage: {name} COMMAND ...", "", *textwrap.wrap(tree.NOUNS.get(group, SUMMARY), width), ""]
+    for word, text in below.items():
+        first = f"  {word}".ljust(column)
+        lines += textwrap.wrap(text, width, initial_indent=first, subsequent_indent=" " * column)
+    return "\n".join([*lines, "", f"{name} COMMAND --help tells more of one"])
+
+
+def version() -> str:
+    """Return the version that is installed."""
+    from importlib.metadata import PackageNotFoundError
+    from importlib.metadata import version as installed
+
+    try:
+        return installed(PROGRAM)
+    except PackageNotFoundError:
+        return "not installed"
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -134,10 +111,12 @@ def main(argv: Sequence[str] | None = None) -> int:
         os.environ.setdefault(name, "1")
     _open_standard_streams()
     try:
-        args = parser().parse_args(argv)
+        args = parse(sys.argv[1:] if argv is None else argv)
         _check_stdout()
         code = run_command(args)
         sys.stdout.flush()
+        if args.renamed and code == 0:  # not beside an error, which is one line
+            print(f"{PROGRAM}: {args.renamed}", file=sys.stderr)
         return code
     except NeuroflightError as error:
         return _fail(f"{error}")
@@ -152,7 +131,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def os_error_line(error: OSError) -> str:
-    """What the operating system refused, where, and what the user does about it."""
+    """Return the cause of an error of the operating system, its file, and what the user does about it."""
     what = error.strerror or str(error) or type(error).__name__
     where = _where(error)
     mend = MENDS.get(error.errno or 0)
@@ -160,7 +139,7 @@ def os_error_line(error: OSError) -> str:
 
 
 def _where(error: OSError) -> str:
-    """The file of an error. Whoever writes a file names it: an error without one is of other outputs."""
+    """Return the file of an error. One without a name is of other outputs: written files are named."""
     if error.filename is not None:
         name = os.fsdecode(error.filename) if isinstance(error.filename, bytes) else str(error.filename)
         return name if len(name) <= NAME_SHOWN else f"{name[:NAME_SHOWN]}... ({len(name)} characters)"
@@ -168,7 +147,7 @@ def _where(error: OSError) -> str:
 
 
 def _fail(line: str) -> int:
-    """Print one line on stderr; what stdout still holds is written before it, or never. Returns 1."""
+    """Print one line on stderr, after flushing stdout if possible. Returns 1."""
     try:
         sys.stdout.flush()
     except (OSError, ValueError):
@@ -181,13 +160,13 @@ def _fail(line: str) -> int:
 
 
 def _silence_stdout() -> None:
-    """What stdout still holds goes nowhere: else the interpreter tries again as it ends, and complains."""
+    """Discard the rest of stdout: else the interpreter tries to write it again as it ends, and complains."""
     with contextlib.suppress(OSError, ValueError):
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _open_standard_streams() -> None:
-    """Numbers 0 to 2 that are closed lead nowhere: the next file that is opened would get one of them."""
+    """Open closed standard streams as /dev/null: else the next file that is opened would be one of them."""
     while (handle := os.open(os.devnull, os.O_RDWR)) <= 2:
         os.set_inheritable(handle, True)
     os.close(handle)
@@ -203,19 +182,18 @@ def _check_stdout() -> None:
 
 
 def run_command(args: argparse.Namespace) -> int:
-    """The command's exit code. Raises NeuroflightError where a package of an extra is not installed."""
+    """Return the command's exit code. Raises NeuroflightError where an extra is not installed."""
     try:
-        return int(args.run(args))
+        return tree.run(args)
     except ModuleNotFoundError as error:
         package = (error.name or "").partition(".")[0]
         brings = [extra for extra, packages in EXTRAS.items() if package in packages]
         if not brings or importlib.util.find_spec(package) is not None:
             raise
-        brings += [extra for room, extra in ROOM_EXTRAS.items() if args.command in ROOMS[room]]
+        brings += filter(None, [tree.COMMANDS[args.command].extra])
         extra = max(brings, key=list(EXTRAS).index)  # the larger brings the smaller
         raise NeuroflightError(
-            f"{args.command} needs {package}, which is not installed; "
-            f"run: make setup EXTRA={extra}, or pip install 'neuroflight[{extra}]'"
+            f"{args.command} needs {package}, which is not installed; run: {install_command(extra)}"
         ) from error
 
 

@@ -1,4 +1,4 @@
-"""Shared by commands that write files: check early that they can be written; the command that made them."""
+"""Functions for commands that write files: early checks that they can be written; the command as a text."""
 
 from __future__ import annotations
 
@@ -7,6 +7,8 @@ import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from neuroflight.cli.report import print_table as print_table
+from neuroflight.cli.report import with_margin as with_margin
 from neuroflight.toolchain.errors import NeuroflightError
 from neuroflight.toolchain.files import check_writable
 
@@ -42,10 +44,8 @@ def check_folder(path: Path | None, option: str) -> None:
 
 
 def command_line(command: str, /, *words: str, **options: object) -> str:
-    """The command that repeats a result, as a shell takes it: without options that are None or False, paths
-    cut short.
-    """
-    line = ["neuroflight", command, *(_short(word) for word in words)]
+    """Return the command that repeats a result, for a shell: no options that are None or False."""
+    line = ["neuroflight", *command.split(), *(_short(word) for word in words)]
     for name, value in options.items():
         if value is None or value is False:
             continue
@@ -56,35 +56,8 @@ def command_line(command: str, /, *words: str, **options: object) -> str:
     return shlex.join(line)
 
 
-def print_table(title: str, rows: Sequence[tuple[str, ...]], note: str = "", *, left: bool = False) -> None:
-    """Rows under their heading, which is the first; numbers to the right unless `left`."""
-    from rich.console import Console
-    from rich.table import Table
-    from rich.text import Text
-
-    heading, *rest = rows
-    shown = Table(
-        title=Text(title) if title else None,
-        caption=Text(note) if note else None,
-        title_justify="left",
-        caption_justify="left",
-        box=None,
-        show_header=any(heading),
-    )
-    for number, cell in enumerate(heading):
-        shown.add_column(cell, justify="right" if number and not left else "left", overflow="fold")
-    for row in rest:
-        shown.add_row(*(Text(cell) for cell in row))
-    Console().print(shown)
-
-
-def with_margin(value: float, margin: float, digits: int) -> str:
-    """Return a mean and its margin; the mean alone where a single flight leaves no margin to tell."""
-    return f"{value:,.{digits}f} ± {margin:,.{digits}f}" if margin > 0.0 else f"{value:,.{digits}f}"
-
-
 def plain(value: object) -> object:
-    """Dictionaries of arrays as JSON has them."""
+    """Return dictionaries of arrays as JSON data."""
     if isinstance(value, Mapping):
         return {key: plain(item) for key, item in value.items()}
     return value.tolist() if hasattr(value, "tolist") else value

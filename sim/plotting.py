@@ -24,6 +24,11 @@ FLIGHT_COLOURS = ("#0072b2", "#e69f00", "#cc79a7", "#009e73")
 MOTOR_COLOURS = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00", "#f0e442", "#000000")
 
 
+def line_colour(number: int) -> str:
+    """Return the colour of a line by its number, from 0."""
+    return MOTOR_COLOURS[number % len(MOTOR_COLOURS)]
+
+
 def titled_figure(size: tuple[float, float], title: str, pad: tuple[float, float] = (0.08, 0.08)) -> Figure:
     """Create an empty figure with its title at the upper left; size, pad (vertical, horizontal) [inch]."""
     figure = Figure(figsize=size, layout=ConstrainedLayoutEngine(h_pad=pad[0], w_pad=pad[1]))

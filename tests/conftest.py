@@ -7,7 +7,7 @@ import os
 import shutil
 import signal
 import threading
-from collections.abc import Callable, Generator
+from collections.abc import Generator
 from pathlib import Path
 
 from neuroflight.cli.main import THREADS
@@ -37,7 +37,6 @@ BUILD = ROOT / "build" / ("coverage" if os.environ.get("INSTRUMENT") else "tests
 
 SHIPPED = ROOT / "training" / "policies" / "nf1" / "policy.onnx"
 WORKER = os.environ.get("PYTEST_XDIST_WORKER", "gw0")
-Once = Callable[[str, Callable[[Path], object]], Path]
 
 
 def pytest_configure() -> None:
@@ -76,23 +75,6 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 @pytest.fixture(scope="session")
-def once(tmp_path_factory: pytest.TempPathFactory) -> Once:
-    """Makes a folder of this run: by its name, and by what fills it. All workers of pytest-xdist share it."""
-    base = tmp_path_factory.getbasetemp()
-    base = base.parent if "PYTEST_XDIST_WORKER" in os.environ else base
-
-    def make(name: str, fill: Callable[[Path], object]) -> Path:
-        folder, filled = base / name, base / name / ".filled"
-        with locked(folder):
-            if not filled.exists():
-                fill(folder)
-                filled.touch()
-        return folder
-
-    return make
-
-
-@pytest.fixture(scope="session")
 def shipped_policy() -> Path:
     """The policy inside the programs below: the one shipped for the NF1."""
     return SHIPPED
@@ -124,6 +106,15 @@ def build_beside(target: str, policy: Path, folder: Path, pid: PidTable | None =
             aside.rename(out)
     build(target, policy, ROOT, folder, pid)
     return out
+
+
+def build_kept(target: str, policy: bytes, name: str, pid: PidTable | None = None) -> Path:
+    """Build around a policy that tests make, in a folder that all workers, and the next run, find again."""
+    path = BUILD / name / "policy.onnx"
+    with locked(path.parent):
+        if not path.exists() or path.read_bytes() != policy:
+            path.write_bytes(policy)
+    return build_beside(target, path, path.parent, pid)
 
 
 @pytest.fixture(scope="session")

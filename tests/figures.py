@@ -60,7 +60,7 @@ def _cells(row: compiler.Row, step: int) -> str:
 
 
 def timing(_: str) -> str:
-    """Return what `neuroflight timing` prints of the shipped policy."""
+    """Return what `neuroflight policy time` prints of the shipped policy."""
     with redirect_stdout(io.StringIO()) as told:
         neuroflight(["timing", str(SHIPPED)])
     lines = (line.rstrip() for line in told.getvalue().splitlines())

@@ -13,7 +13,8 @@ import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from neuroflight.cli.main import parser
+from neuroflight.cli.compare.compare import DEFAULT, SUITES, suite_parser
+from neuroflight.cli.tree import COMMANDS, leaf_parser
 from neuroflight.toolchain.files import write_text_if_changed
 from neuroflight.toolchain.rendering.msp_page import msp_page
 from neuroflight.toolchain.rendering.settings_page import settings_page
@@ -39,11 +40,16 @@ def commands_page() -> str:
         _table("target", "what it does", *(targets())),
     ]
     noun = ""
-    for words, leaf in leaves(parser()):
-        if words[0] != noun:
-            noun = words[0]
+    for words in COMMANDS:
+        if words.split()[0] != noun:
+            noun = words.split()[0]
             parts.append(f"## {noun}")
+        leaf = leaf_parser(words)
         parts += _command(words, leaf)
+        if words == "compare":
+            others = [kind.names[0] for kind in dict.fromkeys(SUITES.values()) if DEFAULT not in kind.names]
+            for name in others:
+                parts += _command(f"{words} --suite {name}", suite_parser(leaf, name))
     return "\n\n".join(parts) + "\n"
 
 
@@ -57,21 +63,8 @@ def targets() -> list[tuple[str, str]]:
     ]
 
 
-def leaves(
-    of: argparse.ArgumentParser, words: tuple[str, ...] = ()
-) -> Iterator[tuple[tuple[str, ...], argparse.ArgumentParser]]:
-    """Yield words and parser of every command that has none below it."""
-    below = [action for action in of._actions if isinstance(action, argparse._SubParsersAction)]
-    if not below:
-        yield words, of
-    for action in below:
-        for name, sub in action.choices.items():
-            yield from leaves(sub, (*words, name))
-
-
-def _command(words: tuple[str, ...], leaf: argparse.ArgumentParser) -> Iterator[str]:
-    heading = " ".join(words)
-    yield f"### neuroflight {heading}" if len(words) > 1 else f"`neuroflight {heading}`"
+def _command(words: str, leaf: argparse.ArgumentParser) -> Iterator[str]:
+    yield f"### neuroflight {words}" if " " in words else f"`neuroflight {words}`"
     if leaf.description:
         yield _sentence(_cell(leaf.description))
     rows = []

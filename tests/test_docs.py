@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-import argparse
-import functools
 import re
 import shlex
+import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from playwright.sync_api import sync_playwright
 
-from neuroflight.cli.main import parser as make_parser
+from neuroflight.cli import tree
+from neuroflight.cli.compare import compare
+from neuroflight.cli.main import parse
 from tests import reference
 from tests.conftest import ROOT
 
@@ -25,7 +27,6 @@ FILE = re.compile(r"`((?:cli|docs|firmware|flash|sim|tests|toolchain|training)/[
 SYNOPSIS = re.compile(r"…|\[-|\.\.\.")
 QUOTED = re.compile(r"(?<!`)`(?:\.venv/bin/)?neuroflight ([^`\n]+)`")
 WORD = re.compile(r"[a-z][a-z-]+")
-parser = functools.cache(make_parser)  # it is asked hundreds of times
 
 
 def lines(page: Path) -> Iterator[tuple[bool, str]]:
@@ -66,15 +67,6 @@ def mentions() -> list[tuple[str, str]]:
     return sorted({(page.name, words) for page in PAGES for words in QUOTED.findall(page.read_text())})
 
 
-def options(of: argparse.ArgumentParser) -> set[str]:
-    """Return the option strings of a command and of those below it."""
-    found = set(of._option_string_actions)
-    for action in of._actions:
-        if isinstance(action, argparse._SubParsersAction):
-            found |= {option for sub in action.choices.values() for option in options(sub)}
-    return found
-
-
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_links_lead_to_files_and_headings(page: Path) -> None:
     lost = []
@@ -86,21 +78,41 @@ def test_links_lead_to_files_and_headings(page: Path) -> None:
     assert not lost
 
 
-def test_the_site_is_built_without_a_warning(tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(tmp_path)]
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the site's folder, built without a warning."""
+    folder = tmp_path_factory.mktemp("site")
+    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(folder)]
     built = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
     assert built.returncode == 0, built.stderr
+    return folder
+
+
+def test_the_site_has_every_page_and_asks_nothing_of_the_network(site: Path) -> None:
     for page in PAGES:
         if page.is_relative_to(ROOT / "docs"):
-            html = (tmp_path / page.relative_to(ROOT / "docs")).with_suffix(".html").read_text()
-            assert not re.search(r'(src|href)="https?://[^"]*\.(js|css)|fonts\.g', html), (
-                page
-            )  # works offline
+            html = (site / page.relative_to(ROOT / "docs")).with_suffix(".html").read_text()
+            assert not re.search(r'(src|href)="https?://[^"]*\.(js|css)|fonts\.g', html), page
+
+
+@pytest.mark.slow
+def test_the_search_answers_on_a_page_that_is_opened_from_a_file(site: Path) -> None:
+    program = shutil.which("chromium")
+    assert program, "chromium is missing; run: make chromium"
+    with sync_playwright() as driver:
+        browser = driver.chromium.launch(executable_path=program, args=["--no-sandbox"])
+        page = browser.new_page()
+        page.goto((site / "guides" / "logs.html").as_uri())
+        page.locator("input.md-search__input").click()
+        page.get_by_text("Type to start searching").wait_for()
+        page.keyboard.type("brown-out")
+        page.locator("a.md-search-result__link", has_text="brown-out detector").first.wait_for()
+        browser.close()
 
 
 @pytest.mark.parametrize(("page", "words"), commands("neuroflight"))
 def test_a_printed_command_is_understood(page: str, words: str) -> None:
-    parser().parse_args(shlex.split(words))  # ends the process where it is not
+    parse(shlex.split(words))  # ends the process where it is not
 
 
 @pytest.mark.parametrize(("page", "words"), commands("make"))
@@ -108,21 +120,20 @@ def test_a_printed_target_calls_commands_that_are_understood(page: str, words: s
     command = ["make", *shlex.split(words), "--dry-run", "--always-make"]
     told = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True).stdout
     for call in re.findall(r"-m \S*cli\.main (.+)", told.replace("\\\n", " ")):
-        parser().parse_args(shlex.split(call))
+        parse(shlex.split(call))
 
 
 @pytest.mark.parametrize(("page", "words"), mentions())
 def test_a_command_in_a_sentence_has_words_and_options_that_are_known(page: str, words: str) -> None:
-    below, rest = parser(), words.split()
-    while rest and (
-        subs := [action for action in below._actions if isinstance(action, argparse._SubParsersAction)]
-    ):
-        if not WORD.fullmatch(rest[0]):
-            break
-        assert rest[0] in subs[0].choices, words
-        below = subs[0].choices[rest.pop(0)]
-    named = re.findall(r"(?<![\w-])--[a-z][\w-]*", " ".join(rest))
-    assert set(named) <= options(below), words
+    line, _ = tree.rewritten(words.split())
+    command, rest = tree.find(line)
+    if command:
+        named = re.findall(r"(?<![\w-])--[a-z][\w-]*", " ".join(rest))
+        parser = tree.leaf_parser(command)
+        known = compare.suite_parser(parser, compare.named(rest)) if command == "compare" else parser
+        assert set(named) <= set(known._option_string_actions), words
+    else:
+        assert " ".join(word for word in line if WORD.fullmatch(word)) in ("", *tree.NOUNS), words
 
 
 def test_pages_have_links_and_commands() -> None:

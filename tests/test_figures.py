@@ -54,7 +54,7 @@ def test_pages_tell_the_counts_of_this_compiler(name: str) -> None:
 
 @pytest.mark.usefixtures("counted_with")
 def test_stored_results_have_the_counts_of_this_compiler() -> None:
-    """Compare the data of docs/results.md; to renew: `neuroflight results --again board-timing.json`."""
+    """Compare the data of docs/results.md; to renew: `neuroflight report --again board-timing.json`."""
     counts = re.findall(r"^instructions +(\S+)", figures.timing(""), re.MULTILINE)
     now = [int(count.replace(",", "")) for count in counts]
     stored = json.loads((ROOT / "docs/results/board-timing.json").read_text())["board_timing"][0]

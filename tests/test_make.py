@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from neuroflight.cli.main import parser
+from neuroflight.cli.main import parse
 
 ROOT = Path(__file__).resolve().parents[1]
 NF1, HEXA = "training/policies/nf1/policy.onnx", "training/policies/hexa/policy.onnx"
@@ -50,8 +50,8 @@ def test_an_image_is_built_of_what_was_said(
     words: list[str], policy: str | None, aircraft: str | None, again: bool
 ) -> None:
     for call in calls(*words):
-        args = parser().parse_args(call)
-        if args.command == "build":
+        args = parse(call)
+        if args.command == "image build":
             assert (args.policy and str(args.policy), args.aircraft, args.again) == (policy, aircraft, again)
         elif args.command == "fly":  # of the build's own aircraft, unless another is named
             assert args.aircraft == aircraft
@@ -60,12 +60,12 @@ def test_an_image_is_built_of_what_was_said(
 def test_what_is_trained_is_what_is_built() -> None:
     (train,) = calls("train", "AIRCRAFT=dir/mine.toml", "SEED=2")
     (build,) = calls("firmware", "AIRCRAFT=dir/mine.toml", "SEED=2")
-    trained, built = parser().parse_args(train), parser().parse_args(build)
+    trained, built = parse(train), parse(build)
     assert built.policy == trained.out / "policy.onnx"
     assert built.aircraft == trained.aircraft
 
 
 def test_what_the_build_is_told_in_words_reaches_it() -> None:
     (build,) = calls("firmware", "POLICY=my.onnx", "BUILD=--no-pid --other-aircraft")
-    args = parser().parse_args(build)
+    args = parse(build)
     assert args.no_pid and args.other_aircraft

@@ -10,12 +10,13 @@ import ast
 import re
 import subprocess
 from collections.abc import Iterable, Iterator, Sequence
+from functools import cache
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path, PurePosixPath
 
 import pytest
 
-from neuroflight.cli.main import ROOMS as COMMANDS
+from neuroflight.cli.tree import COMMANDS
 
 ROOT = Path(__file__).resolve().parents[1]
 PYTHON = ("toolchain", "flash", "sim", "training", "cli")  # top-level folders with Python code
@@ -163,6 +164,7 @@ def includes(path: Path) -> Iterator[str]:
             yield str(found.resolve().relative_to(ROOT))
 
 
+@cache
 def python_arrows() -> list[Arrow]:
     """Who imports whom."""
     files = sorted(path for room in PYTHON for path in (ROOT / room).rglob("*.py"))
@@ -271,7 +273,8 @@ def test_help_loads_no_room() -> None:
         for path in sorted((ROOT / "cli").rglob("*.py"))
         for target in imports(at_import(ast.parse(path.read_text())))
     ]
-    loaded = {f"cli/{room}/{name.replace('-', '_')}.py" for room, names in COMMANDS.items() for name in names}
+    modules = {leaf.module.partition(":")[0] for leaf in COMMANDS.values()}
+    loaded = {f"cli/{module.replace('.', '/')}.py" for module in modules}
     assert all((ROOT / file).is_file() for file in loaded)
     while more := {target for source, target in top if source in loaded} - loaded:
         loaded |= more

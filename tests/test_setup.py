@@ -7,9 +7,11 @@ import re
 import shutil
 import signal
 import subprocess
+import tomllib
 from pathlib import Path
 
 import pytest
+from packaging.requirements import Requirement
 
 ROOT = Path(__file__).resolve().parents[1]
 SIZES = ("firmware", "gateway", "sim", "train", "sweep", "dev")  # of extras, from the smallest to the largest
@@ -28,6 +30,7 @@ NEEDS = {
 }
 TOOLS = ("sh", "sed", "dirname", "touch", "rm", "mkdir", "mktemp", "cp", "make", "echo", "chmod")
 PYTHONS = ("3.11", "3.12", "3.13", "3.14")  # that an image is built with
+FLYING = PYTHONS[:3]  # that the twin has wheels for
 
 # An interpreter that writes down how it was called. Its environments are copies of it. With a file `fails` in
 # the folder STATE pip fails; with `interrupts` it sends its caller what Ctrl-C sends.
@@ -180,8 +183,33 @@ def test_an_image_needs_no_other_python(machine: Machine, version: str) -> None:
     assert [call.split()[0] for call in machine.calls("-m venv")] == [version]
 
 
+@pytest.mark.parametrize("version", FLYING)
+def test_the_twin_needs_no_other_python(machine: Machine, version: str) -> None:
+    machine.python(version, "python3")
+    machine.setup("firmware")
+    assert machine.setup("sim").returncode == 0
+    assert [call.split()[0] for call in machine.calls("-m venv")] == [version]
+
+
+@pytest.mark.parametrize(
+    ("python", "system", "machine", "name"),
+    [
+        ("3.11", "linux", "x86_64", "pybullet"),
+        ("3.13", "linux", "x86_64", "pybullet-arm64"),
+        ("3.14", "linux", "x86_64", "pybullet"),
+        ("3.12", "linux", "aarch64", "pybullet"),
+        ("3.11", "darwin", "arm64", "pybullet-arm64"),
+    ],
+)
+def test_each_python_gets_one_pybullet(python: str, system: str, machine: str, name: str) -> None:
+    told = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]["sim"]
+    where = {"python_version": python, "sys_platform": system, "platform_machine": machine}
+    asked = [r for r in map(Requirement, told) if r.marker is None or r.marker.evaluate(where)]
+    assert [r.name for r in asked if r.name.startswith("pybullet")] == [name]
+
+
 def test_one_line_says_what_to_install_when_no_python_has_pybullet(machine: Machine) -> None:
-    machine.python("3.13", "python3")
+    machine.python("3.14", "python3")
     machine.setup("firmware")
     done = machine.setup("dev")
     assert done.returncode != 0
@@ -202,25 +230,25 @@ def test_one_line_says_how_to_build_when_no_wheel_is_for_the_processor(machine: 
 
 
 def test_pip_builds_pybullet_when_the_python_is_named(machine: Machine) -> None:
-    machine.python("3.13", "python3")
+    machine.python("3.14", "python3")
     machine.setup("firmware")
     assert machine.setup("dev", "PYTHON=python3").returncode == 0
     assert len(machine.calls("-m venv")) == 1, "the environment of the image is extended"
 
 
 def test_the_environment_is_made_anew_when_its_python_has_no_pybullet(machine: Machine) -> None:
-    machine.python("3.13", "python3")
+    machine.python("3.14", "python3")
     machine.setup("firmware")
     machine.python("3.11")
     done = machine.setup("sim")
     assert done.returncode == 0 and "making it anew" in done.stdout
-    assert [call.split()[0] for call in machine.calls("-m venv")] == ["3.13", "3.11"]
+    assert [call.split()[0] for call in machine.calls("-m venv")] == ["3.14", "3.11"]
 
 
 def test_uv_fetches_the_python_that_has_pybullet(machine: Machine) -> None:
     fake = machine.python("3.11")
     (machine.path / "python3.11").rename(machine.state / "python3.11")
-    machine.python("3.13", "python3")
+    machine.python("3.14", "python3")
     put = '"$UV_PYTHON_INSTALL_DIR/cpython-3.11/bin"'
     machine.script("uv", f"#!/bin/sh\nmkdir -p {put}\ncp {machine.state}/python3.11 {put}/\n")
     assert "3.11" in fake

@@ -1,4 +1,4 @@
-"""What `results` and `reproduce` share: lines about the steps that run, and the check of a page."""
+"""Functions that `results` and `reproduce` share: lines about the steps that run, and the check of a page."""
 
 from __future__ import annotations
 
@@ -15,26 +15,26 @@ if TYPE_CHECKING:
 
 
 class Lines(Watcher):
-    """Tells each step on a line, and keeps why some failed in `reasons`."""
+    """A watcher that prints a line for each step, and keeps the causes of failures in `reasons`."""
 
     def __init__(self, console: Console, count: int) -> None:
         self.reasons: dict[str, str] = {}
         self._console, self._count, self._ended = console, count, 0
 
     def started(self, step: Step) -> None:
-        """See Watcher."""
+        """Print that a step begins, see Watcher."""
         self._console.print(f"{step.name}: begins", style="dim")
 
     def finished(self, done: Done, *, again: bool) -> None:
-        """See Watcher."""
+        """Print that a step has ended, see Watcher."""
         self._end(f"{done.step.name}: {f'{done.seconds:.0f} s' if again else 'was there'}")
 
     def outdated(self, step: Step, name: str) -> None:
-        """See Watcher."""
+        """Print that a result is outdated, see Watcher."""
         self._console.print(f"{step.name}: {name} has changed since it ran", markup=False)
 
     def failed(self, step: Step, reason: str) -> None:
-        """See Watcher."""
+        """Print that a step failed, see Watcher."""
         self.reasons[step.name] = reason
         self._end(f"{step.name}: failed: {reason}", "red")
 
@@ -44,7 +44,7 @@ class Lines(Watcher):
 
 
 def check_page(page: Path, text: str, stored: Path, command: str, told: str = "") -> None:
-    """Tell that the page is what the stored files give; raise NeuroflightError if it is not."""
+    """Print that the page agrees with the stored files. Raises NeuroflightError if it does not."""
     if not page.is_file() or page.read_bytes() != text.encode():
         raise NeuroflightError(f"{page}: not what the files in {stored} give; run `{command}`")
     print(f"{page}: up to date{told}")

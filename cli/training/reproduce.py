@@ -25,7 +25,7 @@ JOBS_MAX = 256
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Arguments of the command."""
+    """Declare the arguments."""
     parser.add_argument(
         "rows",
         nargs="*",
@@ -73,7 +73,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run what the rows need, then print them; or list them, or check the page."""
+    """Run the steps of the rows, then print them; or list them, or check the page."""
     from rich.console import Console
 
     from neuroflight.cli.training.pages import check_page
@@ -105,7 +105,7 @@ def run(args: argparse.Namespace) -> int:
 def _run(
     args: argparse.Namespace, known: Experiments, rows: Sequence[ExperimentRow]
 ) -> tuple[Mapping[str, Kept], Mapping[str, str]]:
-    """Run the steps of rows; what is kept of them, and why others failed."""
+    """Run the steps of rows; return their stored parts, and the reasons why others failed."""
     from rich.console import Console
 
     from neuroflight.cli.training.pages import Lines
@@ -145,7 +145,7 @@ def _store(known: Experiments, kept: Mapping[str, Kept], done: Mapping[str, Done
 
 
 def _list(args: argparse.Namespace, known: Experiments, results: Sequence[RowResult]) -> None:
-    """Each row with what is stored of it and its command; what that runs only of rows that were named."""
+    """Print each row with its stored figures and its command; the steps only of rows that were named."""
     from rich.console import Console
 
     from neuroflight.training.reproduction.page import differing, judged, measured, quoted

@@ -1,4 +1,4 @@
-"""neuroflight results: write the page of results from stored figures."""
+"""neuroflight report: write the page of results from stored figures."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ OUTPUTS = Path("runs", "results")  # what commands print, whole
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Arguments of the command."""
+    """Declare the arguments."""
     parser.add_argument(
         "--folder",
         type=Path,
@@ -53,7 +53,7 @@ def run(args: argparse.Namespace) -> int:
     results = read_results(args.folder)
     page = render(results)
     if args.check:
-        check_page(args.out, page, args.folder, "neuroflight results", f" with {len(results)} files")
+        check_page(args.out, page, args.folder, "neuroflight report", f" with {len(results)} files")
         return 0
     written = write_text_if_changed(args.out, page)
     _draw(args.folder, results)
@@ -74,7 +74,7 @@ def _draw(folder: Path, results: Sequence[Stored]) -> None:
 
 
 def _make_again(folder: Path, names: Sequence[str]) -> None:
-    """Repeat commands in the project's folder; what the page reads of each replaces its file."""
+    """Repeat commands in the project's folder, and replace their files by the parts that the page reads."""
     import shlex
 
     from rich.console import Console
@@ -96,7 +96,7 @@ def _make_again(folder: Path, names: Sequence[str]) -> None:
     steps = [Step(Path(name).stem, *[shlex.join(commands[name])] * 2) for name in names or commands]
 
     class Keeper(Lines):
-        """Stores each result as soon as it is there."""
+        """A watcher that stores each result as soon as it is there."""
 
         def finished(self, done: Done, *, again: bool) -> None:
             name = f"{done.step.name}.json"

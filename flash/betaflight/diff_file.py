@@ -144,7 +144,8 @@ def _written_by(path: Path, texts: list[str]) -> tuple[str, str | None]:
     for number, text in enumerate(texts, start=1):
         if _OURS.match(text):
             raise LinkError(
-                f"{path}:{number}: settings of Neuroflight itself: `neuroflight msp restore` takes them"
+                f"{path}:{number}: settings of Neuroflight itself: `neuroflight board settings restore` "
+                "takes them"
             )
         header = _HEADER.match(text)
         if header is None:

@@ -28,7 +28,7 @@ def motor_outputs(board: str, pins: Mapping[int, str], order: Sequence[int]) -> 
         firsts = ", ".join(own[:MOTORS])
         raise ValueError(
             f"the motors are on {', '.join(used)}, and four motors here are on the outputs 1 to 4, {firsts}; "
-            "rewire them, then `neuroflight motor order`"
+            "rewire them, then `neuroflight board motors order`"
         )
     return outputs
 

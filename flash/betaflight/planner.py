@@ -229,7 +229,7 @@ class _Planner:
             raise ValueError(reason_without("resource"))
         motor = number(words[2])
         if not self._same_board:
-            raise ValueError(f"{self._other_board()}; `neuroflight motor order`")
+            raise ValueError(f"{self._other_board()}; `neuroflight board motors order`")
         if motor > MOTORS:
             raise ValueError(f"four motors fly here, and this is a pin of motor {motor}")
         self._pins[motor] = read_pin(words[3])
@@ -285,11 +285,11 @@ class _Planner:
         if self._mixer not in ("", "QUADX"):
             mixer = self._mixer[:20]
             self._leave_all(
-                lines, f"the mixer {mixer} may number motors otherwise; `neuroflight motor order`"
+                lines, f"the mixer {mixer} may number motors otherwise; `neuroflight board motors order`"
             )
             return
         if not self._same_board:
-            self._leave_all(lines, f"{self._other_board()}; `neuroflight motor order`")
+            self._leave_all(lines, f"{self._other_board()}; `neuroflight board motors order`")
             return
         try:
             outputs = motor_outputs(self._diff.board, self._pins, self._order)
@@ -299,7 +299,9 @@ class _Planner:
         changes = {f"motor{motor}_output": float(output) for motor, output in enumerate(outputs, start=1)}
         self._bring("motor order", changes, *lines)
         if lines:
-            self._notes.append("check the motors' order, propellers off: neuroflight motor order --port PORT")
+            self._notes.append(
+                "check the motors' order, propellers off: neuroflight board motors order --port PORT"
+            )
 
     def _join_limits(self) -> None:
         selection = self._rates.profile

@@ -20,5 +20,5 @@ def not_listening(name: str, get: Callable[[str], Value]) -> LinkError:
     why = "and not flown before a restart" if told == MSP else "so the board listens to its receiver"
     return LinkError(
         f"{name}: receiver_protocol is {told}, {why}, expected {MSP}; no channel was taken; run: "
-        f"neuroflight msp --port {name} set {SETTING}={MSP} --save --reboot"
+        f"neuroflight board settings set --port {name} {SETTING}={MSP} --save --reboot"
     )

@@ -87,7 +87,7 @@ class Sender:
             if self._clock() >= deadline:
                 raise LinkError(
                     f"{self._client.name}: the board tells RECEIVER_LOST after {self.count.taken} frames in "
-                    f"{LINK_S:g} s, expected it to believe them; look at `neuroflight monitor`"
+                    f"{LINK_S:g} s, expected it to believe them; look at `neuroflight board monitor`"
                 )
 
     def await_rest(self, source: Source) -> None:

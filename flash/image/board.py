@@ -20,7 +20,7 @@ _OTHERS = {
     "EMUF": "EmuFlight",
     "ARDU": "ArduPilot",
 }
-_RESCUE = "install Neuroflight with `neuroflight rescue`"
+_RESCUE = "install Neuroflight with `neuroflight board rescue`"
 
 
 @dataclass(frozen=True)

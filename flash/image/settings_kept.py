@@ -48,8 +48,8 @@ def read_settings(client: Client) -> dict[str, Value]:
 
 
 def write_backup(path: Path, target: str, version: str, values: Mapping[str, Value]) -> None:
-    """Write settings in the format of `neuroflight msp dump`. Raises OSError."""
-    head = f"# dump of {target} {version}: neuroflight msp --port PORT restore FILE"
+    """Write settings in the format of `neuroflight board settings dump`. Raises OSError."""
+    head = f"# dump of {target} {version}: neuroflight board settings restore FILE"
     lines = [head, *(set_line(name, value) for name, value in in_order(values).items())]
     write_text(path, "\n".join(lines) + "\n")
 

@@ -105,13 +105,13 @@ def _judge(client: Client, image: Image, banks: Banks, clock: Clock) -> Trial:
         return ended(
             Ending.POLICY_BAD,
             "the new image runs and its policy failed the self-test: the motors stay stopped; flash another "
-            "policy or image, or see `neuroflight msp --port PORT status`",
+            "policy or image, or see `neuroflight board status --port PORT`",
         )
     if not banks.now.confirmed:
         return ended(
             Ending.UNPROVEN,
             f"the new image runs and did not confirm itself within {WAIT_S:g} s: the board may go back at "
-            "the next start; see `neuroflight msp --port PORT status`",
+            "the next start; see `neuroflight board status --port PORT`",
         )
     return ended(Ending.KEPT, "the new image runs and has proven itself")
 
@@ -120,7 +120,9 @@ def _failure(client: Client, banks: Banks, bank: int) -> str:
     """Explain why the image in that bank does not run, as far as the board tells."""
     tried = banks.banks[bank]
     fault = records.faults(client.request(Msp.FAULTS)).pending
-    why = f"; the last fault logged: {FAULTS[fault.kind.name]}, see `neuroflight msp faults`" if fault else ""
+    why = (
+        f"; the last fault logged: {FAULTS[fault.kind.name]}, see `neuroflight board faults`" if fault else ""
+    )
     if not tried.fits:
         return f"is not there any more{why}"
     if tried.rejected:

@@ -98,7 +98,7 @@ def _begin(client: Client, image: Image, progress: Progress, clock: Clock) -> in
             raise RefusedError(
                 f"{client.name}: the running image has not proven itself yet, and {bank_name(image.bank)} "
                 "holds the one that the board would go back to, expected a proven image to run; wait some "
-                "seconds, or see what holds it up with `neuroflight msp --port PORT status`",
+                "seconds, or see what holds it up with `neuroflight board status --port PORT`",
                 error.reason,
             ) from None
 

@@ -118,8 +118,8 @@ def refusal_words(client: Client, error: RefusedError) -> LinkError:
         Refusal.ABSENT: "the firmware keeps no logs here: a log of UART3 goes to the recorder there, and the "
         "SD card's need `blackbox_device=card`",
         Refusal.INDEX: "there is no such log any more: list them again",
-        Refusal.LOG: "the device that keeps the logs failed: `neuroflight log list --port PORT` says why",
-        None: "this firmware knows no logs, it is older than this tool: `neuroflight flash` brings one",
+        Refusal.LOG: "the device that keeps the logs failed: `neuroflight board logs list` says why",
+        None: "this firmware knows no logs, it is older than this tool: `neuroflight board flash` brings one",
     }
     told = words.get(error.reason)
     return error if told is None else LinkError(f"{client.name}: {told}")

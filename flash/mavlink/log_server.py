@@ -71,7 +71,7 @@ class LogServer:
         kind = message.get_type()
         if kind == "LOG_ERASE":
             self._ground.complain(
-                "Logs are erased by `neuroflight log erase`, which looks whether copies are there"
+                "Logs are erased by `neuroflight board logs erase`, which looks whether copies are there"
             )
             return
         if not self._take_turn(source):

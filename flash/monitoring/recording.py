@@ -1,4 +1,4 @@
-"""Files of streamed samples: CSV, a row a sample, or npz, an array a quantity; whole or none."""
+"""Files of streamed samples: CSV, a row for each sample, or npz, an array a quantity; whole or none."""
 
 from __future__ import annotations
 

@@ -28,7 +28,7 @@ NOT_READY = {  # why a state other than disarmed forbids turning motors
     FlightState.FAILSAFE_HOLD: "it is armed; put the arm switch off",
     FlightState.FAILSAFE_DROP: "it is armed; put the arm switch off",
     FlightState.CRASHED: HINTS["CRASHED"],
-    FlightState.FAULT: "it has stopped for a fault; see `neuroflight monitor`, start it anew",
+    FlightState.FAULT: "it has stopped for a fault; see `neuroflight board monitor`, start it anew",
 }
 BATTERY = {  # why a battery forbids it
     BatteryLevel.CRITICAL: "the battery is low: charge it first",

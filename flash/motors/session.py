@@ -46,7 +46,7 @@ class MotorTest:
             if error.reason is Refusal.ARMED:
                 raise RefusedError(
                     f"{self._client.name}: the firmware opens no motor test: it is armed, not ready, or a "
-                    "DShot command is under way; no motor turned; see what `neuroflight monitor` tells",
+                    "DShot command is under way; no motor turned; see what `neuroflight board monitor` tells",
                     error.reason,
                 ) from None
             raise

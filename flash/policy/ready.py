@@ -41,5 +41,5 @@ def check_started(name: str, policies: Policies, unwritten: str) -> None:
     if policies.given_up:
         raise LinkError(
             f"{name}: {policies.flown_text} was given up and is flown until the next start; {unwritten}: "
-            "start the board anew first (`neuroflight msp --port PORT reboot`)"
+            "start the board anew first (`neuroflight board reboot --port PORT`)"
         )

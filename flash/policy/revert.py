@@ -25,7 +25,7 @@ def plan(policies: Policies, *, other_aircraft: bool) -> tuple[Slot, Slot]:
     if (waiting := policies.after_start()) is not flown and waiting is not None:
         raise LinkError(
             f"{waiting.text} is flown from the next start on in place of the one that would be given up; "
-            f"{UNTOUCHED}: start the board anew first (`neuroflight msp --port PORT reboot`)"
+            f"{UNTOUCHED}: start the board anew first (`neuroflight board reboot --port PORT`)"
         )
     before = policies.after_start(without=flown)
     if before is None:
@@ -47,7 +47,8 @@ def revert(client: Client) -> None:
         client.request(Msp.POLICY_SLOT_REVERT)
     except NoAnswerError as error:
         raise LinkError(
-            f"{error}; whether the flown slot was given up is not known: `neuroflight flash --list` tells"
+            f"{error}; whether the flown slot was given up is not known: `neuroflight board policy list` "
+            "tells"
         ) from error
 
 
@@ -74,5 +75,5 @@ def check_reverted(name: str, policies: Policies, flown: Slot, before: Slot) -> 
     why = "" if now.good else f" ({now.name}: {policy_error(now.found)})"
     raise LinkError(
         f"{name}: the board flies {policies.flown_text}, expected {before.text}{why} after "
-        f"{flown.text} was given up; `neuroflight flash --list` tells what each slot holds"
+        f"{flown.text} was given up; `neuroflight board policy list` tells what each slot holds"
     )

@@ -162,7 +162,7 @@ def _left(candidate: Blob, ending: bool) -> str:
     if ending:
         return (
             f"whether {candidate.file} was written to its end is not known: the board flies it from its next "
-            "start on, or the policy that it flew: `neuroflight flash --list` tells"
+            "start on, or the policy that it flew: `neuroflight board policy list` tells"
         )
     return f"{candidate.file} was not written: the board goes on with the policy that it flew"
 
@@ -177,7 +177,7 @@ def start(client: Client, candidate: Candidate, slot: Slot, board: Board) -> Cli
     except LinkError as error:
         raise LinkError(
             f"{error}; {candidate.file} stands in {slot.name} and is flown from the next start on if it "
-            "passes its self-test: `neuroflight flash --list` tells"
+            "passes its self-test: `neuroflight board policy list` tells"
         ) from error
     try:
         check_flown(client.name, read_patiently(client, board.clock), candidate, slot)

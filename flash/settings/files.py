@@ -72,7 +72,8 @@ def _parse_line(line: str) -> tuple[str, Value] | None:
     if words[0].lower() != "set" or not equals:
         shown = line if len(line) <= SHOWN else f"{line[:SHOWN]}..."
         raise LinkError(
-            f"got {shown!r}, expected set NAME = VALUE; Betaflight's diff goes by `neuroflight msp import`"
+            f"got {shown!r}, expected set NAME = VALUE; Betaflight's diff goes by `neuroflight board "
+            "settings import`"
         )
     name = name.strip()
     return name, parse_value(name, value)

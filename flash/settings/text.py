@@ -105,7 +105,7 @@ def parse_value(name: str, text: str) -> Value:
     if _is_percent(setting, text):
         raise LinkError(
             f"setting {name} got '1', expected 1.0 for all of it, or 0.01 for a percent: a 1 of Betaflight's "
-            "means that, and `neuroflight msp import` takes its diff"
+            "means that, and `neuroflight board settings import` takes its diff"
         )
     try:
         number = float(text)

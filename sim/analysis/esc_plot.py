@@ -1,4 +1,4 @@
-"""Plot of what the ESCs of a flight tell: a panel a topic, a line a motor."""
+"""Plot of what the ESCs of a flight tell: a panel for each topic, a line for each motor."""
 
 from __future__ import annotations
 

@@ -63,7 +63,7 @@ class Flight:
 
 
 def table(flights: Sequence[Flight]) -> list[tuple[str, ...]]:
-    """Return rows of text: a heading, then each figure with a column a flight; errors by axis."""
+    """Return rows of text: a heading, then each figure with a column for each flight; errors by axis."""
     rows: list[tuple[str, ...]] = [("", *(flight.name for flight in flights))]
 
     def add(label: str, values: Sequence[str]) -> None:
@@ -164,9 +164,6 @@ def _draw_axis(panel: Axes, flights: Sequence[Flight], axis: int, shown: NDArray
         panel.plot(t, rate, color=colour, lw=width, label=flight.name, zorder=3 - number / len(flights))
     panel.set_ylabel("deg/s", color=INK)
     low, high = (float(edge([edge(values) for values in (setpoint, *rates)])) for edge in (np.min, np.max))
-    # The limits show overshoot, but cut off an aircraft that tumbles.
-    reach = max(15.0, 2.5 * float(np.abs(setpoint).max()))
-    low, high = max(low, -reach), min(high, reach)
     margin = 0.08 * max(high - low, 10.0)
     panel.set_ylim(low - margin, high + margin)
 
@@ -194,7 +191,7 @@ def _draw_motors(panel: Axes, flight: Flight, shown: NDArray[np.bool_]) -> None:
         padded = np.pad(values, (width // 2, width - 1 - width // 2), mode="edge")
         smooth = np.convolve(padded, np.full(width, 1 / width), mode="valid")
         panel.plot(trace.t[shown], values, color=colour, lw=0.4, alpha=0.25)
-        panel.plot(trace.t[shown], smooth, color=colour, lw=1.2, label=str(motor + 1), zorder=3)
+        panel.plot(trace.t[shown], smooth, color=colour, lw=1.2, label=f"motor {motor + 1}", zorder=3)
     panel.set_ylabel("%", color=INK)
     panel.set_ylim(0, 104)
 

@@ -54,7 +54,7 @@ def pid_settings(aircraft: Aircraft, name: str | None = None) -> PidSettings:
     if not pids:
         raise AircraftError(
             f"aircraft {aircraft.name}: no [pid.NAME] table with roll, pitch, yaw gains; add one, or let "
-            f"`neuroflight tune-pid --write` do it"
+            f"`neuroflight pid tune --write` do it"
         )
     if name is not None and name not in pids:
         raise AircraftError(f"aircraft {aircraft.name}: no PID {name!r}; it has: {', '.join(pids)}")
@@ -112,7 +112,7 @@ def beside(
         )
     if not aircraft.pids and not no_pid:
         raise BuildError(
-            f"aircraft {name} has no PID to fall back to: find one with `neuroflight tune-pid --aircraft "
+            f"aircraft {name} has no PID to fall back to: find one with `neuroflight pid tune --aircraft "
             f"{name} --write {aircraft_file(name)}`; {stops}"
         )
     return Beside(aircraft, name, own, None if no_pid else pid_table(aircraft))

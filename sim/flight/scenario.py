@@ -83,7 +83,7 @@ class Scenario:
         return sum(segment.duration_s for segment in self.segments)
 
     def timeline(self, control_rate_hz: int) -> tuple[NDArray[np.uint16], NDArray[np.bool_]]:
-        """Return channels [us] (N, CHANNEL_COUNT), and True where the receiver is heard (N,), a row a step.
+        """Return channels [us] (N, CHANNEL_COUNT), and True where the receiver is heard (N,), per step.
 
         Raises ScenarioError on sticks beyond their ends or a flight shorter than one control step.
         """

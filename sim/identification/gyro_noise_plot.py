@@ -1,4 +1,4 @@
-"""Plot of `neuroflight twin noise`: Allan deviation and histogram of a record at rest."""
+"""Plot of `neuroflight aircraft noise`: Allan deviation and histogram of a record at rest."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Plots of `neuroflight stability`: drift of the links against the rate of the airframe."""
+"""Plots of `neuroflight aircraft stability`: drift of the links against the rate of the airframe."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def draw_drift(runs: Sequence[Drift], title: str) -> Figure:
 
 
 def draw_map(runs: Sequence[Drift], threshold: float, title: str) -> Figure:
-    """Draw rates about the three axes, coloured by separation: a panel a run, one scale of colours for all.
+    """Draw rates about the three axes, coloured by separation: a panel for each run, one scale.
 
     threshold [m]: where the onset is marked.
     """

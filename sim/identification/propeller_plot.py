@@ -1,4 +1,4 @@
-"""Plot of `neuroflight twin propeller`: measured coefficients over J, and the curves fitted to them."""
+"""Plot of `neuroflight aircraft propeller`: measured coefficients over J, and the curves fitted to them."""
 
 from __future__ import annotations
 

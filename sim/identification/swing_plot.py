@@ -1,4 +1,4 @@
-"""Plot of `neuroflight twin inertia`: rate and fitted sinusoid of each log, and what is left."""
+"""Plot of `neuroflight aircraft inertia`: rate and fitted sinusoid of each log, and what is left."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from neuroflight.toolchain.contract import AXES
 
 
 def draw_swings(swings: Sequence[Swing], title: str) -> Figure:
-    """Draw a row a log: its swing, and the residuals of the fit."""
+    """Draw a row for each log: its swing, and the residuals of the fit."""
     figure = titled_figure((11, 0.7 + 2.3 * len(swings)), title)
     for row, swing in zip(figure.subplots(len(swings), 2, squeeze=False), swings, strict=True):
         colour = AXIS_COLOURS[swing.axis]

@@ -172,7 +172,7 @@ def twin_speeds(seconds: float) -> list[Speed]:
 
 @dataclass(frozen=True)
 class Learning:
-    """What `neuroflight train` does with a recipe, checkpoints and all."""
+    """What `neuroflight policy train` does with a recipe, checkpoints and all."""
 
     recipe: str
     steps_a_second: float  # end to end

@@ -1,4 +1,4 @@
-"""`neuroflight adapt` as a user types it: a log whose truth is known, few steps, few episodes."""
+"""`neuroflight policy adapt` as a user types it: a log whose truth is known, few steps, few episodes."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import onnx
 import pytest
 from onnx.numpy_helper import from_array, to_array
 
-import neuroflight.cli.training.adapt
+import neuroflight.cli.policy.adapt
 import neuroflight.training.adaptation.adapt
 from neuroflight.cli.main import main
 from neuroflight.sim.aircraft.model import load_aircraft
@@ -78,7 +78,7 @@ def pulling(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(autouse=True)
 def small_budget(monkeypatch: pytest.MonkeyPatch) -> None:
     """Few observations to verify with, few commands to find the motors' change with, in flights of 5.5 s."""
-    monkeypatch.setattr(neuroflight.cli.training.adapt, "VERIFIED", 8)
+    monkeypatch.setattr(neuroflight.cli.policy.adapt, "VERIFIED", 8)
     monkeypatch.setattr(neuroflight.training.adaptation.adapt, "CALIBRATION", 4)
     for holder in ("neuroflight.sim.analysis.holding", "neuroflight.training.tasks.flight"):
         monkeypatch.setattr(f"{holder}.DRIFT_S", 0.5)
@@ -88,7 +88,7 @@ def small_budget(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_a_dry_run_tells_the_factors_and_writes_nothing(log: Path, tmp_path: Path, capsys: Capture) -> None:
     out = tmp_path / "adapted"
-    arguments = ["adapt", str(log), "--policy", str(POLICY), "--out", str(out), "--dry-run", *SMALL]
+    arguments = ["policy", "adapt", str(log), "--policy", str(POLICY), "--out", str(out), "--dry-run", *SMALL]
     assert main([*arguments, "--json"]) == 0
     factors = json.loads(capsys.readouterr().out)["factors"]
     for axis, times in zip(("roll", "pitch", "yaw"), HEAVIER, strict=True):
@@ -100,12 +100,15 @@ def test_a_dry_run_tells_the_factors_and_writes_nothing(log: Path, tmp_path: Pat
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_a_policy_that_is_not_better_is_refused_and_nothing_is_kept(
     log: Path, tmp_path: Path, capsys: Capture
 ) -> None:
     before = {path.name: path.read_bytes() for path in POLICY.iterdir()}
     out = tmp_path / "runs" / "adapted"
-    assert main(["adapt", str(log), "--policy", str(POLICY), "--out", str(out), *SMALL, "--json"]) == 1
+    assert (
+        main(["policy", "adapt", str(log), "--policy", str(POLICY), "--out", str(out), *SMALL, "--json"]) == 1
+    )
     told = capsys.readouterr()
     document = json.loads(told.out)
     assert document["refused"] in told.err and "refused, nothing was kept" in told.err
@@ -116,15 +119,22 @@ def test_a_policy_that_is_not_better_is_refused_and_nothing_is_kept(
     assert {path.name: path.read_bytes() for path in POLICY.iterdir()} == before
 
 
+def mean(low: float, high: float) -> Mean:
+    return Mean(np.array((low + high) / 2), np.array(low), np.array(high), np.array(20))
+
+
+def test_a_policy_that_may_be_no_better_is_refused() -> None:
+    old, new = (Bench(mean(each, each), 0.003, None) for each in (2.0, 1.9))  # type: ignore[arg-type]
+    proof = Proof(old, new, mean(-0.1, 0.3), mean(0.0, 0.0), old, new)
+    assert proof.refusal is not None and proof.refusal.startswith("is no better on the adapted aircraft")
+
+
 @pytest.mark.parametrize(
     ("drift", "refused"), [((0.0, 5.0), False), ((1.5, 9.5), True), ((-9.0, -2.0), False)]
 )
 def test_a_policy_that_drifts_more_is_refused_though_its_error_is_smaller(
     drift: tuple[float, float], refused: bool
 ) -> None:
-    def mean(low: float, high: float) -> Mean:
-        return Mean(np.array((low + high) / 2), np.array(low), np.array(high), np.array(20))
-
     old, new = (Bench(mean(each, each), 0.003, None) for each in (2.0, 1.0))  # type: ignore[arg-type]
     proof = Proof(old, new, mean(0.9, 1.1), mean(*drift), old, new)
     assert (proof.refusal is not None) == refused
@@ -147,9 +157,9 @@ def test_a_policy_whose_proof_holds_lies_in_the_new_folder(
 
     monkeypatch.setattr("neuroflight.toolchain.verification.verify.all_candidates", watched)
     out = tmp_path / "adapted"
-    arguments = ["adapt", str(log), "--policy", str(pulling), "--out", str(out), *FEW]
+    arguments = ["policy", "adapt", str(log), "--policy", str(pulling), "--out", str(out), *FEW]
     assert main(arguments) == 0
-    assert f"neuroflight flash --policy {out / 'policy.onnx'}" in capsys.readouterr().out
+    assert f"neuroflight board policy swap {out / 'policy.onnx'}" in capsys.readouterr().out
     kept = {path.name: path.read_bytes() for path in out.iterdir()}
     assert set(kept) >= {"aircraft.toml", "policy.onnx", "adaptation.json", "training.json", "checkpoint.pt"}
     assert list(tmp_path.iterdir()) == [out]  # nothing beside it
@@ -180,7 +190,7 @@ def test_a_policy_that_computes_otherwise_on_the_machines_is_not_kept(
     monkeypatch.setattr("neuroflight.toolchain.verification.verify.all_candidates", lambda *_: [])
     monkeypatch.setattr("neuroflight.toolchain.verification.verify.verify", lambda *_, **__: finding)
     out = tmp_path / "adapted"
-    assert main(["adapt", str(log), "--policy", str(pulling), "--out", str(out), *FEW]) == 1
+    assert main(["policy", "adapt", str(log), "--policy", str(pulling), "--out", str(out), *FEW]) == 1
     assert "refused, nothing was kept: the core differs" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
 
@@ -221,7 +231,7 @@ def test_mistake_is_one_line_and_nothing_is_written(
         Path("broken.npz").write_text("no trace\n")
     before = {path: path.read_bytes() for path in Path().iterdir()}
     given = {"--policy": str(policy), "--out": "adapted", "--steps": "2000", "--episodes": "6", **options}
-    assert main(["adapt", log_name, *(word for pair in given.items() for word in pair)]) == 1
+    assert main(["policy", "adapt", log_name, *(word for pair in given.items() for word in pair)]) == 1
     told = capsys.readouterr()
     assert message in told.err and told.err.count("\n") == 1 and told.out == ""
     assert {path: path.read_bytes() for path in Path().iterdir()} == before

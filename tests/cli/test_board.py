@@ -30,7 +30,16 @@ class Running:
     """The command as a program of its own."""
 
     def __init__(self, image: Path, *options: str) -> None:
-        command = [sys.executable, "-m", "neuroflight.cli.main", "board", "--image", str(image), *options]
+        command = [
+            sys.executable,
+            "-m",
+            "neuroflight.cli.main",
+            "image",
+            "emulate",
+            "--image",
+            str(image),
+            *options,
+        ]
         self.process = subprocess.Popen(
             command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, bufsize=1
         )
@@ -81,7 +90,7 @@ def test_settings_are_there_in_the_next_run_when_flash_is_kept(
 ) -> None:
     flash = tmp_path / "flash.bin"
     board = start("--serial=tcp", f"--flash={flash}")
-    assert main(["msp", "--port", board.port, "info"]) == 0
+    assert main(["board", "info", "--port", board.port]) == 0
     assert "MATEKF722" in capsys.readouterr().out
     with Client(open_transport(board.port)) as client:
         settings = Settings(client)
@@ -131,7 +140,7 @@ def test_uart3_is_a_second_port_when_it_was_set_so_and_refused_before(
 ) -> None:
     flash = tmp_path / "flash.bin"
     options = ("--serial=tcp", "--serial=uart3=tcp", f"--flash={flash}")
-    assert main(["board", "--image", str(image), *options]) == 1
+    assert main(["image", "emulate", "--image", str(image), *options]) == 1
     errors = capfd.readouterr().err
     assert errors.startswith("neuroflight: --serial uart3: got a board whose UART3 is off, expected")
     assert errors.count("\n") == 1
@@ -206,14 +215,14 @@ def test_it_ends_with_one_line_when_the_image_does_what_no_board_forgives(
 ) -> None:
     image = tmp_path / "zeros.bin"
     image.write_bytes(bytes(4096))
-    assert main(["board", "--image", str(image), "--serial=tcp", "--seconds=0.1"]) == 1
+    assert main(["image", "emulate", "--image", str(image), "--serial=tcp", "--seconds=0.1"]) == 1
     errors = capfd.readouterr().err
     assert errors.startswith("neuroflight: ")
     assert errors.count("\n") == 1
 
 
 def test_it_ends_by_itself_when_its_time_is_over(image: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    assert main(["board", "--image", str(image), "--seconds=0.05"]) == 0
+    assert main(["image", "emulate", "--image", str(image), "--seconds=0.05"]) == 0
     out, errors = capfd.readouterr()
     assert re.search(r"^MSP +/dev/", out, re.MULTILINE)
     assert re.search(r"^0\.\d s on the board, resets: none\n\Z", out, re.MULTILINE)
@@ -262,7 +271,12 @@ def test_it_says_what_is_wrong_when_the_user_errs(
     for name in ("photo.jpg", "no/photo.jpg"):
         (tmp_path / name).write_bytes(b"photo")
     given = [] if options[0].startswith("--image") else ["--image", str(image)]
-    assert main(["board", *given, *options, *([] if "seconds" in options[0] else ["--seconds=0.001"])]) == 1
+    assert (
+        main(
+            ["image", "emulate", *given, *options, *([] if "seconds" in options[0] else ["--seconds=0.001"])]
+        )
+        == 1
+    )
     errors = capsys.readouterr().err
     assert words in errors
     assert errors.count("\n") == 1
@@ -273,7 +287,7 @@ def test_a_second_board_is_refused_when_the_first_keeps_the_same_flash(
     image: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     flash = tmp_path / "flash.bin"
-    words = ["board", "--image", str(image), f"--flash={flash}", "--seconds=0.001"]
+    words = ["image", "emulate", "--image", str(image), f"--flash={flash}", "--seconds=0.001"]
     with claimed_file(flash, "board"):
         assert main(words) == 1
     errors = capsys.readouterr().err

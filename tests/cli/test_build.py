@@ -1,4 +1,4 @@
-"""`neuroflight build`: whose PID stands beside a policy, and what keeps another aircraft's out."""
+"""`neuroflight image build`: whose PID stands beside a policy, and what keeps another aircraft's out."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ import numpy as np
 import onnx
 import pytest
 
+from neuroflight.cli.image import build as command
 from neuroflight.cli.main import main
-from neuroflight.cli.toolchain import build as command
 from neuroflight.sim.aircraft.model import FOLDER, load_aircraft
 from neuroflight.sim.control.pid_table import pid_table
 from neuroflight.toolchain.errors import NeuroflightError
@@ -49,7 +49,7 @@ def asked(monkeypatch: pytest.MonkeyPatch, capsys: Capture) -> Callable[..., Ask
     monkeypatch.setattr("neuroflight.toolchain.image.build.build", build)
 
     def ask(*words: str | Path) -> Asked:
-        assert main(["build", "--unchecked", *map(str, words)]) == 1
+        assert main(["image", "build", "--unchecked", *map(str, words)]) == 1
         capsys.readouterr()
         return seen.pop()
 
@@ -61,7 +61,7 @@ def refused(capsys: Capture, asked: object) -> Callable[..., str]:
     """Gives a command line to `build`, which refuses it before anything is built; its one line."""
 
     def refuse(*words: str | Path) -> str:
-        assert main(["build", *map(str, words)]) == 1
+        assert main(["image", "build", *map(str, words)]) == 1
         told = capsys.readouterr()
         assert told.out == "" and told.err.count("\n") == 1 and "asked" not in told.err
         return told.err
@@ -129,7 +129,7 @@ def test_no_image_without_a_pid_unless_it_is_asked_for_in_words(
 ) -> None:
     own = written(tmp_path / "own.toml", NO_PID)
     line = refused("--policy", SHIPPED, "--aircraft", own)
-    assert f"`neuroflight tune-pid --aircraft {own} --write {own}`" in line and "--no-pid" in line
+    assert f"`neuroflight pid tune --aircraft {own} --write {own}`" in line and "--no-pid" in line
     assert asked("--policy", SHIPPED, "--aircraft", own, "--no-pid").pid is None
     heavier = trained_on(written(tmp_path / "heavier.toml", HEAVIER), tmp_path / "policy.onnx")
     got = asked("--policy", heavier, "--no-pid")
@@ -155,11 +155,11 @@ def test_propellers_out_are_another_aircraft_with_yaw_the_other_way(
     [
         (
             ["--aircraft", "iris"],
-            "no policy ships for aircraft iris: name one with --policy; `neuroflight tr",
+            "no policy ships for aircraft iris: name one with --policy; `neuroflight policy tr",
         ),
         (
             ["--policy", "none.onnx", "--aircraft", "own.toml"],
-            "neuroflight train --aircraft own.toml --out .",
+            "neuroflight policy train --aircraft own.toml --out .",
         ),
         (["--again", "--policy", "none.onnx"], "--again: got a policy or an aircraft beside it"),
         (["--again", "--no-pid"], "--again: got a policy or an aircraft beside it"),
@@ -174,6 +174,7 @@ def test_what_cannot_be_built_is_refused_in_one_line(
     assert message in refused(*words)
 
 
+@pytest.mark.slow
 def test_what_was_built_last_is_built_again_and_told(
     tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -181,7 +182,7 @@ def test_what_was_built_last_is_built_again_and_told(
     own = written(tmp_path / "own.toml", HEAVIER.replace('"nf1"', '"mine"'))
     policy = trained_on(own, tmp_path / "policy.onnx")
     build_beside("HOST", SHIPPED, tmp_path)
-    words = ["build", "--target", "HOST", "--out", str(tmp_path)]
+    words = ["image", "build", "--target", "HOST", "--out", str(tmp_path)]
     assert main([*words, "--policy", str(policy), "--aircraft", str(own)]) == 0
     table = " ".join(capsys.readouterr().out.split())
     digest = load_aircraft(own).sha256

@@ -1,4 +1,4 @@
-"""`neuroflight build` and the stamp of a check: an image for a board wants it, or --unchecked."""
+"""`neuroflight image build` and the stamp of a check: an image for a board wants it, or --unchecked."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def stamped(policy: Path, aircraft: str = "nf1", **words: object) -> Path:
 
 
 def test_an_image_is_built_of_a_policy_that_a_check_found_fit(policy: Path, built: Build) -> None:
-    assert main(["build", "--policy", str(stamped(policy))]) == 0
+    assert main(["image", "build", "--policy", str(stamped(policy))]) == 0
     assert isinstance(built["check"], Stamp) and built["check"].fit
 
 
@@ -66,13 +66,13 @@ def test_no_image_is_built_of_another_one(
 ) -> None:
     if words is not None:
         stamped(policy, **words)
-    assert main(["build", "--policy", str(policy)]) == 1
+    assert main(["image", "build", "--policy", str(policy)]) == 1
     err = capsys.readouterr().err
     assert said in err and err.count("\n") == 1 and not built
     assert f"run: neuroflight policy check {policy} --aircraft nf1, or add --unchecked" in err
-    assert main(["build", "--policy", str(policy), "--unchecked"]) == 0
+    assert main(["image", "build", "--policy", str(policy), "--unchecked"]) == 0
     assert built == {"check": None} or built["check"] is None
-    assert main(["build", "--policy", str(policy), "--target", "HOST"]) == 0
+    assert main(["image", "build", "--policy", str(policy), "--target", "HOST"]) == 0
 
 
 def test_no_image_is_built_when_policy_or_stamp_change_after_the_check(
@@ -82,12 +82,12 @@ def test_no_image_is_built_when_policy_or_stamp_change_after_the_check(
     data = bytearray(policy.read_bytes())
     policy.write_bytes(data + b"\x72\x00")  # an empty field more: the same network, other bytes
     assert read_policy(policy).action_count == 4
-    assert main(["build", "--policy", str(policy)]) == 1
+    assert main(["image", "build", "--policy", str(policy)]) == 1
     assert "was changed after its check" in capsys.readouterr().err
     policy.write_bytes(data)
     path = stamp_path(policy)
     path.write_text(path.read_text().replace("nf1", "nf2"))
-    assert main(["build", "--policy", str(policy)]) == 1
+    assert main(["image", "build", "--policy", str(policy)]) == 1
     assert "it was changed after the check" in capsys.readouterr().err
     assert not built
 
@@ -98,5 +98,5 @@ def test_the_stamp_of_another_policy_does_not_help(
     other = tmp_path / "other.onnx"
     other.write_bytes(policy.read_bytes() + b"\x72\x00")
     shutil.copy(stamp_path(stamped(policy)), stamp_path(other))
-    assert main(["build", "--policy", str(other)]) == 1
+    assert main(["image", "build", "--policy", str(other)]) == 1
     assert "was changed after its check" in capsys.readouterr().err and not built

@@ -43,7 +43,7 @@ def test_compile_writes_all_files_when_the_policy_is_good(
     policy_file: Path, tmp_path: Path, capsys: Capture
 ) -> None:
     out = tmp_path / "out"
-    assert main(["compile", str(policy_file), "--out", str(out), "--json"]) == 0
+    assert main(["policy", "compile", str(policy_file), "--out", str(out), "--json"]) == 0
     facts = json.loads(capsys.readouterr().out)
     assert sorted(path.name for path in out.iterdir()) == ["policy.blob", "policy.c", "policy.h"]
     assert parse((out / "policy.blob").read_bytes()).weights.size == facts["weights"]
@@ -57,7 +57,9 @@ def test_compile_writes_nothing_when_the_policy_is_refused(
     policy_file: Path, tmp_path: Path, capsys: Capture
 ) -> None:
     policy_file.write_bytes(policy_file.read_bytes()[:300])
-    assert "truncated" in refused(["compile", str(policy_file), "--out", str(tmp_path / "out")], capsys)
+    assert "truncated" in refused(
+        ["policy", "compile", str(policy_file), "--out", str(tmp_path / "out")], capsys
+    )
     assert not (tmp_path / "out").exists()
 
 
@@ -66,12 +68,14 @@ def test_freeze_writes_nothing_when_the_checkpoint_is_none(
 ) -> None:
     out = tmp_path / "frozen.onnx"
     policy_file.write_bytes(b"no checkpoint")
-    assert "is no ONNX model: it is text" in refused(["freeze", str(policy_file), "--out", str(out)], capsys)
+    assert "is no ONNX model: it is text" in refused(
+        ["policy", "import", str(policy_file), "--out", str(out)], capsys
+    )
     assert not out.exists()
 
 
 def test_build_names_the_known_targets_when_the_target_is_unknown(policy_file: Path, capsys: Capture) -> None:
-    line = refused(["build", "--target", "KAKUTE", "--policy", str(policy_file)], capsys)
+    line = refused(["image", "build", "--target", "KAKUTE", "--policy", str(policy_file)], capsys)
     assert line == "neuroflight: unknown TARGET 'KAKUTE', known are MATEKF722, HOST\n"
 
 
@@ -79,7 +83,7 @@ def test_build_prints_its_report_when_it_succeeds(
     shipped_policy: Path, host_program: Path, capsys: Capture
 ) -> None:
     out = host_program.parents[1]
-    arguments = ["build", "--target", "HOST", "--policy", str(shipped_policy), "--out", str(out)]
+    arguments = ["image", "build", "--target", "HOST", "--policy", str(shipped_policy), "--out", str(out)]
     assert main([*arguments, "--json"]) == 0
     report = json.loads(capsys.readouterr().out)
     assert report == json.loads((host_program.parent / "report.json").read_text())

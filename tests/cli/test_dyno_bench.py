@@ -37,8 +37,8 @@ def rig_of(host_program: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Call
             return rig.line() if text == rig.device else open_transport(text)
 
         monkeypatch.setattr("neuroflight.flash.link.transport.open_transport", opened)
-        monkeypatch.setattr("neuroflight.cli.sim.dyno_bench.monotonic", rig.clock)
-        monkeypatch.setattr("neuroflight.cli.sim.dyno_calibrate.monotonic", rig.clock)
+        monkeypatch.setattr("neuroflight.cli.dyno.bench.monotonic", rig.clock)
+        monkeypatch.setattr("neuroflight.cli.dyno.calibrate.monotonic", rig.clock)
         return rig
 
     yield make

@@ -1,4 +1,4 @@
-"""`neuroflight flash`: against the host program, a board in memory, and whatever is no board for it."""
+"""`neuroflight board flash`: against the host program, a board in memory, and whatever is no board for it."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def flash(capsys: pytest.CaptureFixture[str]) -> Run:
     """Give it an image, a port and more words behind `flash`: exit code, stdout, stderr."""
 
     def run(image: Path, port: str, *words: str) -> tuple[int, str, str]:
-        code = main(["flash", str(image), "--port", port, "--unchecked", *words])
+        code = main(["board", "flash", str(image), "--port", port, "--unchecked", *words])
         output = capsys.readouterr()
         assert output.err.count("\n") == (code != 0)
         return code, " ".join(output.out.split()), output.err
@@ -262,12 +262,23 @@ def test_the_board_is_left_running_when_no_reboot_is_asked_for(
     assert served.board.running == 0 and served.board.banks[1].numbered and served.board.boots == 5
 
 
-def test_rom_and_image_are_not_mixed_with_what_they_do_not_go_with(flash: Run, nfi: Path) -> None:
-    port = "/dev/ttyUSB99"
-    assert "--all and --verify-only go with --rom" in flash(nfi, port, "--all")[2]
-    assert "got an image or --rom, expected neither" in flash(nfi, port, "--list")[2]
-    assert "expected an image: .elf, .hex or .bin" in flash(nfi, port, "--rom")[2]
-    assert "there is no such device" in flash(nfi.with_suffix(".hex"), port, "--rom", "--verify-only")[2]
+@pytest.mark.parametrize(
+    "words", [["board", "flash", "--all"], ["flash", "--list"], ["flash", "--rom", "--force"]]
+)
+def test_what_does_not_go_together_is_refused(
+    words: list[str], nfi: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main([*words, "--port", "/dev/ttyUSB99", str(nfi)])
+    assert ended.value.code == 2 and "unrecognized arguments" in capsys.readouterr().err
+
+
+def test_the_rom_takes_no_nfi(nfi: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["flash", "--port", "/dev/ttyUSB99", "--rom"]
+    assert main([*words, str(nfi)]) == 1
+    assert "expected an image: .elf, .hex or .bin" in capsys.readouterr().err
+    assert main([*words, str(nfi.with_suffix(".hex")), "--verify-only"]) == 1
+    assert "there is no such device" in capsys.readouterr().err
 
 
 def test_make_flash_asks_for_the_port_before_it_builds(tmp_path: Path) -> None:
@@ -437,13 +448,13 @@ def test_an_image_whose_policy_is_not_known_to_be_fit_is_not_written(
 ) -> None:
     served = serve()
     image = checked_build(nfi, tmp_path, edit)
-    assert main(["flash", str(image), "--port", served.port, "--force"]) == 1
+    assert main(["board", "flash", str(image), "--port", served.port, "--force"]) == 1
     err = capsys.readouterr().err
     assert words in err and "neuroflight policy check" in err and "or add --unchecked" in err
     assert err.count("\n") == 1 and err.endswith("nothing was written\n")
     assert served.board.erased == 0 and served.board.running == 0
     assert not list(tmp_path.glob("neuroflight-settings-*.txt"))
-    assert main(["flash", str(image), "--port", served.port, "--dry-run"]) == 0
+    assert main(["board", "flash", str(image), "--port", served.port, "--dry-run"]) == 0
     assert "UNCHECKED" in capsys.readouterr().out and served.board.erased == 0
 
 
@@ -452,7 +463,7 @@ def test_an_image_without_its_report_is_not_written(
 ) -> None:
     served = serve()
     image = Path(shutil.copy(nfi, tmp_path / nfi.name))
-    assert main(["flash", str(image), "--port", served.port]) == 1
+    assert main(["board", "flash", str(image), "--port", served.port]) == 1
     assert "is not known to be checked: cannot read" in capsys.readouterr().err
     assert served.board.erased == 0
 
@@ -462,7 +473,7 @@ def test_an_image_whose_policy_a_check_found_fit_is_written(
 ) -> None:
     served = serve()
     image = checked_build(nfi, tmp_path, lambda report: None)
-    assert main(["flash", str(image), "--port", served.port, "--json"]) == 0
+    assert main(["board", "flash", str(image), "--port", served.port, "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["check"] == f"fit to fly nf1, by rules {RULES}"
     assert served.board.running == 1
 

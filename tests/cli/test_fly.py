@@ -9,15 +9,15 @@ from typing import Any
 import numpy as np
 import pytest
 
+from neuroflight.cli.fly import ports as command
 from neuroflight.cli.main import main
-from neuroflight.cli.sim import fly_ports as command
 from neuroflight.sim.aircraft.model import FOLDER, load_aircraft
 from neuroflight.sim.control.pid_table import pid_table
 from neuroflight.sim.design.figures import aircraft_figures
 from neuroflight.sim.flight.trace import load_trace
 from neuroflight.toolchain.image.build import build
 from neuroflight.toolchain.image.report import AircraftFacts
-from tests.conftest import build_beside
+from tests.conftest import build_kept
 from tests.modelled_policy import modelled_policy
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -70,21 +70,22 @@ def test_it_says_when_the_policy_or_the_pid_is_another_aircrafts(
 def test_it_flies_the_aircraft_of_the_build_and_says_that_its_policy_was_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    own, policy, story = (tmp_path / name for name in ("own.toml", "policy.onnx", "story.toml"))
+    own, story = tmp_path / "own.toml", tmp_path / "story.toml"
     own.write_text((FOLDER / "nf1.toml").read_text().replace('name = "nf1"', 'name = "mine"'))
-    policy.write_bytes(modelled_policy())
     story.write_text("[[segment]]\nduration_s = 2.0\nsetpoint_deg_s = [300, -300, 200]\n")
     aircraft = load_aircraft(own)
     known = AircraftFacts(aircraft.name, aircraft.sha256, str(own), own=True)
-    build_beside("HOST", policy, tmp_path)
-    build("HOST", policy, ROOT, tmp_path, pid_table(aircraft), known)
-    monkeypatch.setattr(command, "BUILD", tmp_path / "HOST")
+    table = pid_table(aircraft)
+    folder = build_kept("HOST", modelled_policy(), "modelled", table)
+    build("HOST", folder.with_name("policy.onnx"), ROOT, folder.parent, table, known)
+    monkeypatch.setattr(command, "BUILD", folder)
     for on in ("reference", "host"):
         assert main(["fly", "--on", on, "--scenario", str(story)]) == 0
         told = " ".join(capsys.readouterr().out.split())
         assert "mine: story" in told
         assert "its policy until that was REFUSED (wrong way), then its PID" in told
-        assert ", then PID PID flying MAE, deg/s" in told  # the columns
+        assert "policy modelled, then PID MAE, deg/s" in told  # a column, too wide to stand beside the other
+        assert "PID flying MAE, deg/s" in told
         assert ", but it was REFUSED in flight (wrong way), and the PID flew on" in told
     own.unlink()
     assert main(["fly", "--on", "reference", "--scenario", str(story)]) == 1

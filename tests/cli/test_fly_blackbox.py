@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from neuroflight.cli.fly import ports as fly_ports
 from neuroflight.cli.main import main
-from neuroflight.cli.sim import fly_ports
 from neuroflight.sim.blackbox.log import Log, floats, list_logs, read_log
 from neuroflight.sim.flight.loop import fly
 from neuroflight.sim.flight.trace import load_trace

@@ -1,4 +1,4 @@
-"""`neuroflight fly --on emulator`: the image's log, by UART3 and on the card, is the trace."""
+"""`neuroflight fly --on board`: the image's log, by UART3 and on the card, is the trace."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from neuroflight.cli.fly import ports as fly_ports
 from neuroflight.cli.main import main
-from neuroflight.cli.sim import fly_ports
 from neuroflight.sim.blackbox.log import Log, read_log
 from neuroflight.sim.flight.trace import load_trace
 from neuroflight.toolchain.contract import LogEvent
@@ -92,6 +92,7 @@ def test_the_log_on_the_card_is_the_trace(fly: Fly, card: Path, tmp_path: Path) 
     assert_log_is_trace(log, tmp_path / "card.npz")
 
 
+@pytest.mark.slow
 @needs_tools
 def test_a_card_that_stalls_costs_frames_but_no_control_step(fly: Fly, card: Path, tmp_path: Path) -> None:
     stalled = ("--card", card, "--fault", "card-stall=0.5@0.3")

@@ -1,4 +1,4 @@
-"""`neuroflight fly --on emulator` as a user types it."""
+"""`neuroflight fly --on board` as a user types it."""
 
 from __future__ import annotations
 
@@ -18,9 +18,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from neuroflight.cli.fly import emulator as fly_emulator
+from neuroflight.cli.fly import ports as fly_ports
+from neuroflight.cli.fly.emulator import STOPPED
 from neuroflight.cli.main import main
-from neuroflight.cli.sim import fly_emulator, fly_ports
-from neuroflight.cli.sim.fly_emulator import STOPPED
 from neuroflight.flash.link import messages
 from neuroflight.flash.link.client import Client
 from neuroflight.flash.link.transport import TcpPort, TcpTransport
@@ -110,6 +111,7 @@ def test_it_tells_of_the_image_and_writes_trace_and_profile_when_all_is_well(
     assert "gyro_sample_handler" in flame and flame.startswith("<svg")
 
 
+@pytest.mark.slow
 def test_it_flies_an_icm20689_when_one_is_fitted(fly: Command, tmp_path: Path) -> None:
     traces: list[Trace] = []
     for options in (("--gyro", "icm20689", "--set", "gyro_alignment=cw90"), ()):
@@ -119,6 +121,7 @@ def test_it_flies_an_icm20689_when_one_is_fitted(fly: Command, tmp_path: Path) -
     assert traces[0].same(traces[1])
 
 
+@pytest.mark.slow
 def test_a_card_that_fails_costs_no_control_step(fly: Command, tmp_path: Path) -> None:
     traces: list[Trace] = []
     card = tmp_path / "card.img"
@@ -217,6 +220,7 @@ def second(tmp_path: Path) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_trace_and_profile_keep_what_was_flown_when_the_flight_ends_in_an_error(
     fly: Command, starving: Path, second: Path, board_image: Path, tmp_path: Path
 ) -> None:
@@ -376,10 +380,10 @@ def test_gdb_finds_the_board_at_its_first_instruction_when_it_is_waited_for(
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--gyro", "icm20689"], "--gyro: only on the emulated board; add --on emulator"),
-        (["--card", "a.img"], "--card: only on the emulated board; add --on emulator"),
-        (["--esc", "dshot600"], "--esc: only on the emulated board; add --on emulator"),
-        (["--fault", "crystal@1"], "--fault: only on the emulated board; add --on emulator"),
+        (["--gyro", "icm20689"], "--gyro: only on the emulated board; add --on board"),
+        (["--card", "a.img"], "--card: only on the emulated board; add --on board"),
+        (["--esc", "dshot600"], "--esc: only on the emulated board; add --on board"),
+        (["--fault", "crystal@1"], "--fault: only on the emulated board; add --on board"),
         (["--on", "betaflight", "--receiver", "crsf"], "--receiver: Betaflight takes the sticks from the"),
         (["--profile", "d"], "--profile: only on the emulated board"),
         (["--gdb", "0"], "--gdb: only on the emulated board"),

@@ -40,7 +40,7 @@ def serve(tcp_server: Callable[[Callable[[bytes], bytes]], str]) -> Serve:
 
 def log(capsys: pytest.CaptureFixture[str], *words: str | Path) -> tuple[int, str, str]:
     """Exit code and what was printed."""
-    code = main(["log", *map(str, words)])
+    code = main(["board", "logs", *map(str, words)])
     told = capsys.readouterr()
     return code, told.out, told.err
 
@@ -140,7 +140,8 @@ def test_an_interrupted_fetch_keeps_what_came_and_goes_on(
         sys.executable,
         "-m",
         "neuroflight.cli.main",
-        "log",
+        "board",
+        "logs",
         "fetch",
         "--port",
         port,

@@ -12,8 +12,9 @@ from pathlib import Path
 
 import pytest
 
-import neuroflight.cli.training.train
+import neuroflight.cli.policy.train
 from neuroflight.cli.main import main
+from tests.sampling import sampled
 
 ROOT = Path(__file__).resolve().parents[2]
 Capture = pytest.CaptureFixture[str]
@@ -72,13 +73,13 @@ def test_the_command_says_so_before_the_work_when_stdout_is_closed() -> None:
         ["dyno", "run", "--out", "{out}.csv"],
         ["fly", "--trace", "{out}.npz"],
         ["fly", "--report", "{out}.html"],
-        ["train", "--out", "{out}", *TINY],
-        ["build", "--target", "HOST", "--out", "{out}"],
-        ["compile", "training/policies/nf1/policy.onnx", "--out", "{out}"],
-        ["freeze", "training/policies/nf1/checkpoint.pt", "--out", "{out}.onnx"],
+        ["policy", "train", "--out", "{out}", *TINY],
+        ["image", "build", "--target", "HOST", "--out", "{out}"],
+        ["policy", "compile", "training/policies/nf1/policy.onnx", "--out", "{out}"],
+        ["policy", "import", "training/policies/nf1/checkpoint.pt", "--out", "{out}.onnx"],
     ],
 )
-@pytest.mark.parametrize("why", ["no room", "long name"])
+@pytest.mark.parametrize("why", sampled(["no room", "long name"], "no room"))
 def test_a_place_that_takes_no_file_is_told_before_the_work(
     words: list[str], why: str, tmp_path: Path
 ) -> None:
@@ -100,8 +101,9 @@ def test_nothing_is_left_when_the_room_ends_while_a_file_is_written(tmp_path: Pa
 def test_the_figures_of_a_flight_are_told_when_the_room_ends_while_it_is_kept(
     host_program: Path, tmp_path: Path
 ) -> None:
-    trace = tmp_path / "trace.npz"
-    words: list[str | Path] = ["fly", "--scenario", "pulse", "--build", host_program.parent, "--trace", trace]
+    trace, story = tmp_path / "trace.npz", tmp_path.with_name("story.toml")
+    story.write_text("[[segment]]\nduration_s = 2.5\nsetpoint_deg_s = [50, 0, 0]\n")
+    words: list[str | Path] = ["fly", "--scenario", story, "--build", host_program.parent, "--trace", trace]
     done = command(*words, preexec_fn=no_large_files(100_000))
     assert one_line(done).startswith(f"neuroflight: {trace}: File too large; ")
     assert "MAE, deg/s" in done.stdout
@@ -111,22 +113,22 @@ def test_the_figures_of_a_flight_are_told_when_the_room_ends_while_it_is_kept(
 @pytest.mark.parametrize(
     "words",
     [
-        ["verify", "{pipe}"],
-        ["compile", "{pipe}", "--explain"],
-        ["freeze", "{pipe}", "--out", "policy.onnx"],
-        ["timing", "{pipe}"],
-        ["build", "--target", "HOST", "--policy", "{pipe}", "--out", "build-of-a-pipe"],
-        ["board", "--image", "{pipe}"],
-        ["board", "--flash", "{pipe}"],
-        ["evaluate", "{pipe}"],
+        ["policy", "verify", "{pipe}"],
+        ["policy", "compile", "{pipe}", "--explain"],
+        ["policy", "import", "{pipe}", "--out", "policy.onnx"],
+        ["policy", "time", "{pipe}"],
+        ["image", "build", "--target", "HOST", "--policy", "{pipe}", "--out", "build-of-a-pipe"],
+        ["image", "emulate", "--image", "{pipe}"],
+        ["image", "emulate", "--flash", "{pipe}"],
+        ["compare", "{pipe}"],
         ["aircraft", "check", "{pipe}"],
         ["dyno", "fit", "{pipe}"],
-        ["twin", "noise", "{pipe}"],
-        ["train", "--config", "{pipe}", "--out", "out-of-a-pipe"],
+        ["aircraft", "noise", "{pipe}"],
+        ["policy", "train", "--config", "{pipe}", "--out", "out-of-a-pipe"],
         ["fly", "--scenario", "{pipe}"],
     ],
 )
-@pytest.mark.parametrize("kind", ["pipe", "device"])
+@pytest.mark.parametrize("kind", sampled(["pipe", "device"], "pipe"))
 def test_a_command_ends_at_once_when_its_input_never_does(
     words: list[str], kind: str, tmp_path: Path
 ) -> None:
@@ -141,8 +143,8 @@ def test_a_second_training_is_refused_when_the_first_runs(
     tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The second begins where the first has planned and not yet written anything."""
-    words = ["train", "--out", str(tmp_path / "out"), *TINY]
-    train = neuroflight.cli.training.train._train
+    words = ["policy", "train", "--out", str(tmp_path / "out"), *TINY]
+    train = neuroflight.cli.policy.train._train
     codes: list[int | None] = []
 
     def interrupted_by_another(*args: object) -> object:
@@ -151,7 +153,7 @@ def test_a_second_training_is_refused_when_the_first_runs(
             codes[0] = main(words)
         return train(*args)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(neuroflight.cli.training.train, "_train", interrupted_by_another)
+    monkeypatch.setattr(neuroflight.cli.policy.train, "_train", interrupted_by_another)
     assert main(words) == 0
     assert codes == [1]
     error = capsys.readouterr().err
@@ -180,15 +182,15 @@ def test_a_read_only_place_is_told_before_the_work(read_only: Path) -> None:
     [
         ["aircraft", "check", "nf1", "--draw", "a\0b.png"],
         ["fly", "--trace", "a\0b.npz"],
-        ["build", "--policy", "a\0b"],
-        ["build", "--target", "HOST", "--out", "a\0b"],
-        ["compile", "training/policies/nf1/policy.onnx", "--out", "a\0b"],
-        ["freeze", "training/policies/nf1/checkpoint.pt", "--out", "a\0b.onnx"],
-        ["freeze", "a\0b", "--out", "policy.onnx"],
-        ["verify", "a\0b"],
-        ["timing", "a\0b"],
-        ["train", "--out", "a\0b"],
-        ["board", "--flash", "a\0b"],
+        ["image", "build", "--policy", "a\0b"],
+        ["image", "build", "--target", "HOST", "--out", "a\0b"],
+        ["policy", "compile", "training/policies/nf1/policy.onnx", "--out", "a\0b"],
+        ["policy", "import", "training/policies/nf1/checkpoint.pt", "--out", "a\0b.onnx"],
+        ["policy", "import", "a\0b", "--out", "policy.onnx"],
+        ["policy", "verify", "a\0b"],
+        ["policy", "time", "a\0b"],
+        ["policy", "train", "--out", "a\0b"],
+        ["image", "emulate", "--flash", "a\0b"],
     ],
 )
 def test_a_name_that_no_file_can_have_is_one_line(words: list[str], capsys: Capture) -> None:
@@ -201,7 +203,7 @@ def test_a_name_that_no_file_can_have_is_one_line(words: list[str], capsys: Capt
 def test_an_error_is_cut_when_it_quotes_at_length(capsys: Capture) -> None:
     model = str(ROOT / "training/policies/nf1/policy.onnx")
     claims = ["--observation", "x" * 100_000, "--rate", "1000", "--aircraft", "nf1"]
-    assert main(["freeze", model, *claims, "--out", "unused.onnx"]) == 1
+    assert main(["policy", "import", model, *claims, "--out", "unused.onnx"]) == 1
     error = capsys.readouterr().err
     assert "unknown observation block 'xxx" in error
     assert len(error) < 3000

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from neuroflight.cli.main import parser
+from neuroflight.cli.main import parse
 from neuroflight.sim.aircraft.model import parse_aircraft
 from neuroflight.sim.design.airworthiness import Level, examine
 from tests.cli.test_first_board import PORT, powered
@@ -92,7 +92,7 @@ def test_a_printed_step_calls_commands_that_are_understood(line: str) -> None:
         calls = re.findall(r"-m neuroflight\.cli\.main (.+)", told)
     assert calls
     for call in calls:
-        parser().parse_args(shlex.split(call))
+        parse(shlex.split(call))
 
 
 class Shell:
@@ -126,7 +126,7 @@ def test_the_steps_lead_from_a_file_to_a_flashed_board(clone: Path, tmp_path: Pa
     run = Shell(clone)
     run("make firmware")  # the board flies the NF1 until now
     with powered(chip, "--boot0") as port:
-        Shell(clone, port)(f"neuroflight rescue --port {PORT}")
+        Shell(clone, port)(f"neuroflight board rescue --port {PORT}")
     own.write_text(five_inch())
     report = clone / "build" / "MATEKF722" / "report.json"
     began = time.monotonic()
@@ -145,9 +145,9 @@ def test_the_steps_lead_from_a_file_to_a_flashed_board(clone: Path, tmp_path: Pa
         assert known["policy"]["aircraft_sha256"] == known["aircraft"]["sha256"] == digest
         assert known["pid"]["aircraft"] == "mine"
         assert known["check"]["fit"] and known["check"]["aircraft_sha256"] == digest
-        info = board(f"neuroflight msp --port {PORT} info")
+        info = board(f"neuroflight board info --port {PORT}")
         assert f"aircraft mine, digest {digest[:12]}" in info
-        assert "PID built in" in " ".join(board(f"neuroflight msp --port {PORT} status").split())
+        assert "PID built in" in " ".join(board(f"neuroflight board status --port {PORT}").split())
 
         # What must not happen by a slip: another's policy, another's PID, the NF1's image on this board.
         image = (report.parent / "neuroflight.nfi").read_bytes()
@@ -169,9 +169,9 @@ def test_the_steps_lead_from_a_file_to_a_flashed_board(clone: Path, tmp_path: Pa
 def test_propellers_out_are_trained_and_flown_by_name(clone: Path) -> None:
     """On the host, and in the image on an emulated board; the policy for propellers in is refused."""
     run = Shell(clone)
-    run("neuroflight train --aircraft nf1:props-out --steps 8000000 --out runs/out")
+    run("neuroflight policy train --aircraft nf1:props-out --steps 8000000 --out runs/out")
     for target, on in (("HOST", "host"), ("MATEKF722", "emulator")):
-        run(f"neuroflight build --target {target} --policy runs/out/policy.onnx")
+        run(f"neuroflight image build --target {target} --policy runs/out/policy.onnx")
         flown = run.json(f"neuroflight fly --on {on} --scenario pulses --count 4 --json")
         assert flown["aircraft"] == "nf1-props-out" and flown["policy_refused"] is None
         mae = flown["flights"]["firmware"]["tracking"]["mae"]

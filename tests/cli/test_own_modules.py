@@ -88,7 +88,7 @@ def test_the_page_has_a_file_of_each_kind() -> None:
 def test_the_whole_way_from_the_users_folder(folder: Path) -> None:
     """A reward, a controller and an aircraft from outside the repository, trained and compared."""
     lines = section("The whole way")
-    assert [line.split()[1] for line in lines] == ["aircraft", "train", "tune-pid", "compare", "build"]
+    assert [line.split()[1] for line in lines] == ["aircraft", "policy", "pid", "compare", "image"]
     imported, trained, _, compared, _ = map(shortened, lines)
     assert "assumed: rotor.spin" in typed(imported, folder)
     typed(trained, folder)
@@ -130,7 +130,7 @@ def test_an_observation_of_the_users_is_part_of_the_compiled_policy(folder: Path
     ]
     assert policy.observation_count == 6
     assert (64, 9) in weights or (9, 64) in weights  # the first layer sees three values more
-    assert main(["compile", str(folder / "observed.onnx"), "--out", str(folder / "c")]) == 0
+    assert main(["policy", "compile", str(folder / "observed.onnx"), "--out", str(folder / "c")]) == 0
 
 
 def test_gymnasium_takes_the_same_objects(folder: Path) -> None:

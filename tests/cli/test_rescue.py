@@ -1,4 +1,4 @@
-"""`neuroflight rescue`, and `neuroflight board --boot0 --chip` on whose port it works."""
+"""`neuroflight board rescue`, and `neuroflight image emulate --boot0 --chip` on whose port it works."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def serve() -> Iterator[Callable[..., Served]]:
 
 def refusal(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
     """The one line that the command ends in, with exit code 1."""
-    assert main(["rescue", "--unchecked", *map(str, arguments)]) == 1
+    assert main(["board", "rescue", "--unchecked", *map(str, arguments)]) == 1
     error = capsys.readouterr().err
     assert error.count("\n") == 1 and "Traceback" not in error
     return error
@@ -84,7 +84,7 @@ def test_it_tells_the_plan_writes_compares_and_starts(
     serve: Callable[..., Served], image: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     chip = serve(FULL)
-    assert main(["rescue", "--unchecked", str(image), "--port", chip.end.name]) == 0
+    assert main(["board", "rescue", "--unchecked", str(image), "--port", chip.end.name]) == 0
     told = capsys.readouterr().out
     assert "MATEKF722 0.1.0, build 6162636465666768, bank A" in told
     erased = "sector 0 (boot part); sector 4 (policy slot); sector 5 (bank A); sector 7 (policy slot)"
@@ -107,7 +107,7 @@ def test_nothing_is_written_when_it_only_looks(
     serve: Callable[..., Served], image: Path, capsys: pytest.CaptureFixture[str], option: str
 ) -> None:
     chip = serve(flash_with((*read_segments(image), SLOT_B), FULL))
-    assert main(["rescue", "--unchecked", str(image), "--all", "--port", chip.end.name, option]) == 0
+    assert main(["board", "rescue", "--unchecked", str(image), "--all", "--port", chip.end.name, option]) == 0
     told = capsys.readouterr().out
     assert "nothing was written" in told and "sector 6 (bank B)" in told.partition("keep")[0]
     chip.stop()
@@ -176,11 +176,12 @@ def test_a_peer_that_is_no_boot_loader_is_left_alone(
 
 
 # --- neuroflight board ---------------------------------------------------------------------------
+@pytest.mark.slow
 def test_a_chip_holds_in_the_next_run_what_was_written_through_its_rom(
     image: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     chip = tmp_path / "chip.bin"
-    assert main(["board", "--chip", str(chip), "--seconds", "0.01"]) == 1
+    assert main(["image", "emulate", "--chip", str(chip), "--seconds", "0.01"]) == 1
     assert "the chip is erased where its boot part should be" in capsys.readouterr().err
     command = [
         sys.executable,
@@ -200,10 +201,10 @@ def test_a_chip_holds_in_the_next_run_what_was_written_through_its_rom(
             line = board.stdout.readline()
             assert line
             told += line
-        found = re.search(r"^ROM +(\S+), 115200 baud; neuroflight rescue IMAGE", told, re.MULTILINE)
+        found = re.search(r"^ROM +(\S+), 115200 baud; neuroflight board rescue IMAGE", told, re.MULTILINE)
         assert found is not None
         assert chip.read_bytes() == b"\xff" * FLASH_BYTES
-        assert main(["rescue", "--unchecked", str(image), "--port", found[1]]) == 0
+        assert main(["board", "rescue", "--unchecked", str(image), "--port", found[1]]) == 0
         board.send_signal(signal.SIGINT)
         board.communicate(timeout=LIMIT_S)
         assert board.returncode == 0
@@ -212,7 +213,7 @@ def test_a_chip_holds_in_the_next_run_what_was_written_through_its_rom(
         board.communicate()
     assert chip.read_bytes() == flash_with((*read_segments(image), SLOT_B))
     capsys.readouterr()
-    assert main(["board", "--chip", str(chip), "--serial=tcp", "--seconds", "0.01"]) == 0
+    assert main(["image", "emulate", "--chip", str(chip), "--serial=tcp", "--seconds", "0.01"]) == 0
     assert "resets: none" in capsys.readouterr().out
 
 
@@ -226,7 +227,7 @@ def test_a_chip_holds_in_the_next_run_what_was_written_through_its_rom(
 def test_options_of_a_board_are_refused_when_they_exclude_each_other(
     capsys: pytest.CaptureFixture[str], arguments: list[str], said: str
 ) -> None:
-    assert main(["board", *arguments]) == 1
+    assert main(["image", "emulate", *arguments]) == 1
     assert said in capsys.readouterr().err
 
 
@@ -234,12 +235,12 @@ def test_an_image_whose_policy_is_not_known_to_be_fit_is_not_written(
     serve: Callable[..., Served], image: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     chip = serve(FULL)
-    for words in (["rescue", str(image)], ["flash", "--rom", str(image)]):
+    for words in (["board", "rescue", str(image)], ["flash", "--rom", str(image)]):
         assert main([*words, "--port", chip.end.name]) == 1
         err = capsys.readouterr().err
         assert "is not known to be checked" in err and "or add --unchecked" in err
         assert err.endswith("nothing was written\n")
-    assert main(["rescue", str(image), "--port", chip.end.name, "--dry-run"]) == 0
+    assert main(["board", "rescue", str(image), "--port", chip.end.name, "--dry-run"]) == 0
     assert "check  UNCHECKED" in capsys.readouterr().out
     chip.stop()
     assert chip.idle.flash() == FULL

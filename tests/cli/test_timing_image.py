@@ -1,4 +1,4 @@
-"""`neuroflight timing IMAGE.bin` as a user types it."""
+"""`neuroflight image time IMAGE.bin` as a user types it."""
 
 from __future__ import annotations
 
@@ -21,26 +21,35 @@ CONTROL_TASK_CYCLES = 22_000  # predicted, of the shipped policy: a tenth of a c
 @pytest.mark.parametrize(
     ("words", "told"),
     [
-        (["policy.onnx", "--seed", "1"], "--seed: is about an image, and this is a policy; leave it out"),
-        (["image.bin", "--blocks"], "--blocks: is about a policy, and this is an image; leave it out"),
-        (["image.bin", "--count", "0"], "--count 0, expected 1 to 100"),
+        (["image", "time", "image.bin", "--count", "0"], "--count 0, expected 1 to 100"),
+        (["image", "time", "image.bin", "--disarmed", "-1"], "--disarmed -1, expected 0 to 1000000"),
+        (["image", "time", "image.bin", "--serial", "1000001"], "--serial 1000001, expected 0 to 1000000"),
+        (["image", "time", "image.bin", "--plot", "runs.jpg"], "runs.jpg: expected a name that ends in .png"),
+        (["image", "time", "image.bin"], "report.json (No such file or directory); build image.bin anew"),
         (
-            ["policy.onnx", "--disarmed", "1"],
-            "--disarmed: is about an image, and this is a policy; leave it out",
+            ["image", "time", "policy.onnx"],
+            "policy.onnx: is a policy; run: neuroflight policy time policy.onnx",
         ),
-        (["image.bin", "--disarmed", "-1"], "--disarmed -1, expected 0 to 1000000"),
-        (["policy.onnx", "--serial", "1"], "--serial: is about an image, and this is a policy; leave it out"),
-        (["image.bin", "--serial", "1000001"], "--serial 1000001, expected 0 to 1000000"),
-        (["image.bin", "--plot", "runs.jpg"], "runs.jpg: expected a name that ends in .png"),
-        (["image.bin"], "report.json (No such file or directory); build image.bin anew"),
+        (["policy", "time", "image.bin"], "image.bin: is an image; run: neuroflight image time image.bin"),
+        (["policy", "time", "policy.onnx", "--inputs", "0"], "--inputs 0, expected 1 to 1000000"),
     ],
 )
 def test_it_refuses_in_one_line_what_makes_no_sense(
-    words: list[str], told: str, tmp_path: Path, capsys: Capture
+    words: list[str], told: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
 ) -> None:
-    assert main(["timing", str(tmp_path / words[0]), *words[1:]]) == 1
+    monkeypatch.chdir(tmp_path)
+    assert main(words) == 1
     (line,) = capsys.readouterr().err.splitlines()
     assert told in line
+
+
+@pytest.mark.parametrize(
+    "words", [["policy", "time", "a.onnx", "--seed", "1"], ["image", "time", "a.bin", "--blocks"]]
+)
+def test_it_knows_no_option_of_the_other(words: list[str], capsys: Capture) -> None:
+    with pytest.raises(SystemExit):
+        main(words)
+    assert f"unrecognized arguments: {words[3]}" in capsys.readouterr().err
 
 
 def test_it_tells_what_optimization_saves_when_a_policy_has_something_to_fold(
@@ -48,9 +57,9 @@ def test_it_tells_what_optimization_saves_when_a_policy_has_something_to_fold(
 ) -> None:
     policy = tmp_path / "policy.onnx"
     checkpoint = ROOT / "training" / "policies" / "nf1" / "checkpoint.pt"
-    assert main(["freeze", str(checkpoint), "--unfolded", "--out", str(policy), "--json"]) == 0
+    assert main(["policy", "import", str(checkpoint), "--unfolded", "--out", str(policy), "--json"]) == 0
     graph = json.loads(capsys.readouterr().out)["graph"]
-    assert main(["timing", str(policy), "--unoptimized", "--inputs", "1", "--json"]) == 0
+    assert main(["policy", "time", str(policy), "--unoptimized", "--inputs", "1", "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
     before, after, saved = (told["optimization"][name] for name in ("before", "after", "saved"))
     assert (graph["nodes"], graph["operations"]) == (before["nodes"], before["operations"])
@@ -68,7 +77,7 @@ def test_it_tells_what_other_counts_tell_when_the_image_has_flown(
     report = json.loads(image.with_name("report.json").read_text())
     plot = tmp_path / "runs.png"
     more = ["--disarmed", "1000", "--serial", "1000", "--plot", str(plot)]
-    assert main(["timing", str(image), "--count", "1", *more, "--json"]) == 0
+    assert main(["image", "time", str(image), "--count", "1", *more, "--json"]) == 0
     assert plot.read_bytes().startswith(b"\x89PNG")
     document = json.loads(capsys.readouterr().out)
     assert document["image_sha256"] == hashlib.sha256(image.read_bytes()).hexdigest()

@@ -1,4 +1,4 @@
-"""`neuroflight train` as a user types it."""
+"""`neuroflight policy train` as a user types it."""
 
 import json
 from pathlib import Path
@@ -25,7 +25,7 @@ TINY = [
 
 
 def test_the_best_of_several_seeds_is_kept(tmp_path: Path, capsys: Capture) -> None:
-    words = ["train", "--algorithm", "ppo", *TINY, "--steps", "128", "--seed", "4", "--seeds", "2"]
+    words = ["policy", "train", "--algorithm", "ppo", *TINY, "--steps", "128", "--seed", "4", "--seeds", "2"]
     assert main([*words, "--out", str(tmp_path), "--json"]) == 0
     record = json.loads(capsys.readouterr().out)
     assert list(record["seeds"]) == ["4", "5"]
@@ -36,7 +36,7 @@ def test_the_best_of_several_seeds_is_kept(tmp_path: Path, capsys: Capture) -> N
     for name in ("checkpoint.pt", "policy.onnx"):
         assert (tmp_path / name).read_bytes() == (best / name).read_bytes()
     assert record["command"] == (
-        "neuroflight train --aircraft nf1 --algorithm ppo --steps 128 --seed 4 --seeds 2 --set "
+        "neuroflight policy train --aircraft nf1 --algorithm ppo --steps 128 --seed 4 --seeds 2 --set "
         "task=episodic task.hold_s=0.05 'hidden=[8,8]' algorithm.aircraft=8 algorithm.leg=1 "
         "algorithm.horizon=16 algorithm.minibatch=64"
     )
@@ -48,6 +48,7 @@ def test_the_best_of_several_seeds_is_kept(tmp_path: Path, capsys: Capture) -> N
 def test_the_chosen_checkpoint_is_what_freeze_makes_of_the_file(tmp_path: Path, capsys: Capture) -> None:
     out = tmp_path / "run"
     words = [
+        "policy",
         "train",
         "--algorithm",
         "ppo",
@@ -63,7 +64,7 @@ def test_the_chosen_checkpoint_is_what_freeze_makes_of_the_file(tmp_path: Path, 
     assert [metrics["steps"] for metrics in record["monitor"]] == [128, 256, 384, 512]
     assert record["chosen"]["steps"] in (128, 256, 384, 512)
     again = tmp_path / "again.onnx"
-    assert main(["freeze", str(out / "checkpoint.pt"), "--out", str(again)]) == 0
+    assert main(["policy", "import", str(out / "checkpoint.pt"), "--out", str(again)]) == 0
     assert again.read_bytes() == (out / "policy.onnx").read_bytes()
     assert load_config(out / "training.json").seed == record["config"]["seed"]
     tags = _tensorboard(out / "tensorboard")
@@ -78,7 +79,18 @@ def test_an_aircraft_of_ones_own_gets_the_flying_recipe_whatever_it_is_called(
     text = (FOLDER / "nf1.toml").read_text().replace('name = "nf1"', f'name = "{name}"')
     own.write_text(text[: text.index("[battery]")] + text[text.index("[body]") :])  # what a first file lacks
     unchecked = "selection.fit=false"  # no step makes a policy that is fit
-    words = ["train", "--aircraft", str(own), "--steps", "1", "--set", unchecked, "--out", str(tmp_path)]
+    words = [
+        "policy",
+        "train",
+        "--aircraft",
+        str(own),
+        "--steps",
+        "1",
+        "--set",
+        unchecked,
+        "--out",
+        str(tmp_path),
+    ]
     assert main([*words, "--json"]) == 0
     record = json.loads(capsys.readouterr().out)
     wanted = load_config("nf1", ["steps=1", unchecked]).document(load_aircraft(own))
@@ -116,7 +128,7 @@ def test_invalid_arguments_are_rejected_in_one_line_and_nothing_is_written(
     arguments: list[str], message: str, tmp_path: Path, capsys: Capture
 ) -> None:
     out = tmp_path / "out"
-    assert main(["train", "--out", str(out), *arguments]) == 1
+    assert main(["policy", "train", "--out", str(out), *arguments]) == 1
     captured = capsys.readouterr()
     assert message in captured.err
     assert captured.err.startswith("neuroflight: ")

@@ -1,4 +1,4 @@
-"""`neuroflight train` and `neuroflight evaluate` as a user types them."""
+"""`neuroflight policy train` and `neuroflight evaluate` as a user types them."""
 
 import json
 from pathlib import Path
@@ -14,7 +14,18 @@ Capture = pytest.CaptureFixture[str]
 def test_train_writes_its_results_and_does_not_replace_them_without_force(
     tmp_path: Path, capsys: Capture
 ) -> None:
-    arguments = ["train", "--aircraft", "nf1", "--algorithm", "ppo", "--steps", "32768", "--seed", "3"]
+    arguments = [
+        "policy",
+        "train",
+        "--aircraft",
+        "nf1",
+        "--algorithm",
+        "ppo",
+        "--steps",
+        "32768",
+        "--seed",
+        "3",
+    ]
     arguments += ["--out", str(tmp_path)]
     assert main(arguments) == 0
     assert "32,768 steps" in capsys.readouterr().out
@@ -22,7 +33,7 @@ def test_train_writes_its_results_and_does_not_replace_them_without_force(
     results = {"checkpoint.pt", "policy.onnx", "training.json"}
     assert set(made) == {*results, "monitor.json", "monitor.png", "rewards.csv"}
     assert json.loads(made["training.json"])["command"] == (
-        "neuroflight train --aircraft nf1 --algorithm ppo --steps 32768 --seed 3"
+        "neuroflight policy train --aircraft nf1 --algorithm ppo --steps 32768 --seed 3"
     )
     assert main(arguments) == 1
     assert "already holds a checkpoint" in capsys.readouterr().err
@@ -53,7 +64,7 @@ def test_evaluate_json_names_the_conditions(task: str, tmp_path: Path, capsys: C
     assert main([*words, "--delay", "0", "--json", "--plot", str(plot)]) == 0
     document = json.loads(capsys.readouterr().out)
     assert document["command"] == (
-        f"neuroflight evaluate pid:published --aircraft nf1 --task {task} --episodes 3 --seed 8 "
+        f"neuroflight compare pid:published --aircraft nf1 --one --task {task} --episodes 3 --seed 8 "
         "--no-noise --delay 0"
     )
     assert (document["pid"], document["noise"], document["delay_s"]) == ("published", False, 0.0)
@@ -104,7 +115,7 @@ def test_evaluate_rejects_a_policy_for_another_number_of_motors(
     )
     text = (FOLDER / "nf1.toml").read_text().split("[pid.")[0]
     five.write_text(text.replace("[propulsion]", rotor))
-    assert main(["evaluate", str(shipped_policy), "--aircraft", str(five)]) == 1
+    assert main(["compare", "--one", str(shipped_policy), "--aircraft", str(five)]) == 1
     captured = capsys.readouterr()
     assert "drives 4 motors, aircraft nf1 has 5" in captured.err
     assert captured.err.count("\n") == 1
@@ -113,20 +124,10 @@ def test_evaluate_rejects_a_policy_for_another_number_of_motors(
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["train", "--aircraft", "nf9", "--out", "OUT"], "nf9"),
-        (["train", "--steps", "0", "--out", "OUT"], "0 steps asked for, expected at least 1"),
-        (["train", "--seed", "-4", "--out", "OUT"], "seed -4"),
-        (["train", "--out", "FILE"], "is no folder"),
-        (["evaluate", "OUT/none.onnx"], "none.onnx"),
-        (["evaluate", "FILE"], "no ONNX model: it is text"),
-        (["evaluate", "pid", "--episodes", "0"], "--episodes 0"),
-        (["evaluate", "pid", "--episodes", "99999"], "--episodes 99999"),
-        (["evaluate", "pid", "--throttle", "1.5"], "--throttle 1.5"),
-        (["evaluate", "pid", "--seed", "-1"], "--seed -1"),
-        (["evaluate", "pid", "--delay", "nan"], "--delay nan, expected 0 to 0.1 s"),
-        (["evaluate", "pid", "--idle", "0.9"], "--idle 0.9"),
-        (["evaluate", "pid:best"], "no PID 'best'"),
-        (["evaluate", "pid", "--plot", "OUT"], "ends in .png"),
+        (["policy", "train", "--aircraft", "nf9", "--out", "OUT"], "nf9"),
+        (["policy", "train", "--steps", "0", "--out", "OUT"], "0 steps asked for, expected at least 1"),
+        (["policy", "train", "--seed", "-4", "--out", "OUT"], "seed -4"),
+        (["policy", "train", "--out", "FILE"], "is no folder"),
     ],
 )
 def test_bad_input_is_rejected_in_one_line_and_nothing_is_written(

@@ -1,4 +1,4 @@
-"""`neuroflight twin noise`."""
+"""`neuroflight aircraft noise`."""
 
 import json
 from pathlib import Path
@@ -39,7 +39,7 @@ def save(path: Path, rate_deg_s: np.ndarray) -> None:
 def test_figures_are_one_document_when_json_is_asked_for(
     log: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["twin", "noise", str(log), "--json"]) == 0
+    assert main(["aircraft", "noise", str(log), "--json"]) == 0
     document = json.loads(capsys.readouterr().out)
     assert document["gyro_deg_s"]["sigma"] == pytest.approx(SIGMA, rel=0.025)
     assert document["accelerometer_m_s2"]["sigma"] == pytest.approx([0.1] * 3, rel=0.025)
@@ -52,7 +52,7 @@ def test_figures_are_one_document_when_json_is_asked_for(
 def test_figures_and_what_bias_means_are_printed_when_no_json_is_asked_for(
     log: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["twin", "noise", str(log)]) == 0
+    assert main(["aircraft", "noise", str(log)]) == 0
     out = capsys.readouterr().out
     assert "20,000 samples, 20.0 s at 1,000.0 a second" in out
     assert "bias_deg_s is the spread of a bias" in out
@@ -61,7 +61,7 @@ def test_figures_and_what_bias_means_are_printed_when_no_json_is_asked_for(
 def test_aircraft_takes_the_noise_and_keeps_the_rest_when_written(log: Path, tmp_path: Path) -> None:
     path, plot = tmp_path / "own.toml", tmp_path / "noise.png"
     path.write_bytes(NF1)
-    assert main(["twin", "noise", str(log), "--write", str(path), "--plot", str(plot)]) == 0
+    assert main(["aircraft", "noise", str(log), "--write", str(path), "--plot", str(plot)]) == 0
     aircraft, before = load_aircraft(path), load_aircraft("nf1")
     assert np.rad2deg(aircraft.gyro.noise) == pytest.approx(SIGMA, rel=0.025)
     assert np.rad2deg(aircraft.gyro.bias) == pytest.approx(0.3, rel=0.1)
@@ -80,10 +80,10 @@ def test_nothing_is_written_when_the_aircraft_moved(
     log, path = tmp_path / "moved.csv", tmp_path / "own.toml"
     save(log, 20 * np.sin(np.arange(COUNT) / 500)[:, None] * [1.0, 0.0, 0.0])
     path.write_bytes(NF1)
-    assert main(["twin", "noise", str(log), "--write", str(path)]) == 1
+    assert main(["aircraft", "noise", str(log), "--write", str(path)]) == 1
     assert "the aircraft moved" in capsys.readouterr().err
     assert path.read_bytes() == NF1
-    assert main(["twin", "noise", str(log), "--json"]) == 0
+    assert main(["aircraft", "noise", str(log), "--json"]) == 0
     document = json.loads(capsys.readouterr().out)
     assert document["moved"]
     assert document["aircraft"] is None
@@ -111,7 +111,7 @@ def test_mistake_is_one_line_when_an_argument_is_wrong(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.chdir(log.parent)
-    assert main(["twin", "noise", str(log), *arguments]) == 1
+    assert main(["aircraft", "noise", str(log), *arguments]) == 1
     error = capsys.readouterr().err
     assert message in error
     assert error.count("\n") == 1
@@ -119,5 +119,5 @@ def test_mistake_is_one_line_when_an_argument_is_wrong(
 
 
 def test_mistake_is_one_line_when_there_is_no_log(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["twin", "noise", str(tmp_path / "none.csv")]) == 1
+    assert main(["aircraft", "noise", str(tmp_path / "none.csv")]) == 1
     assert capsys.readouterr().err.endswith("none.csv: no such file\n")

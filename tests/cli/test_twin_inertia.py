@@ -1,4 +1,4 @@
-"""`neuroflight twin inertia`: logs of pendulums whose moment is known."""
+"""`neuroflight aircraft inertia`: logs of pendulums whose moment is known."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def logs(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_three_hangings_tell_the_three_moments(logs: Path, capsys: Capture) -> None:
     names = [str(logs / f"{name}.csv") for name in ("yaw", "roll", "pitch")]
-    assert main(["twin", "inertia", *names, *BIFILAR, "--aircraft", "nf1", "--json"]) == 0
+    assert main(["aircraft", "inertia", *names, *BIFILAR, "--aircraft", "nf1", "--json"]) == 0
     document = json.loads(capsys.readouterr().out)
     filed = np.diag(load_aircraft("nf1").mass_properties.inertia)
     for axis, name in enumerate(("roll", "pitch", "yaw")):
@@ -75,7 +75,7 @@ def test_three_hangings_tell_the_three_moments(logs: Path, capsys: Capture) -> N
 def test_a_torsion_wire_and_its_reference_tell_the_same(logs: Path, capsys: Capture) -> None:
     found = []
     for wire in (["--stiffness", str(WIRE)], ["--reference", str(logs / "reference.csv"), "2e-3"]):
-        assert main(["twin", "inertia", str(logs / "wire.csv"), *wire, "--json"]) == 0
+        assert main(["aircraft", "inertia", str(logs / "wire.csv"), *wire, "--json"]) == 0
         document = json.loads(capsys.readouterr().out)
         assert document["line"] is None and set(document["axes"]) == {"pitch"}
         found.append(document["axes"]["pitch"])
@@ -86,7 +86,7 @@ def test_a_torsion_wire_and_its_reference_tell_the_same(logs: Path, capsys: Capt
 def test_moments_are_told_and_drawn(logs: Path, tmp_path: Path, capsys: Capture) -> None:
     plot = tmp_path / "swings.png"
     names = [str(logs / f"{name}.csv") for name in ("roll", "pitch", "yaw")]
-    arguments = ["twin", "inertia", *names, *BIFILAR, "--plot", str(plot), "--aircraft", "nf1"]
+    arguments = ["aircraft", "inertia", *names, *BIFILAR, "--plot", str(plot), "--aircraft", "nf1"]
     assert main(arguments) == 0
     out = capsys.readouterr().out
     assert "inertia_kg_m2 = [" in out and "nf1's file says" in out and "1 % of the distance" in out
@@ -118,7 +118,7 @@ def test_mistake_is_one_line_and_nothing_is_drawn(
 ) -> None:
     monkeypatch.chdir(logs)
     before = sorted(logs.iterdir())
-    assert main(["twin", "inertia", *arguments]) == 1
+    assert main(["aircraft", "inertia", *arguments]) == 1
     told = capsys.readouterr()
     assert message in told.err and told.err.count("\n") == 1 and told.out == ""
     assert sorted(logs.iterdir()) == before
@@ -127,6 +127,6 @@ def test_mistake_is_one_line_and_nothing_is_drawn(
 @pytest.mark.parametrize("wires", [[], [*BIFILAR, "--stiffness", "1"]])
 def test_wires_are_of_one_kind(logs: Path, wires: list[str], capsys: Capture) -> None:
     with pytest.raises(SystemExit) as ended:
-        main(["twin", "inertia", str(logs / "roll.csv"), *wires])
+        main(["aircraft", "inertia", str(logs / "roll.csv"), *wires])
     assert ended.value.code == 2
     assert "--stiffness" in capsys.readouterr().err

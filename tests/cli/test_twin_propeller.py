@@ -1,4 +1,4 @@
-"""`neuroflight twin propeller`."""
+"""`neuroflight aircraft propeller`."""
 
 import json
 from pathlib import Path
@@ -24,7 +24,7 @@ def test_an_aircraft_takes_what_was_fitted(
 ) -> None:
     own, plot = tmp_path / "own.toml", tmp_path / "prop.png"
     own.write_bytes((FOLDER / "nf1.toml").read_bytes())
-    words = ["twin", "propeller", str(table), "--degree", "1", "--write", str(own), "--plot", str(plot)]
+    words = ["aircraft", "propeller", str(table), "--degree", "1", "--write", str(own), "--plot", str(plot)]
     assert main(words) == 0
     out = capsys.readouterr().out
     assert "thrust = [-1.0, 0.0]" in out and f"written to {own}" in out
@@ -36,7 +36,18 @@ def test_an_aircraft_takes_what_was_fitted(
 def test_figures_and_a_climb_are_one_document_when_json_is_asked_for(
     table: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    words = ["twin", "propeller", str(table), "--degree", "1", "--aircraft", "nf1", "--climb", "8", "--json"]
+    words = [
+        "aircraft",
+        "propeller",
+        str(table),
+        "--degree",
+        "1",
+        "--aircraft",
+        "nf1",
+        "--climb",
+        "8",
+        "--json",
+    ]
     assert main(words) == 0
     document = json.loads(capsys.readouterr().out)
     climb = document["climb"]
@@ -60,7 +71,7 @@ def test_a_mistake_is_one_line_and_nothing_is_written(
 ) -> None:
     own = tmp_path / "own.toml"
     own.write_bytes((FOLDER / "nf1.toml").read_bytes())
-    assert main(["twin", "propeller", str(table), "--write", str(own), *words]) == 1
+    assert main(["aircraft", "propeller", str(table), "--write", str(own), *words]) == 1
     error = capsys.readouterr().err
     assert message in error and error.count("\n") == 1
     assert own.read_bytes() == (FOLDER / "nf1.toml").read_bytes()
@@ -73,5 +84,5 @@ def test_an_aircraft_without_a_diameter_is_refused(
     lines = (FOLDER / "nf1.toml").read_text().splitlines(keepends=True)
     bare.write_text("".join(line for line in lines if not line.startswith("propeller_diameter_m")))
     for option in ("--aircraft", "--write"):
-        assert main(["twin", "propeller", str(table), option, str(bare)]) == 1
+        assert main(["aircraft", "propeller", str(table), option, str(bare)]) == 1
         assert "propeller_diameter_m" in capsys.readouterr().err

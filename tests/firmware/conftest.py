@@ -27,11 +27,11 @@ from neuroflight.sim.ports.port import flight_settings
 from neuroflight.toolchain import contract
 from neuroflight.toolchain.contract import CHANNEL_ARM, CHANNEL_COUNT, CHANNEL_THROTTLE
 from neuroflight.toolchain.errors import BuildError
-from neuroflight.toolchain.files import write_text_if_changed
+from neuroflight.toolchain.files import locked, write_text_if_changed
 from neuroflight.toolchain.policy.blob import PolicyBlob, blob_terms, pack
 from neuroflight.toolchain.rendering.contract_header import render_contract
 from neuroflight.toolchain.rendering.pid_table import render_pid_table
-from tests.conftest import Once
+from tests.conftest import BUILD
 
 ROOT = Path(__file__).resolve().parents[2]
 FIRMWARE = ROOT / "firmware"
@@ -193,18 +193,22 @@ def make_scripted(scratch: Path, motors: int, firmware: Path = FIRMWARE) -> Path
     return build
 
 
+def kept_scripted(folder: Path, motors: int) -> Path:
+    """The same in a folder that all workers, and the next run, find again."""
+    with locked(folder):
+        return make_scripted(folder, motors)
+
+
 @pytest.fixture(scope="session")
-def scripted_build(once: Once) -> Path:
+def scripted_build() -> Path:
     """Build directory of the host target around the scripted policy with four motors."""
-    if kept := os.environ.get(SCRIPTED_BUILD):
-        return make_scripted(Path(kept), motors=4)
-    return once("scripted", lambda folder: make_scripted(folder, motors=4)) / "build"
+    return kept_scripted(Path(os.environ.get(SCRIPTED_BUILD, BUILD / "scripted")), motors=4)
 
 
 @pytest.fixture(scope="session")
-def hexacopter_build(once: Once) -> Path:
+def hexacopter_build() -> Path:
     """The same with six motors."""
-    return once("hexacopter", lambda folder: make_scripted(folder, motors=6)) / "build"
+    return kept_scripted(BUILD / "hexacopter", motors=6)
 
 
 @pytest.fixture(scope="session")

@@ -1,4 +1,4 @@
-"""`neuroflight msp calibrate`: of the host program at rest, and of a gyro that never rests."""
+"""`neuroflight board calibrate`: of the host program at rest, and of a gyro that never rests."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def test_the_command_says_so_when_the_gyro_is_calibrated(
     time_passes = threading.Thread(target=rest)
     time_passes.start()
     try:
-        assert main(["msp", "--port", host.port, "calibrate"]) == 0
+        assert main(["board", "calibrate", "--port", host.port]) == 0
     finally:
         over.set()
         time_passes.join()

@@ -1,4 +1,4 @@
-"""`neuroflight motor` and `monitor` over the emulated board's UART: what its ESCs hear, by its own time."""
+"""`board motors` and `board monitor` over the emulated board's UART: what its ESCs hear, by its own time."""
 
 from __future__ import annotations
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from neuroflight.cli.main import parser
+from neuroflight.cli.main import parse
 from neuroflight.flash.channels.script import check_script, parse_script
 from tests.flash.channels.test_layout import layout
 
@@ -18,7 +18,7 @@ COMMANDS = re.findall(r"^neuroflight (.+)$", PAGE, re.MULTILINE)
 
 @pytest.mark.parametrize("line", COMMANDS)
 def test_a_printed_command_is_understood(line: str) -> None:
-    args = parser().parse_args(shlex.split(line, comments=True))
+    args = parse(shlex.split(line, comments=True))
     # What speaks to an aircraft names its port; what works on files has none.
     assert getattr(args, "port", None) == ("PORT" if "PORT" in line.split() else None)
 
@@ -29,8 +29,15 @@ def test_all_commands_but_those_about_files_name_their_port() -> None:
 
 def test_all_commands_are_printed() -> None:
     assert len(COMMANDS) >= 15
-    for word in ("motor test", "motor spin", "motor direction", "motor order", "motor stop", "rc --script"):
-        assert any(line.startswith(word) for line in COMMANDS)
+    for word in (
+        "motors test",
+        "motors spin",
+        "motors direction",
+        "motors order",
+        "motors stop",
+        "rc --script",
+    ):
+        assert any(line.startswith(f"board {word}") for line in COMMANDS)
 
 
 @pytest.mark.parametrize("suffix", ["csv", "toml"])

@@ -1,4 +1,4 @@
-"""`neuroflight msp info` and an independent client against the running host program."""
+"""`neuroflight board info` and an independent client against the running host program."""
 
 from __future__ import annotations
 
@@ -110,7 +110,7 @@ def test_json_tells_firmware_policy_and_reasons_when_the_host_program_is_asked(
     host: Host, capsys: pytest.CaptureFixture[str]
 ) -> None:
     host.fly(LINK_SAMPLES, STICKS_DOWN)
-    assert main(["msp", "--port", host.port, "info", "--json"]) == 0
+    assert main(["board", "info", "--port", host.port, "--json"]) == 0
     info = json.loads(capsys.readouterr().out)
     assert info["variant"] == MSP_VARIANT_BETAFLIGHT
     assert info["version"] == ".".join(map(str, VERSION))
@@ -134,7 +134,7 @@ def test_table_has_the_same_facts_when_json_is_not_asked_for(
 ) -> None:
     info = host.info()
     assert info.policy is not None
-    assert main(["msp", "--port", host.port, "info"]) == 0
+    assert main(["board", "info", "--port", host.port]) == 0
     table = "".join(capsys.readouterr().out.split())
     for fact in (info.version, info.uid, info.policy.sha256, info.policy.name, *info.arming_reasons):
         assert fact in table
@@ -258,7 +258,7 @@ def test_a_command_that_would_write_is_refused_when_sent(host: Host) -> None:
 def test_one_line_and_status_1_when_nobody_listens(
     free_tcp_port: int, as_json: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["msp", "--port", f"tcp:127.0.0.1:{free_tcp_port}", "info", *as_json]) == 1
+    assert main(["board", "info", "--port", f"tcp:127.0.0.1:{free_tcp_port}", *as_json]) == 1
     output = capsys.readouterr()
     assert output.out == ""
     assert output.err.count("\n") == 1
@@ -268,5 +268,5 @@ def test_one_line_and_status_1_when_nobody_listens(
 def test_nothing_is_acknowledged_when_nothing_is_the_matter(
     host: Host, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["msp", "--port", host.port, "acknowledge"]) == 0
+    assert main(["board", "acknowledge", "--port", host.port]) == 0
     assert capsys.readouterr().out == "there was nothing to acknowledge\n"

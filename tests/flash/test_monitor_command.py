@@ -1,4 +1,4 @@
-"""`neuroflight monitor`: one frame as text, JSON, and the live screen in a terminal."""
+"""`neuroflight board monitor`: one frame as text, JSON, and the live screen in a terminal."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from typing import Any
 import pytest
 from rich.console import Console
 
-from neuroflight.cli.flash.monitor_view import OLD, view
+from neuroflight.cli.board.monitor_view import OLD, view
 from neuroflight.cli.main import main
 from neuroflight.flash.board.hints import HINTS
 from neuroflight.flash.link.transport import open_transport
@@ -59,7 +59,7 @@ def test_every_panel_fits_the_terminal(sight: Sight, width: int, height: int) ->
         assert word in text
     for word in ("boot", "nf1, good", "roll", "1 rear right", "4 front left", "control", "storage", "fault"):
         assert word in text
-    assert "boot grace: " in text and ("more; see `msp status`" in text or "battery unknown: " in text)
+    assert "boot grace: " in text and ("more; see `board status`" in text or "battery unknown: " in text)
     assert ("aux12" in text) == (height >= 40)
     if width >= 200:
         assert "…" not in text
@@ -95,14 +95,14 @@ def test_names_that_a_board_tells_are_no_markup(sight: Sight) -> None:
 
 
 def test_one_frame_is_text_when_asked_for_once(resting_host: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["monitor", "--port", resting_host, "--once"]) == 0
+    assert main(["board", "monitor", "--port", resting_host, "--once"]) == 0
     out = capsys.readouterr().out
     assert "\x1b" not in out and "…" not in out
     assert f"boot grace: {HINTS['BOOT_GRACE']}" in out and "aux12" in out and "4 front left" in out
 
 
 def test_one_document_is_json_when_asked_for(resting_host: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["monitor", "--port", resting_host, "--json"]) == 0
+    assert main(["board", "monitor", "--port", resting_host, "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
     assert told["overview"]["arming_reasons"]["NOT_LEVEL"] == HINTS["NOT_LEVEL"]
     assert told["info"]["board"]["target"] == "HOST" and told["channels_us"]["throttle"] == 1000
@@ -120,7 +120,7 @@ def test_one_document_is_json_when_asked_for(resting_host: str, capsys: pytest.C
     ],
 )
 def test_one_line_says_what_is_wrong(words: list[str], told: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["monitor", *words, "--once"]) == 1
+    assert main(["board", "monitor", *words, "--once"]) == 1
     err = capsys.readouterr().err
     assert err.count("\n") == 1 and told in err
 
@@ -129,13 +129,13 @@ def test_one_line_says_so_when_the_device_is_someone_elses(
     tcp_server: Callable[..., str], capsys: pytest.CaptureFixture[str]
 ) -> None:
     port = tcp_server(lambda data: b"$GPGGA,123519,4807.038,N,01131.000,E,1,08\r\n")
-    assert main(["monitor", "--port", port, "--once"]) == 1
+    assert main(["board", "monitor", "--port", port, "--once"]) == 1
     err = capsys.readouterr().err
     assert err.count("\n") == 1 and "bytes that are no MSP" in err
 
 
 def test_it_says_so_when_there_is_no_terminal(resting_host: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["monitor", "--port", resting_host]) == 1
+    assert main(["board", "monitor", "--port", resting_host]) == 1
     assert capsys.readouterr().err == "neuroflight: stdout is no terminal; give --once or --json\n"
 
 
@@ -145,7 +145,17 @@ class Screen:
     def __init__(self, port: str) -> None:
         self.ours, theirs = pty.openpty()
         fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("4H", 24, 80, 0, 0))
-        command = [sys.executable, "-m", "neuroflight.cli.main", "monitor", "--port", port, "--rate", "20"]
+        command = [
+            sys.executable,
+            "-m",
+            "neuroflight.cli.main",
+            "board",
+            "monitor",
+            "--port",
+            port,
+            "--rate",
+            "20",
+        ]
         env = os.environ | {"TERM": "xterm-256color", "COLUMNS": "", "LINES": ""}
         self.before = termios.tcgetattr(theirs)
         self.process = subprocess.Popen(

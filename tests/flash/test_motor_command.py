@@ -1,4 +1,4 @@
-"""`neuroflight motor` against the host program: what it asks, says and never turns without leave to."""
+"""`board motors` against the host program: what it asks, says and never turns without leave to."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from pathlib import Path
 
 import pytest
 
-from neuroflight.cli.flash import motor
-from neuroflight.cli.flash.motor_places import motor_places
-from neuroflight.cli.main import main, parser
+from neuroflight.cli.board import motors
+from neuroflight.cli.board.motor_places import motor_places
+from neuroflight.cli.main import main, parse
 from neuroflight.flash.link.msp import Decoder, Message
 from neuroflight.flash.motors.session import LIMIT_DEFAULT
 from neuroflight.flash.motors.spin import Spin
@@ -40,8 +40,9 @@ class Person:
         return self.answers.pop(0) + "\n" if self.answers else ""
 
     def run(self, *words: str) -> int:
-        args = parser().parse_args(["motor", *words, "--port", self.bench.port])
-        return motor.carry_out(args, motor.Desk(self.ask, self.bench.clock, self.bench.sleep))
+        args = parse(["board", "motors", *words, "--port", self.bench.port])
+        desk = motors.Desk(self.ask, self.bench.clock, self.bench.sleep)
+        return int(args._target.of(args).carry_out(desk))
 
 
 # --- Confirmation ----------------------------------------------------------------------------------
@@ -112,9 +113,9 @@ def test_nothing_turns_above_a_limit(booted: Lockstep, words: list[str], told: s
 
 
 def test_the_commands_defaults_are_the_rooms() -> None:
-    given = Spin([0], 4, motor.FRACTION_DEFAULT)
-    assert (given.seconds, given.ramp_s) == (motor.SECONDS_DEFAULT, motor.RAMP_DEFAULT)
-    assert given.limit == motor.LIMIT_DEFAULT == LIMIT_DEFAULT
+    given = Spin([0], 4, motors.FRACTION_DEFAULT)
+    assert (given.seconds, given.ramp_s) == (motors.SECONDS_DEFAULT, motors.RAMP_DEFAULT)
+    assert given.limit == motors.LIMIT_DEFAULT == LIMIT_DEFAULT
 
 
 def test_what_is_wrong_is_told_before_anybody_is_asked(booted: Lockstep) -> None:
@@ -153,8 +154,8 @@ def test_what_is_wrong_is_said_with_its_mend(booted: Lockstep, capsys: pytest.Ca
     person = Person(booted, "", "no", "", "yes", "no", "s", "s")
     assert person.run("test", "--props-off", "--seconds", "0.1", "--ramp", "0") == 1
     out = capsys.readouterr().out
-    assert "motor 1: another one turned, or none; see `neuroflight motor order`\n" in out
-    assert "`neuroflight motor direction 2 reversed --save`" in out
+    assert "motor 1: another one turned, or none; see `neuroflight board motors order`\n" in out
+    assert "`neuroflight board motors direction 2 reversed --save`" in out
     assert booted.most == pytest.approx((0.1, 0.1, 0, 0), abs=1e-3)
 
 
@@ -171,9 +172,9 @@ def test_a_battery_that_fell_between_two_motors_ends_it(booted: Lockstep) -> Non
             booted.run(2000)
         return "yes\n"
 
-    args = parser().parse_args(["motor", "test", "--props-off", "--seconds", "0.1", "--port", booted.port])
+    args = parse(["board", "motors", "test", "--props-off", "--seconds", "0.1", "--port", booted.port])
     with pytest.raises(LinkError, match="the battery is low"):
-        motor.carry_out(args, motor.Desk(ask, booted.clock, booted.sleep))
+        args._target.of(args).carry_out(motors.Desk(ask, booted.clock, booted.sleep))
     assert booted.most[1:] == (0, 0, 0)
 
 
@@ -276,8 +277,8 @@ def test_an_interrupted_stop_does_not_say_that_motors_stand(
     with booted.client() as other:
         other.request(Msp.ARMING_DISABLE, b"\0\1")
         booted.run(5)
-        args = parser().parse_args(["motor", "stop", "--port", booted.port])
-        assert motor.carry_out(args, motor.Desk(lambda question: "", booted.clock, sleep)) == 130
+        args = parse(["board", "motors", "stop", "--port", booted.port])
+        assert args._target.of(args).carry_out(motors.Desk(lambda question: "", booted.clock, sleep)) == 130
     assert capsys.readouterr().err == (
         "neuroflight: interrupted; whether the motors stand was not seen; ask again\n"
     )
@@ -298,7 +299,19 @@ class Spinning:
         self.ready = threading.Event()
         self._decoder = Decoder()
         device = lay(bench.port, down=self._down, up=self._up)
-        words = ["motor", "spin", "1", "--seconds", "60", "--ramp", "0", "--props-off", "--port", device]
+        words = [
+            "board",
+            "motors",
+            "spin",
+            "1",
+            "--seconds",
+            "60",
+            "--ramp",
+            "0",
+            "--props-off",
+            "--port",
+            device,
+        ]
         self.process = subprocess.Popen(
             [sys.executable, "-m", "neuroflight.cli.main", *words], stderr=subprocess.PIPE, text=True
         )
@@ -371,7 +384,7 @@ def test_one_line_says_what_is_wrong_with_the_port(
         ("nonsense", "is of no known form"),
         ("/dev/null", "cannot be opened as a serial port"),
     ):
-        assert main(["motor", *words, "--port", port]) == 1
+        assert main(["board", "motors", *words, "--port", port]) == 1
         err = capsys.readouterr().err
         assert err.count("\n") == 1 and told in err
 
@@ -381,6 +394,6 @@ def test_one_line_says_so_when_the_device_is_someone_elses(
 ) -> None:
     port = tcp_server(lambda data: b"$GPGGA,123519,4807.038,N,01131.000,E,1,08\r\n")
     monkeypatch.setattr("neuroflight.flash.motors.session.STOP_TIMEOUT_S", 0.05)
-    assert main(["motor", "stop", "--port", port]) == 1
+    assert main(["board", "motors", "stop", "--port", port]) == 1
     err = capsys.readouterr().err
     assert err.count("\n") == 1 and "bytes that are no MSP" in err

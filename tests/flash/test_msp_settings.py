@@ -1,4 +1,4 @@
-"""`neuroflight msp` get, set, diff, dump, restore, save and defaults against the running host program."""
+"""`board settings` get, set, diff, dump, restore, save and defaults against the running host program."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def msp(resting_host: str, capsys: pytest.CaptureFixture[str]) -> Run:
     """Give it words behind `msp`: exit code, stdout, stderr. `port`: another than the host program's."""
 
     def run(*words: str, port: str = resting_host) -> tuple[int, str, str]:
-        code = main(["msp", "--port", port, *words])
+        code = main(["board", "settings", *words, "--port", port])
         output = capsys.readouterr()
         assert output.err.count("\n") <= 1
         return code, output.out, output.err

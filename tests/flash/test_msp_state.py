@@ -1,4 +1,4 @@
-"""`neuroflight msp` status, tasks, faults and reboot: against the host program and against scripted peers."""
+"""`board` status, tasks, faults and reboot: against the host program and against scripted peers."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def msp(capsys: pytest.CaptureFixture[str]) -> Run:
     """Give it a port and words behind `msp`: exit code, stdout, stderr."""
 
     def run(port: str, *words: str) -> tuple[int, str, str]:
-        code = main(["msp", "--port", port, *words])
+        code = main(["board", *words, "--port", port])
         output = capsys.readouterr()
         assert output.err.count("\n") <= 1
         assert "\x1b" not in output.out

@@ -1,4 +1,4 @@
-"""`neuroflight msp stream` of the host program in flight, and of peers that lose, spoil or end it."""
+"""`neuroflight board stream` of the host program in flight, and of peers that lose, spoil or end it."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def msp(capsys: pytest.CaptureFixture[str]) -> Run:
     """Give it a port and words behind `msp`: exit code, stdout, stderr."""
 
     def run(port: str, *words: str) -> tuple[int, str, str]:
-        code = main(["msp", "--port", port, *words])
+        code = main(["board", *words, "--port", port])
         output = capsys.readouterr()
         assert output.err.count("\n") <= 1
         return code, output.out, output.err
@@ -150,7 +150,7 @@ def test_a_terminal_shows_the_newest_sample_in_a_table_that_is_drawn_over(host: 
     host.fly(BOOT_SAMPLES, STICKS_DOWN)
     ours, theirs = os.openpty()
     fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("4H", 40, 120, 0, 0))
-    words = ["msp", "--port", host.port, "stream", "--rate", "100", "--seconds", "0.4"]
+    words = ["board", "stream", "--port", host.port, "--rate", "100", "--seconds", "0.4"]
     command = [sys.executable, "-m", "neuroflight.cli.main", *words]
     shown = b""
     with (
@@ -190,7 +190,7 @@ def test_what_was_received_is_kept_when_it_is_interrupted(
         return data
 
     code = "import sys; from neuroflight.cli.main import main; sys.exit(main(sys.argv[1:]))"
-    words = ["msp", "--port", pty_line(host.port, up=up), "stream", "--rate", "250", "--out", str(out)]
+    words = ["board", "stream", "--port", pty_line(host.port, up=up), "--rate", "250", "--out", str(out)]
     with (
         flying(host),
         subprocess.Popen([sys.executable, "-c", code, *words], stdout=subprocess.PIPE, text=True) as process,

@@ -1,4 +1,4 @@
-"""`neuroflight flash` --policy, --list and --revert with the real firmware of the host program."""
+"""`neuroflight board flash` --policy, --list and --revert with the real firmware of the host program."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from neuroflight.cli.flash.policy_swap import candidate_of
+from neuroflight.cli.board.policy import candidate_of
 from neuroflight.cli.main import main
 from neuroflight.flash.board.info import read_info
 from neuroflight.flash.link.client import Client, RefusedError
@@ -59,10 +59,11 @@ def third(shipped_policy: Path, tmp_path_factory: pytest.TempPathFactory) -> Pat
 
 @pytest.fixture
 def run(board: HostBoard, capsys: pytest.CaptureFixture[str]) -> Run:
-    """Give it words behind `flash`: exit code, stdout, stderr. `port`: another than the board's."""
+    """Give it words behind `board policy`: exit code, stdout, stderr. `port`: another than the board's."""
 
     def call(*words: object, port: str | None = None) -> tuple[int, str, str]:
-        code = main(["flash", "--port", port or board.port, "--unchecked", *map(str, words)])
+        unchecked = ["--unchecked"] if words[0] == "swap" else []
+        code = main(["board", "policy", *map(str, words), *unchecked, "--port", port or board.port])
         output = capsys.readouterr()
         assert output.err.count("\n") <= 1
         assert (code == 0) == (output.err == "")
@@ -89,30 +90,30 @@ def flown(board: HostBoard) -> tuple[PolicySource, int, str, bool]:
 def test_the_board_flies_each_policy_and_goes_back_one_by_one_when_asked(
     run: Run, board: HostBoard, other: Path, third: Path, shipped_policy: Path
 ) -> None:
-    code, out, _ = run("--policy", other)
+    code, out, _ = run("swap", other)
     assert code == 0
     assert "flown now the policy in slot A (number 0, aircraft nf1" in out
     assert "plan erase slot B, write 2" in out
     assert "the board flies other.onnx from slot B: its self-test passed there" in out
     assert flown(board) == (PolicySource.SLOT_B, 1, sha(other), True)
     assert board.starts == 2
-    listed = {row["source"]: row for row in json.loads(run("--list", "--json")[1])}
+    listed = {row["source"]: row for row in json.loads(run("list", "--json")[1])}
     assert [listed[name]["flown"] for name in ("SLOT_A", "SLOT_B")] == [False, True]
     assert listed["SLOT_A"]["sha256"] == sha(shipped_policy)
     assert listed["SLOT_A"]["network"] == "27-56-56-4 tanh"
     assert [row["next"] for row in listed.values()] == [False, True]
 
-    code, out, _ = run("--revert")
+    code, out, _ = run("revert")
     assert "afterwards the policy in slot A (number 0, aircraft nf1" in out
     assert flown(board) == (PolicySource.SLOT_A, 0, sha(shipped_policy), True)
-    code, _, err = run("--revert")
+    code, _, err = run("revert")
     assert code == 1
     assert "has no other good one" in err and "nothing was changed" in err
-    assert "empty" in run("--list")[1]
+    assert "empty" in run("list")[1]
 
-    assert run("--policy", other)[0] == run("--policy", third)[0] == 0
+    assert run("swap", other)[0] == run("swap", third)[0] == 0
     assert flown(board) == (PolicySource.SLOT_A, 2, sha(third), True)
-    assert run("--revert")[0] == 0
+    assert run("revert")[0] == 0
     assert flown(board) == (PolicySource.SLOT_B, 1, sha(other), True)
 
 
@@ -125,22 +126,24 @@ def test_the_pid_alone_flies_when_no_slot_holds_a_policy(
         with Client(open_transport(board.port)) as client:
             info = read_info(client)
         assert "POLICY_BAD" in info.arming_reasons and info.name == "none"
-        assert main(["flash", "--port", board.port, "--revert"]) == 1
+        assert main(["board", "policy", "revert", "--port", board.port]) == 1
         assert "the board flies no policy; nothing was changed" in capsys.readouterr().err
-        assert main(["flash", "--port", board.port, "--list"]) == 0
+        assert main(["board", "policy", "list", "--port", board.port]) == 0
         assert capsys.readouterr().out.count("empty") == 2
-        assert main(["flash", "--port", board.port, "--unchecked", "--policy", str(shipped_policy)]) == 0
+        assert (
+            main(["board", "policy", "swap", str(shipped_policy), "--port", board.port, "--unchecked"]) == 0
+        )
         assert flown(board) == (PolicySource.SLOT_A, 1, sha(shipped_policy), True)
 
 
 def test_the_list_names_networks_of_known_files(
     run: Run, board: HostBoard, other: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    assert run("--policy", other)[0] == 0
-    (row,) = [row for row in json.loads(run("--list", "--json")[1]) if row["source"] == "SLOT_B"]
+    assert run("swap", other)[0] == 0
+    (row,) = [row for row in json.loads(run("list", "--json")[1]) if row["source"] == "SLOT_B"]
     assert (row["network"], row["state"]) == (None, "good")
     monkeypatch.chdir(other.parent)
-    out = run("--list")[1]
+    out = run("list")[1]
     assert re.search(rf"slot B flown 1 nf1 {sha(other)[:12]} 27-56-56-4 tanh good", out)
     assert re.search(r"slot A 0 nf1 \w+ 27-56-56-4 tanh good", out)
 
@@ -149,18 +152,18 @@ def test_nothing_is_written_when_it_is_flown_already_or_only_planned(
     run: Run, board: HostBoard, other: Path, shipped_policy: Path
 ) -> None:
     before = board.flash.read_bytes()
-    code, out, _ = run("--policy", shipped_policy)
+    code, out, _ = run("swap", shipped_policy)
     assert code == 0
     assert "the board flies policy.onnx already" in out and "nothing was written" in out
-    assert "a plan only (--dry-run): nothing was written" in run("--policy", other, "--dry-run")[1]
-    document = json.loads(run("--policy", other, "--dry-run", "--json")[1])
+    assert "a plan only (--dry-run): nothing was written" in run("swap", other, "--dry-run")[1]
+    document = json.loads(run("swap", other, "--dry-run", "--json")[1])
     assert (document["slot"], document["written"], document["flown"]) == ("slot B", None, False)
     assert document["bytes"] == candidate_of(other).size
     assert board.flash.read_bytes() == before
-    assert run("--policy", shipped_policy, "--force")[0] == 0
+    assert run("swap", shipped_policy, "--force")[0] == 0
     assert flown(board) == (PolicySource.SLOT_B, 1, sha(shipped_policy), True)
     written = board.flash.read_bytes()
-    assert "nothing was changed" in run("--revert", "--dry-run")[1]
+    assert "nothing was changed" in run("revert", "--dry-run")[1]
     assert board.flash.read_bytes() == written
 
 
@@ -168,25 +171,24 @@ def test_a_policy_waits_for_the_next_start_when_none_is_wanted_now(
     run: Run, board: HostBoard, other: Path, third: Path
 ) -> None:
     assert (
-        "stands in slot B; the board flies it from its next start on"
-        in run("--policy", other, "--no-reboot")[1]
+        "stands in slot B; the board flies it from its next start on" in run("swap", other, "--no-reboot")[1]
     )
     assert (flown(board)[0], board.starts) == (PolicySource.SLOT_A, 1)
-    assert "good, flown from the next start on" in run("--list")[1]
-    out = run("--policy", other)[1]
+    assert "good, flown from the next start on" in run("list")[1]
+    out = run("swap", other)[1]
     assert "nothing to write: slot B holds it and waits for a start" in out
     assert flown(board)[:2] == (PolicySource.SLOT_B, 1)
 
-    run("--policy", third, "--no-reboot")
-    code, _, err = run("--revert")
+    run("swap", third, "--no-reboot")
+    code, _, err = run("revert")
     assert code == 1 and "is flown from the next start on in place of the one" in err
-    run("--policy", third)
-    assert "is given up; the board flies the policy in slot B" in run("--revert", "--no-reboot")[1]
-    assert "given up; flown until the next start" in run("--list")[1]
-    for words in (("--policy", third), ("--revert",)):
+    run("swap", third)
+    assert "is given up; the board flies the policy in slot B" in run("revert", "--no-reboot")[1]
+    assert "given up; flown until the next start" in run("list")[1]
+    for words in (("swap", third), ("revert",)):
         code, _, err = run(*words)
         assert code == 1 and "was given up and is flown until the next start" in err
-    assert main(["msp", "--port", board.port, "reboot"]) == 0
+    assert main(["board", "reboot", "--port", board.port]) == 0
     assert flown(board)[:3] == (PolicySource.SLOT_B, 1, sha(other))
 
 
@@ -212,7 +214,7 @@ def test_one_line_says_that_nothing_was_written_when_the_file_is_none(
     run: Run, board: HostBoard, other: Path, tmp_path: Path, kind: str
 ) -> None:
     before = board.flash.read_bytes()
-    code, out, err = run("--policy", broken(kind, other, tmp_path))
+    code, out, err = run("swap", broken(kind, other, tmp_path))
     assert (code, out) == (1, "")
     assert "broken.onnx" in err and "nothing was written" in err
     assert board.flash.read_bytes() == before
@@ -240,7 +242,7 @@ def test_one_line_names_the_difference_when_the_image_cannot_fly_it(
 ) -> None:
     before = board.flash.read_bytes()
     policy = another_policy(shipped_policy, tmp_path / "wrong.onnx", metadata=metadata)
-    code, _, err = run("--policy", policy)
+    code, _, err = run("swap", policy)
     assert code == 1
     assert words in err and "nothing was written" in err
     assert f"make firmware TARGET=HOST POLICY={policy}" in err
@@ -249,7 +251,7 @@ def test_one_line_names_the_difference_when_the_image_cannot_fly_it(
 
 def test_one_line_names_both_networks_when_the_architecture_is_another(run: Run, board: HostBoard) -> None:
     before = board.flash.read_bytes()
-    code, _, err = run("--policy", ROOT / "training" / "policies" / "hexa" / "policy.onnx")
+    code, _, err = run("swap", ROOT / "training" / "policies" / "hexa" / "policy.onnx")
     assert code == 1
     for words in (" does not fit the image that runs (27-56-56-4 tanh): ", "motors 6, the image 4"):
         assert words in err
@@ -263,18 +265,18 @@ def test_a_policy_of_another_aircraft_is_flown_only_when_that_is_meant(
     metadata = {"neuroflight.aircraft": "other", "neuroflight.idle": "0.1"}
     policy = another_policy(shipped_policy, tmp_path / "alien.onnx", metadata=metadata)
     before = board.flash.read_bytes()
-    code, _, err = run("--policy", policy)
+    code, _, err = run("swap", policy)
     assert code == 1
     assert "trained for the aircraft 'other'" in err and "is for 'nf1'; nothing was written" in err
     assert board.flash.read_bytes() == before
-    code, out, _ = run("--policy", policy, "--other-aircraft")
+    code, out, _ = run("swap", policy, "--other-aircraft")
     assert code == 0
     assert "idle 0.1 of full throttle, until now 0.055" in out
     assert flown(board)[2:] == (sha(policy), True)
-    code, _, err = run("--revert")
+    code, _, err = run("revert")
     assert code == 1
     assert "is for the aircraft 'nf1'" in err and "nothing was changed" in err
-    assert run("--revert", "--other-aircraft")[0] == 0
+    assert run("revert", "--other-aircraft")[0] == 0
     assert flown(board)[0] is PolicySource.SLOT_A
 
 
@@ -284,12 +286,12 @@ def test_a_policy_of_another_aircraft_of_that_name_is_flown_only_when_that_is_me
     metadata = {"neuroflight.aircraft_sha256": "ab" * 32}
     policy = another_policy(shipped_policy, tmp_path / "alien.onnx", metadata=metadata)
     before = board.flash.read_bytes()
-    code, _, err = run("--policy", policy)
+    code, _, err = run("swap", policy)
     assert code == 1
     digest = load_aircraft("nf1").sha256[:12]
     assert f"'nf1' (abababababab), the policy that the board flies is for 'nf1' ({digest})" in err
     assert board.flash.read_bytes() == before
-    code, out, _ = run("--policy", policy, "--other-aircraft", "--dry-run")
+    code, out, _ = run("swap", policy, "--other-aircraft", "--dry-run")
     assert code == 0 and "aircraft nf1, digest abababababab" in out
 
 
@@ -341,27 +343,25 @@ REFUSED: dict[str, tuple[Replies, str]] = {
 
 
 @pytest.mark.parametrize("kind", REFUSED)
-@pytest.mark.parametrize("words", [("--policy",), ("--revert",)], ids=lambda words: words[0])
+@pytest.mark.parametrize("words", [("swap",), ("revert",)], ids=lambda words: words[0])
 def test_nothing_is_sent_that_writes_when_the_board_is_not_ready(
     run: Run, board: HostBoard, tcp_server: Serve, other: Path, kind: str, words: tuple[str, ...]
 ) -> None:
     changed, told = REFUSED[kind]
     asked: list[int] = []
     port = tcp_server(between(board.port, changed, asked))
-    code, out, err = run(*words, *([other] if words == ("--policy",) else []), port=port)
+    code, out, err = run(*words, *([other] if words == ("swap",) else []), port=port)
     assert (code, out) == (1, "")
     assert told in err
-    assert (
-        "nothing was written" if words == ("--policy",) else "nothing was changed"
-    ) in err or kind == "older"
+    assert ("nothing was written" if words == ("swap",) else "nothing was changed") in err or kind == "older"
     writing = {Msp.POLICY_SLOT_BEGIN, Msp.POLICY_SLOT_WRITE, Msp.POLICY_SLOT_END, Msp.POLICY_SLOT_REVERT}
     assert asked and not writing & set(asked) and Msp.REBOOT not in asked
 
 
 def test_one_line_says_so_when_nobody_is_there(run: Run, other: Path, free_tcp_port: int) -> None:
-    code, _, err = run("--policy", other, port=f"tcp:127.0.0.1:{free_tcp_port}")
+    code, _, err = run("swap", other, port=f"tcp:127.0.0.1:{free_tcp_port}")
     assert code == 1 and "nothing was written" in err
-    code, _, err = run("--policy", other, port="/dev/there-is-none")
+    code, _, err = run("swap", other, port="/dev/there-is-none")
     assert code == 1 and "nothing was written" in err
 
 
@@ -380,7 +380,7 @@ def test_the_refusal_is_told_when_the_motors_are_armed_meanwhile(
         return through(data)
 
     through = between(board.port, {}, [])
-    code, _, err = run("--policy", other, port=tcp_server(refusing))
+    code, _, err = run("swap", other, port=tcp_server(refusing))
     assert code == 1
     assert "the motors are armed or under test" in err and "other.onnx was not written" in err
     assert count == 20, "it is not tried again"
@@ -439,7 +439,7 @@ def test_the_swap_starts_over_when_the_line_is_lost(
 
     through = between(board.port, {}, [])
     port = tcp_server(answer)
-    code, out, _ = run("--policy", other, "--no-reboot", port=port)
+    code, out, _ = run("swap", other, "--no-reboot", port=port)
     assert (code, lost) == (0, [])
     assert "stands in slot B" in out
     assert slots(board).after_start().sha256 == sha(other)  # type: ignore[union-attr]
@@ -451,7 +451,7 @@ def test_one_line_says_what_it_means_for_the_board_when_ctrl_c_stops_it(
     def stop(*_: object) -> None:
         raise KeyboardInterrupt
 
-    words = ["flash", "--port", board.port, "--unchecked", "--policy", str(other)]
+    words = ["board", "policy", "swap", str(other), "--port", board.port, "--unchecked"]
     monkeypatch.setattr(swaps, "_write_blocks", stop)
     with pytest.raises(SystemExit, match="130"):
         main(words)
@@ -473,7 +473,7 @@ def test_it_is_told_what_flies_when_the_line_is_lost_for_good(
         return b"HANG UP" if message.command == Msp.POLICY_SLOT_WRITE else through(data)
 
     through = between(board.port, {}, [])
-    code, _, err = run("--policy", other, port=tcp_server(answer))
+    code, _, err = run("swap", other, port=tcp_server(answer))
     assert code == 1
     assert "other.onnx was not written: the board goes on with the policy that it flew" in err
     assert flown(board)[0] is PolicySource.SLOT_A
@@ -701,7 +701,7 @@ def test_a_policy_that_is_not_known_to_be_fit_is_not_written(
     policy = Path(shutil.copy(other, tmp_path / "policy.onnx"))
     if words is not None:
         write_stamp(policy, stamp_of(policy, **words))
-    assert main(["flash", "--port", board.port, "--policy", str(policy)]) == 1
+    assert main(["board", "policy", "swap", str(policy), "--port", board.port]) == 1
     err = capsys.readouterr().err
     assert said in err and f"neuroflight policy check {policy}" in err and "or add --unchecked" in err
     assert err.count("\n") == 1 and err.endswith("nothing was written\n")
@@ -717,10 +717,10 @@ def test_a_policy_that_a_check_found_fit_is_written_until_its_stamp_is_edited(
     good = path.read_text()
     path.write_text(good.replace('"drift": 1.5', '"drift": 1.0'))
     assert path.read_text() != good
-    assert main(["flash", "--port", board.port, "--policy", str(policy)]) == 1
+    assert main(["board", "policy", "swap", str(policy), "--port", board.port]) == 1
     assert "it was changed after the check" in capsys.readouterr().err
     path.write_text(good)
-    assert main(["flash", "--port", board.port, "--policy", str(policy)]) == 0
+    assert main(["board", "policy", "swap", str(policy), "--port", board.port]) == 0
     assert f"check fit to fly nf1, by rules {RULES}" in " ".join(capsys.readouterr().out.split())
     assert flown(board) == (PolicySource.SLOT_B, 1, sha(policy), True)
 

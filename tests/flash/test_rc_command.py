@@ -1,4 +1,4 @@
-"""`neuroflight rc` against the host program: its interlocks, its sources and its last words."""
+"""`neuroflight board rc` against the host program: its interlocks, its sources and its last words."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from pathlib import Path
 
 import pytest
 
-from neuroflight.cli.flash import rc
-from neuroflight.cli.main import main, parser
+from neuroflight.cli.board import rc
+from neuroflight.cli.main import main, parse
 from neuroflight.flash.channels.gamepad import Gamepad, Mapping
 from neuroflight.flash.link import messages, records
 from neuroflight.flash.link.msp import Decoder, Message
@@ -40,7 +40,7 @@ def script(tmp_path: Path) -> str:
 
 
 def run(flown: Lockstep, *words: str) -> int:
-    args = parser().parse_args(["rc", "--port", flown.port, *words])
+    args = parse(["board", "rc", "--port", flown.port, *words])
     return rc.carry_out(args, rc.Desk(flown.clock, flown.sleep))
 
 
@@ -94,7 +94,7 @@ def test_a_scenario_of_the_simulator_is_flown(host_program: Path, capsys: pytest
 
 
 def test_a_scenario_is_refused_when_its_switch_does_not_arm_this_board(flown: Lockstep) -> None:
-    assert main(["msp", "--port", flown.port, "set", "mode1=arm aux5 1700 2100"]) == 0
+    assert main(["board", "settings", "set", "--port", flown.port, "mode1=arm aux5 1700 2100"]) == 0
     with pytest.raises(NeuroflightError, match="its arm switch does not arm this board"):
         run(flown, "--scenario", "roll", "--allow-arm", "--props-off")
 
@@ -105,11 +105,13 @@ def test_how_to_set_the_receiver_is_said_when_it_is_another(
     words = ("--script", script, "--allow-arm", "--props-off")
     with pytest.raises(NeuroflightError) as error:
         run(booted, *words)
-    command = f"run: neuroflight msp --port {booted.port} set receiver_protocol=msp --save --reboot"
+    command = (
+        f"run: neuroflight board settings set --port {booted.port} receiver_protocol=msp --save --reboot"
+    )
     assert "receiver_protocol is sbus, so the board listens to its receiver" in str(error.value)
     assert str(error.value).endswith(command)
     assert capsys.readouterr().out == ""
-    assert main(["msp", "--port", booted.port, "set", "receiver_protocol=msp"]) == 0
+    assert main(["board", "settings", "set", "--port", booted.port, "receiver_protocol=msp"]) == 0
     with pytest.raises(NeuroflightError, match="receiver_protocol is msp, and not flown before a restart"):
         run(booted, *words)
 
@@ -136,11 +138,20 @@ def test_a_gamepad_flies_and_its_unplugging_disarms(
             for axis in range(AXES):
                 plugged.axis(self, axis, 0)
 
-    words = ["rc", "--port", flown.port, "--gamepad", str(plugged.index), "--allow-arm", "--props-off"]
+    words = [
+        "board",
+        "rc",
+        "--port",
+        flown.port,
+        "--gamepad",
+        str(plugged.index),
+        "--allow-arm",
+        "--props-off",
+    ]
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("neuroflight.flash.channels.gamepad.Gamepad", Held)
         with pytest.raises(NeuroflightError, match=r"the gamepad 'Virtual .*' is gone"):
-            rc.carry_out(parser().parse_args(words), rc.Desk(flown.clock, sleep))
+            rc.carry_out(parse(words), rc.Desk(flown.clock, sleep))
     assert capsys.readouterr().out.endswith("the board is disarmed\n")
     assert max(flown.most) > 0.2 and flown.run(1) == (0, 0, 0, 0)
     with flown.client() as client:
@@ -164,6 +175,7 @@ def test_it_disarms_when_the_process_is_told_to_end(
         return data
 
     words = [
+        "board",
         "rc",
         "--script",
         str(path),
@@ -198,6 +210,6 @@ def test_one_line_says_what_is_wrong_with_the_port(
         ("/dev/does-not-exist", "there is no such device"),
         (f"tcp:127.0.0.1:{free_tcp_port}", "nobody listens there"),
     ):
-        assert main(["rc", "--script", script, "--port", port]) == 1
+        assert main(["board", "rc", "--script", script, "--port", port]) == 1
         err = capsys.readouterr().err
         assert err.count("\n") == 1 and told in err

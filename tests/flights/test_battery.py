@@ -120,7 +120,10 @@ GOOD, WARNING, CRITICAL = (
 )
 
 
-@pytest.mark.parametrize(("charge", "told"), [(0.9, GOOD), (0.05, WARNING), (0.005, CRITICAL)])
+@pytest.mark.parametrize(
+    ("charge", "told"),
+    [pytest.param(0.9, GOOD, marks=pytest.mark.slow), (0.05, WARNING), (0.005, CRITICAL)],
+)
 def test_msp_beeper_and_led_tell_when_the_twins_pack_is_nearly_empty(
     image: Path, charge: float, told: tuple[BatteryLevel, set[int], int]
 ) -> None:

@@ -157,7 +157,7 @@ def test_it_holds_the_rate_when_the_mount_is_another(
     assert np.rad2deg(trace.rate[-300:]).mean(axis=0) == pytest.approx([60, 0, -40], abs=2.0)
 
 
-# --- A peer of `neuroflight msp` ---------------------------------------------------------------
+# --- A peer of `neuroflight board` ---------------------------------------------------------------
 @contextmanager
 def running(betaflight: Betaflight) -> Iterator[str]:
     """The name of its MSP port, while it runs on its own."""
@@ -181,14 +181,19 @@ def test_neuroflight_msp_tells_what_betaflight_is_and_refuses_what_it_has_not(
     betaflight: Betaflight, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with running(betaflight) as port:
-        assert main(["msp", "--port", port, "info"]) == 0
+        assert main(["board", "info", "--port", port]) == 0
         told = " ".join(capsys.readouterr().out.split())
         assert "BTFL 4." in told and "SITL" in told
-        assert main(["msp", "--port", port, "status", "--json"]) == 0
+        assert main(["board", "status", "--port", port, "--json"]) == 0
         status = json.loads(capsys.readouterr().out)
         assert status["armed"] is False
         assert "RX_FAILSAFE" in json.dumps(status) or "ARM_SWITCH" in json.dumps(status), status
-        for words in (["get"], ["tasks"], ["set", "roll_expo=0.1"], ["stream", "--seconds", "1"]):
-            assert main(["msp", "--port", port, *words]) == 1
+        for words in (
+            ["settings", "get"],
+            ["tasks"],
+            ["settings", "set", "roll_expo=0.1"],
+            ["stream", "--seconds", "1"],
+        ):
+            assert main(["board", *words, "--port", port]) == 1
             error = capsys.readouterr().err
             assert error.count("\n") == 1 and "refuses MSP" in error

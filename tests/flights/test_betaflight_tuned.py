@@ -96,7 +96,7 @@ def test_the_search_writes_settings_that_fly_beside_others(
     mine.write_text(Path("sim/aircraft/nf1.toml").read_text())
     found = tmp_path / "mine.betaflight.txt"
     words = ["--aircraft", str(mine), "--budget", "12", "--check", "2", "--build"]
-    code = main(["tune-pid", "--of", "betaflight", *words, str(FOLDER), "--write", str(found), "--json"])
+    code = main(["pid", "tune", "--of", "betaflight", *words, str(FOLDER), "--write", str(found), "--json"])
     told = json.loads(capsys.readouterr().out)
     assert code in (0, 1)  # a single generation need not beat the defaults
     assert told["candidates"] == 12

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from neuroflight.cli.fly import ports as fly_ports
 from neuroflight.cli.main import main
-from neuroflight.cli.sim import fly_ports
 from neuroflight.sim.blackbox.log import read_log
 from neuroflight.sim.flight.trace import load_trace
 from neuroflight.sim.physics.imu import counts
@@ -24,6 +24,7 @@ from neuroflight.sim.ports.port import Reply, Sample
 from neuroflight.sim.replay.flight import replayable
 from neuroflight.toolchain.contract import FallbackCause, FlightState
 from tests.peers.orangebox_peer import decoded
+from tests.sampling import sampled
 
 pytest.importorskip("orangebox")
 
@@ -171,7 +172,7 @@ def bits(values: NDArray[np.int64]) -> NDArray[np.float32]:
     return (values & 0xFFFFFFFF).astype(np.uint32).view(np.float32)
 
 
-@pytest.mark.parametrize("where", ["reference", "emulator"])
+@pytest.mark.parametrize("where", sampled(["reference", "emulator"], "reference"))
 def test_a_log_is_its_flight_when_others_decode_it(
     where: str, logged: Fly, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from neuroflight.cli.fly import ports as fly_ports
 from neuroflight.cli.main import main
-from neuroflight.cli.sim import fly_ports
 from tests.cli.test_board import Running
 from tests.flights.test_blackbox_cycle import STORY, new_card
 
@@ -29,7 +29,7 @@ def test_the_boards_log_is_fetched_as_the_card_has_it(
     try:
         port = ["--port", f"serial:{board.port}:{board.baud}", "--out", str(got)]
         # Files with logs are looked at behind the first empty one: the tool waits for that.
-        assert main(["log", "fetch", *port]) == 0
+        assert main(["board", "logs", "fetch", *port]) == 0
     finally:
         board.end()
     taken = ["mcopy", "-i", str(card), "::LOG00001.BBL", str(tmp_path / "whole.bbl")]

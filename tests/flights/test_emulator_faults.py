@@ -36,6 +36,7 @@ from neuroflight.toolchain.contract import (
 )
 from neuroflight.toolchain.cortex_m7.cycles import CORE_HZ
 from neuroflight.toolchain.errors import LinkError, ScenarioError
+from tests.sampling import sampled
 
 RATE = 4000  # of gyro samples
 FRAME, LEAD = 40, 16  # samples between two receiver frames, and from the announcement to the frame
@@ -316,7 +317,7 @@ def test_lost_samples_are_missed_deadlines_and_time_goes_on_when_the_processor_i
     assert stats[Task.GYRO]["misses"] >= 1000 * steps
 
 
-@pytest.mark.parametrize("slow_s", [0.00095, 0.0012, pytest.param(0.0017, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("slow_s", sampled([0.00095, 0.0012, 0.0017], 0.0012))
 def test_the_background_has_its_share_when_a_control_step_takes_as_long_as_its_period(
     drill: Drill, started: tuple[Still, Any], board_image: Path, slow_s: float
 ) -> None:
@@ -338,9 +339,9 @@ def test_the_background_has_its_share_when_a_control_step_takes_as_long_as_its_p
 @pytest.mark.parametrize(
     ("slow_s", "missed"),
     [
-        (0.0, 0),
+        pytest.param(0.0, 0, marks=pytest.mark.slow),
         (0.00005, 0),  # late, but over before the next sample
-        (0.0006, 1),  # within its period; the step after it lacks samples
+        pytest.param(0.0006, 1, marks=pytest.mark.slow),  # within its period; the step after it lacks samples
         (0.0012, 2),  # longer than its period, and the step after it lacks samples
     ],
 )

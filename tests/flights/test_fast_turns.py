@@ -53,10 +53,11 @@ def test_it_stays_armed_and_returns_when_it_turns_faster_than_its_gyro_can_tell(
 def test_a_saturated_gyro_is_flown_with_the_same_bits_on_library_host_and_board(
     reference_library: Path, host_program: Path, board_image: Path, flown: Callable[..., Trace]
 ) -> None:
-    expected = flown(ReferencePort(reference_library, 4000, MOST), full_stick(0))
+    turn = Scenario("turn", full_stick(0).segments[1:3]).under_pid()
+    expected = flown(ReferencePort(reference_library, 4000, MOST), turn)
     assert np.degrees(np.abs(expected.gyro)).max() > 1980
     for port in (
         HostPort(host_program, 4000, MOST),
         EmulatedPort(board_image.with_suffix(".bin"), settings=MOST),
     ):
-        assert expected.same(flown(port, full_stick(0)))
+        assert expected.same(flown(port, turn))

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from neuroflight.cli.flash.policy_swap import candidate_of
+from neuroflight.cli.board.policy import candidate_of
 from neuroflight.flash.board.info import read_info
 from neuroflight.flash.image.board import read_board
 from neuroflight.flash.image.files import image_for, read_images
@@ -109,7 +109,8 @@ def swap(wired: Wired, policy: Path) -> float:
     return wired.seconds - began
 
 
-@pytest.mark.parametrize("by_rom", [False, pytest.param(True, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("by_rom", [False, True])
 def test_an_erased_chip_becomes_a_board_that_flies_a_second_image_with_a_swapped_policy(
     by_rom: bool,
     chip: IdleBoard,

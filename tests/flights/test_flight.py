@@ -16,6 +16,7 @@ from neuroflight.sim.ports.library import ReferencePort
 from neuroflight.sim.ports.python_controller import ControllerPort
 from neuroflight.toolchain.contract import RECEIVER_HOLD_MS, RECEIVER_LOST_MS
 from neuroflight.toolchain.policy.model import read_policy
+from tests.sampling import sampled
 
 Flown = Callable[..., Trace]
 MAE_MAX_DEG_S = 6.0  # average of the axes, against the true rate
@@ -35,10 +36,11 @@ def idle(shipped_policy: Path) -> float:
     return read_policy(shipped_policy).idle
 
 
-def test_the_policy_meets_the_limits_when_it_flies_a_hundred_unseen_commands(
-    reference_library: Path, flown: Flown, idle: float
+@pytest.mark.parametrize("count", sampled((25, 100), 25))
+def test_the_policy_meets_the_limits_when_it_flies_unseen_commands(
+    reference_library: Path, flown: Flown, idle: float, count: int
 ) -> None:
-    scenario = load_scenario("pulses", SEED, count=100)
+    scenario = load_scenario("pulses", SEED, count=count)
     trace = flown(ReferencePort(reference_library, 1000), scenario)
     assert (trace.dshot > 0).all()
     assert passes(figures(trace, scenario.episodes(), idle))
@@ -47,7 +49,7 @@ def test_the_policy_meets_the_limits_when_it_flies_a_hundred_unseen_commands(
 def test_the_policy_meets_the_limits_when_flown_over_sockets_at_the_boards_gyro_rate(
     host_program: Path, flown: Flown, idle: float
 ) -> None:
-    scenario = load_scenario("pulses", SEED + 1, count=6)
+    scenario = load_scenario("pulses", SEED + 1, count=3)
     assert passes(figures(flown(HostPort(host_program), scenario), scenario.episodes(), idle))
 
 

@@ -26,6 +26,7 @@ from neuroflight.training.evaluation.controllers import load_controller
 from tests.conftest import BUILD, ROOT, build_beside
 from tests.flights.recomputed import recomputed
 from tests.flights.wiring import reversed_aircraft
+from tests.sampling import sampled
 
 MOTORS = 6
 POLICY = ROOT / "training" / "policies" / "hexa" / "policy.onnx"
@@ -88,7 +89,7 @@ def test_six_reversed_motors_fly_when_set_so(built: Path, tmp_path: Path, scenar
     assert np.degrees(error.mean()) < 10.0
 
 
-@pytest.mark.parametrize("speed", ["dshot300", "dshot600"])
+@pytest.mark.parametrize("speed", sampled(["dshot300", "dshot600"], "dshot300"))
 def test_the_command_flies_six_motors_on_the_board_at_either_speed_of_dshot(
     built: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], speed: str
 ) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -48,8 +47,8 @@ from neuroflight.toolchain.ir.operations import (
     Softsign,
     Tanh,
 )
-from neuroflight.toolchain.policy.model import parse_policy, read_policy
-from tests.conftest import ROOT, build_beside
+from neuroflight.toolchain.policy.model import parse_policy
+from tests.conftest import ROOT, build_kept
 from tests.random_networks import Maker, gru, lstm, norm
 
 TEMPLATE = ROOT / "toolchain" / "rendering" / "templates" / "policy_kernels.c.j2"
@@ -192,8 +191,7 @@ SETS = (tanh, linear_units, exponential_units, smooth_units, gated, remembering,
 LIMITS = (memory, observation, weights)
 slow = pytest.mark.slow
 FLOWN = (*SETS, *LIMITS)
-SAMPLED = (everything, smooth_units, memory, weights)  # the others are slow
-CASES = [param(make, id=make.__name__, marks=() if make in SAMPLED else slow) for make in FLOWN]
+CASES = [param(make, id=make.__name__, marks=() if make is everything else slow) for make in FLOWN]
 
 
 def file_of(network: Network) -> bytes:
@@ -227,14 +225,13 @@ def test_every_kernel_is_in_one_of_the_sets_and_each_limit_is_reached() -> None:
 
 @pytest.mark.parametrize("make", CASES)
 def test_a_policy_flies_the_same_bits_on_board_and_host_when_it_is_of_these_kernels(
-    make: Callable[[], Network], tmp_path: Path, flown: Callable[..., Trace]
+    make: Callable[[], Network], flown: Callable[..., Trace]
 ) -> None:
-    path = tmp_path / "policy.onnx"
-    path.write_bytes(file_of(make()))
-    policy = read_policy(path)
+    data = file_of(make())
+    policy = parse_policy(data)
     aircraft = policy.aircraft
     pid = pid_table(load_aircraft(aircraft))
-    folders = {target: build_beside(target, path, tmp_path / "build", pid) for target in TARGETS}
+    folders = {target: build_kept(target, data, make.__name__, pid) for target in TARGETS}
     ports = (
         ReferencePort(folders["HOST"] / "libneuroflight.so", settings=ANY_FLIGHT),
         EmulatedPort(folders["MATEKF722"] / "neuroflight.bin", settings=ANY_FLIGHT),

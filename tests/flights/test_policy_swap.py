@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from neuroflight.cli.flash.policy_swap import candidate_of
+from neuroflight.cli.board.policy import candidate_of
 from neuroflight.flash.link.client import Client
 from neuroflight.flash.policy import swap as swaps
 from neuroflight.sim.aircraft.model import load_aircraft

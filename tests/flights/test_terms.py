@@ -21,7 +21,7 @@ from neuroflight.sim.ports.python_controller import ControllerPort
 from neuroflight.toolchain.contract import observation_blocks, observation_count
 from neuroflight.toolchain.policy.freeze import to_onnx
 from neuroflight.toolchain.policy.model import read_policy
-from tests.conftest import build_beside
+from tests.conftest import build_kept
 
 Flown = Callable[..., Trace]
 ROOT = Path(__file__).resolve().parents[2]
@@ -85,16 +85,14 @@ class Recorder(PolicyController):
 
 
 @pytest.fixture(scope="module")
-def policy(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("terms") / "policy.onnx"
-    path.write_bytes(frozen(TERMS))
-    return path
+def folder() -> Path:
+    """The host's build around a policy of such terms."""
+    return build_kept("HOST", frozen(TERMS), "terms")
 
 
 @pytest.fixture(scope="module")
-def folder(policy: Path) -> Path:
-    """The host's build around `policy`."""
-    return build_beside("HOST", policy, policy.parent)
+def policy(folder: Path) -> Path:
+    return folder.with_name("policy.onnx")
 
 
 def test_python_library_and_program_fly_the_same_bits_when_terms_have_memory(

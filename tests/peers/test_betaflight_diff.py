@@ -129,6 +129,8 @@ def test_this_firmware_tells_what_betaflight_told_when_its_print_is_imported(
         wanted = heard(betaflight)
         file.write_text(printed(line, command))
     port = f"tcp:127.0.0.1:{start_host().ports['msp']}"
-    assert main(["msp", "import", str(file), "--yes", "--port", port]) == 0, capsys.readouterr().err
+    assert main(["board", "settings", "import", str(file), "--yes", "--port", port]) == 0, (
+        capsys.readouterr().err
+    )
     with Client(open_transport(port)) as ours:
         assert heard(ours) == wanted

@@ -91,9 +91,10 @@ def whole(chip: Served, image: Path, folder: Path) -> None:
     assert "100.00%" in stm32flash("-w", str(image), "-v", chip.end.name)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("flash", "write"),
-    [(FULL, by_parts), pytest.param(b"", whole, marks=pytest.mark.slow)],
+    [(FULL, by_parts), (b"", whole)],
     ids=["parts on a chip that held other things", "whole on an erased chip"],
 )
 def test_our_image_boots_when_it_wrote_it_and_our_tool_verified_it(
@@ -107,7 +108,7 @@ def test_our_image_boots_when_it_wrote_it_and_our_tool_verified_it(
     chip = serve(flash)
     path = board_image.with_suffix(".hex")
     write(chip, path, tmp_path)
-    assert main(["rescue", str(path), "--port", chip.end.name, "--verify-only"]) == 0
+    assert main(["board", "rescue", str(path), "--port", chip.end.name, "--verify-only"]) == 0
     assert "equal" in capsys.readouterr().out
     chip.stop()
     board = chip.idle.board

@@ -127,12 +127,12 @@ def check(folder: Path) -> None:
     *_, options = table()[str(answers["row"])]
     claims = ["--observation", "rate_error,rate_error_delta", "--rate", "1000", "--aircraft", "nf1"]
     frozen = folder / "policy.onnx"
-    assert main(["freeze", str(folder / "actor.onnx"), *claims, *options, "--out", str(frozen)]) == 0, (
-        folder.name
-    )
+    assert (
+        main(["policy", "import", str(folder / "actor.onnx"), *claims, *options, "--out", str(frozen)]) == 0
+    ), folder.name
     actions = replay(read_policy(frozen).network, answers["observations"])
     print(folder.name, "differs by", np.abs(actions - answers["actions"]).max(), "of", np.ptp(actions))
     between = (answers["actions"] > 0.0) & (answers["actions"] < 1.0)
     assert between.mean() > 0.2, f"{folder.name}: nearly all actions are limits, which tell little"
     np.testing.assert_allclose(actions, answers["actions"], rtol=0, atol=TOLERANCE, err_msg=folder.name)
-    assert main(["compile", str(frozen), "--out", str(folder / "c")]) == 0, folder.name
+    assert main(["policy", "compile", str(frozen), "--out", str(folder / "c")]) == 0, folder.name

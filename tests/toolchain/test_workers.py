@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
+from neuroflight.cli.fly import ports as fly_ports
 from neuroflight.cli.main import main
-from neuroflight.cli.sim import fly_ports
 from neuroflight.toolchain.errors import LinkError, NeuroflightError
 from neuroflight.toolchain.workers import Crew, Show
 

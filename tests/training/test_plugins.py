@@ -109,6 +109,7 @@ def test_a_run_stores_its_files_and_asks_for_the_same(write: Write, tmp_path: Pa
     path, name = write(REWARD, TASK)
     own = ["--plugin", str(path)]
     words = [
+        "policy",
         "train",
         "--algorithm",
         "ppo",
@@ -129,8 +130,8 @@ def test_a_run_stores_its_files_and_asks_for_the_same(write: Write, tmp_path: Pa
 
     again = [*words, *out, "--resume"]
     run, frozen = tmp_path / "run", tmp_path / "frozen.onnx"
-    anew = ["train", "--config", str(run / "training.json"), "--out", str(tmp_path / "anew")]
-    freeze = ["freeze", str(run / "checkpoint.pt"), "--out", str(frozen)]
+    anew = ["policy", "train", "--config", str(run / "training.json"), "--out", str(tmp_path / "anew")]
+    freeze = ["policy", "import", str(run / "checkpoint.pt"), "--out", str(frozen)]
     commands = [anew, again, [*again, *own], freeze]
     program = f"from neuroflight.cli.main import main; print([main(words) for words in {commands!r}])"
     done = subprocess.run(
@@ -263,7 +264,7 @@ def test_a_sweep_varies_a_users_reward_and_flies_his_task(
         f'aircraft = "nf1"\nconfig = "ppo"\n[set]\n{sets}\n[vary]\nreward.change = [1.0, 2.0]\n'
         f'[validation]\ntask = "{name}-flown"\nepisodes = 2\n'
     )
-    words = ["sweep", str(sweep), "--out", str(tmp_path / "out"), "--cpus", "1", "--json"]
+    words = ["policy", "sweep", str(sweep), "--out", str(tmp_path / "out"), "--cpus", "1", "--json"]
     assert main([*words, "--plugin", str(path), "--plugin", str(other)]) == 0
     told = json.loads(capsys.readouterr().out)
     assert all(run["outcome"] for run in told["runs"])

@@ -27,7 +27,7 @@ CRC = struct.Struct("<I")
 FLOAT = np.dtype("<f4")
 ANY_BUILD = bytes(contract.IMAGE_BUILD_BYTES)  # it is for any image of its architecture
 U16_MAX, U32_MAX = 0xFFFF, 0xFFFFFFFF
-MEND = "write it again with `neuroflight compile`"
+MEND = "write it again with `neuroflight policy compile`"
 
 
 @dataclass(frozen=True)

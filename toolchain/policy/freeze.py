@@ -92,7 +92,7 @@ def load_checkpoint(path: Path) -> tuple[dict[str, Any], dict[str, NDArray[Any]]
     if form != (contract.CHECKPOINT_FORMAT, contract.CHECKPOINT_VERSION):
         expected = f"{contract.CHECKPOINT_FORMAT} version {contract.CHECKPOINT_VERSION}"
         raise PolicyError(
-            f"{path} is no checkpoint: expected {expected}, which `neuroflight train` writes; "
+            f"{path} is no checkpoint: expected {expected}, which `neuroflight policy train` writes; "
             f"{ANOTHER_TRAINER}"
         )
     try:

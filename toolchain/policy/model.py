@@ -28,7 +28,7 @@ AIRCRAFT_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,31}")  # it is printed 
 SHA256 = re.compile(r"[0-9a-f]{64}")
 IDLE = re.compile(r"[0-9]{1,3}(\.[0-9]{1,20})?(e-[0-9]{1,2})?")
 FREEZE = (
-    "add them with `neuroflight freeze MODEL.onnx --observation BLOCKS --rate HZ --aircraft NAME "
+    "add them with `neuroflight policy import MODEL.onnx --observation BLOCKS --rate HZ --aircraft NAME "
     "--out POLICY.onnx`"
 )
 
@@ -118,7 +118,9 @@ def parse_model(data: bytes) -> onnx.ModelProto:
     except DecodeError as error:
         archive = data.startswith(b"PK")
         hint = (
-            "a checkpoint, which `neuroflight freeze` makes a policy of" if archive else "or a truncated one"
+            "a checkpoint, which `neuroflight policy import` makes a policy of"
+            if archive
+            else "or a truncated one"
         )
         raise PolicyError(f"not an ONNX file, {hint}; export it again") from error
 
@@ -189,7 +191,7 @@ def _model(
         model = ModelConstants.of(document)
     except ValueError as error:
         raise PolicyError(
-            f"{contract.META_MODEL}: {error}; write the policy with `neuroflight freeze`"
+            f"{contract.META_MODEL}: {error}; write the policy with `neuroflight policy import`"
         ) from error
     if model.motor_count != motors:
         raise PolicyError(
@@ -227,4 +229,6 @@ def _json(metadata: Mapping[str, str], key: str, kind: type[Container]) -> Conta
 
 def _wrong(key: str, value: str, expected: str) -> PolicyError:
     shown = value if len(value) <= 60 else value[:57] + "..."
-    return PolicyError(f"{key} is {shown!r}, expected {expected}; write the policy with `neuroflight freeze`")
+    return PolicyError(
+        f"{key} is {shown!r}, expected {expected}; write the policy with `neuroflight policy import`"
+    )

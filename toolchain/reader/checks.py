@@ -19,7 +19,7 @@ FILE_NODES_MAX = 4 * NODES_MAX  # constants and shapes included
 CHECKER_WORDS_MAX = 300  # characters of what the ONNX checker says
 HINTS = {
     "input": "state is carried by GRU and LSTM nodes",
-    "output": "`neuroflight freeze --output` picks one",
+    "output": "`neuroflight policy import --output` picks one",
 }
 WEIGHTED = {  # operator: places of its weights
     "Conv": (1, 2),
@@ -119,7 +119,7 @@ def _check_tensors(graph: onnx.GraphProto, floats: Set[int]) -> None:
         if tensor.data_location == TensorProto.EXTERNAL or tensor.external_data:
             raise PolicyError(
                 f"{name} keeps its values in another file; export the policy as one file "
-                "(torch.onnx.export with external_data=False) or let `neuroflight freeze` join them"
+                "(torch.onnx.export with external_data=False) or let `neuroflight policy import` join them"
             )
         if tensor.data_type not in TYPES.keys() - {TensorProto.FLOAT, TensorProto.DOUBLE} | floats:
             kind = _type_name(tensor.data_type)
@@ -202,7 +202,7 @@ def _only_vector(values: list[onnx.ValueInfoProto], name: str, role: str) -> int
     """Return n of the one float32 [1, n] value called `name`."""
     names = ", ".join(shown(value.name) for value in values[:8]) or "none"
     if [value.name for value in values] != [name]:
-        hint = f"; {HINTS[role]}" if len(values) > 1 else "; `neuroflight freeze` renames it"
+        hint = f"; {HINTS[role]}" if len(values) > 1 else "; `neuroflight policy import` renames it"
         raise PolicyError(f"the policy's {role}s are {names}, expected one {role} {name!r}{hint}")
     tensor = values[0].type.tensor_type
     if tensor.elem_type != TensorProto.FLOAT:

@@ -48,11 +48,11 @@ def _mend(low: float, high: float) -> str:
     if low > -math.inf and high < math.inf:
         return (
             f"its outputs lie in {shown_range(low, high)}: if these mean 0 to full power, "
-            f"`neuroflight freeze --output-range {low:.4g},{high:.4g}` maps them"
+            f"`neuroflight policy import --output-range {low:.4g},{high:.4g}` maps them"
         )
     return (
-        "name the range that its outputs had in training, `neuroflight freeze --output-range LO,HI` (-1,1 "
-        "for most trainers), or, if they are motor fractions from 0 to 1 already, --clip"
+        "name the range that its outputs had in training, `neuroflight policy import --output-range LO,HI` "
+        "(-1,1 for most trainers), or, if they are motor fractions from 0 to 1 already, --clip"
     )
 
 

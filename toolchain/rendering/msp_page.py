@@ -46,25 +46,31 @@ PROSE = "msp_page.md.j2"
 COMMANDS = Path(__file__).resolve().parents[2] / "firmware" / "src" / "command_line" / "commands.c"
 COMMAND = re.compile(r'\{ "(\w+)", "([^"]*)",\s*"([^"]*)"')
 EXAMPLES = (
-    ("info", "who it is, which policy it flies, what forbids arming"),
-    ("status", "state, what forbids arming and how to lift it, battery, receiver"),
-    ("tasks", "the processor's time"),
-    ("get roll_expo", "a setting with its limits; all without a name"),
-    ('set roll_expo=0.1 mode1="arm aux1 1700 2100" --save --reboot', ""),
-    ("diff > mine.txt", "what differs from the defaults"),
-    ("dump > all.txt", "all settings"),
-    ("restore mine.txt", "that, defaults beside it, checked and stored; --keep leaves the rest"),
-    ("import betaflight.txt", "what of Betaflight's `diff all` has a counterpart: shown, asked for, stored"),
-    ("save", "stores what `set` without --save has changed"),
-    ("defaults --save", "every setting to its default; asks, unless --yes is given"),
-    ("stream --rate 500 --seconds 10 --out flight.npz", "or .csv; a table without --out"),
-    ("calibrate", "the gyro's bias anew; the aircraft lies still"),
-    ("faults --ack", "the last fault, and that you know of it"),
-    ("acknowledge", "all faults, and a policy that was refused in flight"),
-    ("reboot", "starts it anew, waits until it answers"),
-    ("reboot --rom", "starts the boot loader in the chip's ROM instead, for `neuroflight rescue`"),
+    ("board info", "who it is, which policy it flies, what forbids arming"),
+    ("board status", "state, what forbids arming and how to lift it, battery, receiver"),
+    ("board tasks", "the processor's time"),
+    ("board settings get roll_expo", "a setting with its limits; all without a name"),
+    ('board settings set roll_expo=0.1 mode1="arm aux1 1700 2100" --save --reboot', ""),
+    ("board settings diff > mine.txt", "what differs from the defaults"),
+    ("board settings dump > all.txt", "all settings"),
+    (
+        "board settings restore mine.txt",
+        "that, defaults beside it, checked and stored; --keep leaves the rest",
+    ),
+    (
+        "board settings import betaflight.txt",
+        "what of Betaflight's `diff all` has a counterpart: shown, asked for, stored",
+    ),
+    ("board settings save", "stores what `set` without --save has changed"),
+    ("board settings defaults --save", "every setting to its default; asks, unless --yes is given"),
+    ("board stream --rate 500 --seconds 10 --out flight.npz", "or .csv; a table without --out"),
+    ("board calibrate", "the gyro's bias anew; the aircraft lies still"),
+    ("board faults --ack", "the last fault, and that you know of it"),
+    ("board acknowledge", "all faults, and a policy that was refused in flight"),
+    ("board reboot", "starts it anew, waits until it answers"),
+    ("board reboot --rom", "starts the boot loader in the chip's ROM instead, for `board rescue`"),
 )
-PORT = "neuroflight msp --port PORT "
+PROGRAM = "neuroflight "
 COLUMN = 58  # where an example's comment begins, if it fits
 REFUSALS = {
     Refusal.NONE: "of no refusal",
@@ -108,7 +114,7 @@ def commands() -> list[tuple[str, str, str]]:
 
 
 def msp_page() -> str:
-    """Render the page; messages by number, a row a direction."""
+    """Render the page; messages by number, a row for each direction."""
     parts = {
         "api": f"{MSP_API_MAJOR}.{MSP_API_MINOR}",
         "ports": "Two" if MSP_PORT_COUNT == 2 else str(MSP_PORT_COUNT),
@@ -134,7 +140,7 @@ def msp_page() -> str:
 
 
 def _example(words: str, meaning: str) -> str:
-    line = PORT + words
+    line = PROGRAM + words
     if not meaning:
         return line
     return f"{line:{COLUMN}} # {meaning}" if len(line) < COLUMN else f"{line}  # {meaning}"

@@ -12,7 +12,7 @@ PROSE = "settings_page.md.j2"
 
 
 def settings_page() -> str:
-    """Render the page, a row a setting, in the contract's order."""
+    """Render the page, a row for each setting, in the contract's order."""
     return render(PROSE) + "".join(_row(setting) for setting in SETTINGS)
 
 

@@ -1,4 +1,4 @@
-"""Conditions of the dissertation's experiments: conditions.toml, read strictly."""
+"""The conditions of the dissertation's experiments: conditions.toml, read strictly."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class Conditions:
     recipes: Mapping[str, StandIn]
 
     def of(self, row: str) -> Mapping[str, str | float]:
-        """Return the conditions of a row, with "place"; empty: the file has none."""
+        """Return the conditions of a row, with "place"; empty if the file has none."""
         found: dict[str, str | float] = {}
         for experiment in self.experiments:
             if any(fnmatchcase(row, pattern) for pattern in experiment.rows):

@@ -31,14 +31,14 @@ class Printed(float):
     text: str
 
     def __new__(cls, text: str) -> Printed:
-        """Return the number that a text shows."""
+        """Parse a number from its text, which is kept."""
         number = super().__new__(cls, text)
         number.text = text.replace("_", "")
         return number
 
     @property
     def decimals(self) -> int:
-        """The number of those printed; negative: it is rounded to tens, hundreds and so on."""
+        """Number of printed decimals; negative if the number is rounded to tens, hundreds and so on."""
         exponent = Decimal(self.text).as_tuple().exponent
         assert isinstance(exponent, int)
         return -exponent
@@ -137,7 +137,7 @@ def _add(found: dict[str, Quote], more: Iterator[Quote], where: StrictTable) -> 
 
 
 def _cells(table: StrictTable, raw: Mapping[str, Any], file: str) -> Iterator[Quote]:
-    """Return the cells of a [[table]]; raw: the same as TOML has it."""
+    """Yield the cells of a [[table]]; raw: the same table before its values were checked."""
     number, label, title = (table.text(key) for key in ("number", "label", "title"))
     start = f"{number}/{table.text('part')}" if table.has("part") else number
     columns = _words(table, "columns")
@@ -168,7 +168,7 @@ def _cells(table: StrictTable, raw: Mapping[str, Any], file: str) -> Iterator[Qu
 
 
 def _figures(text: StrictTable) -> Iterator[Quote]:
-    """Return the figures of a [[text]]."""
+    """Yield the figures of a [[text]]."""
     chapter, section, label = text.integer("chapter", 1, 6), text.text("section"), text.text("label")
     figures = text.table("figures")
     for name in figures.names():
@@ -192,7 +192,7 @@ def _figures(text: StrictTable) -> Iterator[Quote]:
 
 
 def _printed(number: float) -> Printed:
-    """Return a number of the file; a whole one has lost nothing when it was read."""
+    """Return a number of the file as printed; a whole number needs no text, TOML loses nothing of it."""
     return number if isinstance(number, Printed) else Printed(f"{number:.0f}")
 
 
@@ -207,7 +207,7 @@ def _units(table: StrictTable, key: str, unit: str, expected: tuple[str, ...]) -
 
 
 def _words(table: StrictTable, key: str) -> tuple[str, ...]:
-    """Return a line of names with commas between them."""
+    """Split a line of names at its commas."""
     words = tuple(word.strip() for word in table.text(key).split(","))
     if not 1 <= len(words) <= COLUMNS_MAX or not all(words):
         raise table.error(

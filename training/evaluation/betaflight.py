@@ -56,23 +56,23 @@ class BetaflightSpec:
 
     @property
     def facts(self) -> dict[str, str]:
-        """What a stored result records of it."""
+        """The description in a stored result."""
         return betaflight_facts(self.armed.tune)
 
 
 def betaflight_label(tune: Tune | None) -> str:
-    """A short name of Betaflight with these settings."""
+    """Return a short name of Betaflight with these settings."""
     return "Betaflight 4.6" if tune is None else f"Betaflight 4.6 {tune.name}"
 
 
 def betaflight_idle(tune: Tune | None) -> float:
-    """Motor fraction of its armed motors at no thrust."""
+    """Return the motor fraction of its armed motors at no thrust."""
     own = None if tune is None else tune.idle
     return IDLE if own is None else own
 
 
 def betaflight_facts(tune: Tune | None) -> dict[str, str]:
-    """What a stored result records of Betaflight with these settings."""
+    """Return the description of Betaflight with these settings in a stored result."""
     own = (
         {} if tune is None else {"betaflight_settings": tune.name, "betaflight_settings_sha256": tune.sha256}
     )

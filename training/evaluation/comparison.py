@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from neuroflight.sim.analysis.confidence import Mean, mean_of, paired, share_of
 from neuroflight.sim.analysis.holding import settled
 from neuroflight.sim.analysis.response import Hold, large, mean_figures, progress, together
-from neuroflight.training.evaluation.controllers import Conditions, Contender
+from neuroflight.training.evaluation.controllers import AnyController, Conditions
 from neuroflight.training.evaluation.evaluation import Evaluation, Flights, Scores, interval, summary
 from neuroflight.training.evaluation.floor import scored
 
@@ -27,6 +27,17 @@ STEP_S = 0.6  # drawn part of a held command
 REST_S = 0.5  # a point of the curve of rests
 SUMS = ("mae", "mse", "iae", "ise", "itae", "itse")
 ERRORS = (*SUMS, "error")
+RESPONSES = (
+    *("success", "success_bare", "rise_ms", "peak", "error", "all_in_band_500", "all_in_band_750"),
+    *(
+        "all_in_band_500_bare",
+        "all_in_band_750_bare",
+        "steady",
+        "steady_bare",
+        "steady_750",
+        "steady_750_bare",
+    ),
+)
 SHARES = ("steady", "steady_bare", "steady_750", "steady_750_bare")  # shares of episodes, each 0 or 1
 
 
@@ -55,7 +66,7 @@ class Curves:
 class Entry:
     """A controller and its results."""
 
-    controller: Contender
+    controller: AnyController
     throttle: float | None  # None: as recorded
     scores: Scores
     evaluation: Evaluation
@@ -64,13 +75,19 @@ class Entry:
 
 
 def enter(
-    controller: Contender,
+    controller: AnyController,
     conditions: Conditions,
     throttle: float | None,
     on_step: Callable[[int, int], None] | None = None,
 ) -> Entry:
     """Fly a controller; throttle: see Conditions.fly; on_step: called with steps done and to do."""
-    flights = conditions.fly(controller, throttle, on_step)
+    return entered(conditions.fly(controller, throttle, on_step), controller, conditions, throttle)
+
+
+def entered(
+    flights: Flights, controller: AnyController, conditions: Conditions, throttle: float | None
+) -> Entry:
+    """Return the entry of flights that were flown."""
     each = scored(flights, controller, conditions)
     held = flights.hold()
     asked = None
@@ -80,7 +97,7 @@ def enter(
 
 
 def values(each: Scores) -> dict[str, Array]:
-    """Each figure of each episode, (E,), or (E, 3) for roll, pitch, yaw; NaN where undefined.
+    """Return each figure of each episode, (E,), or (E, 3) for roll, pitch, yaw; NaN where undefined.
 
     A flight counts with the mean of its commands: they depend on each other.
     """
@@ -103,26 +120,14 @@ def values(each: Scores) -> dict[str, Array]:
     response = each.response
     if response is None:
         return found
-    single = {
-        "success": response.success.astype(np.float64),
-        "success_bare": response.success_bare.astype(np.float64),
-        "rise_ms": np.where(response.rose, response.rise_ms, np.nan),
-        "peak": np.where(response.large, response.peak, np.nan),
-        "error": response.error,
-        "all_in_band_500": response.all_in_band_500,
-        "all_in_band_750": response.all_in_band_750,
-        "all_in_band_500_bare": response.all_in_band_500_bare,
-        "all_in_band_750_bare": response.all_in_band_750_bare,
-        "steady": response.steady.astype(np.float64),
-        "steady_bare": response.steady_bare.astype(np.float64),
-        "steady_750": response.steady_750.astype(np.float64),
-        "steady_750_bare": response.steady_750_bare.astype(np.float64),
-    }
+    single = {name: np.asarray(getattr(response, name), np.float64) for name in RESPONSES}
+    single["rise_ms"] = np.where(response.rose, response.rise_ms, np.nan)
+    single["peak"] = np.where(response.large, response.peak, np.nan)
     return found | {name: _by_flight(rows, each.commands) for name, rows in single.items()}
 
 
 def _by_flight(rows: Array, commands: int) -> Array:
-    """The mean of each flight's commands that have a number; NaN where none has."""
+    """Return the mean of each flight's commands that have a number; NaN where none has."""
     if commands == 1:
         return rows
     parts = rows.reshape(-1, commands, *rows.shape[1:])
@@ -132,29 +137,29 @@ def _by_flight(rows: Array, commands: int) -> Array:
 
 
 def means(scores: Scores) -> dict[str, Mean]:
-    """Each figure over episodes, averaged over axes, with its 95 % confidence."""
+    """Return each figure over episodes, averaged over axes, with its 95 % confidence."""
     return {name: _mean_of(name, each, scores.commands) for name, each in values(scores).items()}
 
 
 def by_axis(scores: Scores) -> dict[str, Mean]:
-    """Each figure that has three axes, (3,), over episodes with its 95 % confidence."""
+    """Return each figure that has three axes, (3,), over episodes with its 95 % confidence."""
     three = {name: each for name, each in values(scores).items() if each.ndim == 2}
     return {name: mean_of(each, np.isfinite(each)) for name, each in three.items()}
 
 
 def differences(first: Scores, other: Scores) -> dict[str, Mean]:
-    """Each figure of `other` minus that of `first` on the same commands, with its 95 % confidence."""
+    """Return each figure of `other` minus that of `first` on the same commands, with its 95 % confidence."""
     before, after = values(first), values(other)
     return {name: paired(before[name], after[name]) for name in before if name in after}
 
 
 def significant(difference: Mean) -> bool:
-    """Whether the 95 % confidence interval excludes zero."""
+    """Return True if the 95 % confidence interval excludes zero."""
     return bool(difference.low > 0.0 or difference.high < 0.0)
 
 
 def percent(first: Scores, other: Scores) -> dict[str, Mean]:
-    """How much larger the means of ERRORS are in `other` than in `first` on the same commands [%].
+    """Return by how much the means of ERRORS are larger in `other` than in `first`, same commands [%].
 
     The mean of all axes, of which each episode counts its own mean; see `change_percent`. NaN where the first
     has no error at all.
@@ -168,7 +173,7 @@ def percent(first: Scores, other: Scores) -> dict[str, Mean]:
 
 
 def change_percent(first: Array, other: Array) -> Mean:
-    """100 (mean of other / mean of first - 1) of paired values (E,), with its 95 % confidence.
+    """Return 100 (mean of other / mean of first - 1) of paired values (E,), with its 95 % confidence.
 
     The interval is that of the ratio's linearisation: of other - ratio * first, over the mean of first.
     """
@@ -182,7 +187,7 @@ def change_percent(first: Array, other: Array) -> Mean:
 
 
 def times_faster(first: Evaluation, other: Evaluation) -> list[float | None]:
-    """Mean rise time of `first` over that of `other`, roll, pitch, yaw; None where one of them never rose."""
+    """Return the mean rise time of `first` over that of `other`, by axis; None where one never rose."""
     if first.response is None or other.response is None:
         return [None] * 3
     before, after = first.response.rise_ms, other.response.rise_ms
@@ -193,7 +198,7 @@ def times_faster(first: Evaluation, other: Evaluation) -> list[float | None]:
 
 
 def average(entries: Sequence[Entry]) -> dict[str, object]:
-    """All episodes of several entries as one, as JSON data: agents of one configuration, of several seeds.
+    """Merge all episodes of several entries, agents of several seeds, into one, as JSON data.
 
     `best` is the one with the lowest sum of the errors of the three axes (Koch 2019, chapter 3): of `error`
     where commands are held, else of the integrated absolute error.
@@ -219,7 +224,7 @@ def average(entries: Sequence[Entry]) -> dict[str, object]:
 
 
 def document(entry: Entry, first: Entry | None) -> dict[str, object]:
-    """Means, and differences to `first` unless that is None, as JSON data."""
+    """Return the means, and differences to `first` unless that is None, as JSON data."""
     found: dict[str, object] = {"means": {name: interval(mean) for name, mean in means(entry.scores).items()}}
     if first is not None:
         found["difference"] = {
@@ -234,7 +239,7 @@ def document(entry: Entry, first: Entry | None) -> dict[str, object]:
 
 
 def curves(flights: Flights) -> Curves:
-    """Percentiles over the commands; of flights of a minute, over the flights and at rest."""
+    """Return the percentiles over the commands; of flights of a minute, over the flights and at rest."""
     held = flights.hold()
     step_t, step = (np.empty(0), np.empty((3, 3, 0))) if held is None else _steps(held)
     t, example = as_flown(flights)
@@ -243,7 +248,7 @@ def curves(flights: Flights) -> Curves:
 
 
 def _errors(flights: Flights) -> tuple[Array, NDArray[np.floating]]:
-    """Times [s], (T,), and |error| [deg/s], mean of the axes, (E, T)."""
+    """Return the times [s], (T,), and |error| [deg/s], mean of the axes, (E, T)."""
     episodes, steps = flights.rate.shape[:2]
     error = np.empty((episodes, steps), np.float32)
     for start in range(0, episodes, CHUNK):
@@ -253,7 +258,7 @@ def _errors(flights: Flights) -> tuple[Array, NDArray[np.floating]]:
 
 
 def _rests(flights: Flights) -> tuple[Array, Array]:
-    """Middles of the pieces of REST_S in which no flight's sticks move, (B,), and |rate| there, (E, B)."""
+    """Return middles of the pieces of REST_S in which no stick moves, (B,), and |rate| there, (E, B)."""
     length = round(REST_S / flights.step_s)
     pieces = flights.rate.shape[1] // length
     resting = np.all([settled(one, flights.step_s) for one in flights.setpoint], axis=0)
@@ -265,7 +270,7 @@ def _rests(flights: Flights) -> tuple[Array, Array]:
 
 
 def as_flown(flights: Flights) -> tuple[Array, Example]:
-    """The first episode: times [s], (T,), and what was flown."""
+    """Return the first episode: times [s], (T,), and what was flown."""
     steps = flights.rate.shape[1]
     return np.asarray(np.arange(steps) * flights.step_s, np.float64), Example(
         setpoint=np.rad2deg(flights.setpoint[0], dtype=np.float64),

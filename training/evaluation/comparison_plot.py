@@ -11,7 +11,7 @@ from matplotlib.ticker import LogLocator, NullLocator
 
 from neuroflight.sim.analysis.response import BAND
 from neuroflight.sim.analysis.spectrum_plot import Line, draw_spectra
-from neuroflight.sim.plotting import INK, MOTOR_COLOURS, SHADE, dress, plain_numbers, titled_figure
+from neuroflight.sim.plotting import INK, SHADE, dress, line_colour, plain_numbers, titled_figure
 from neuroflight.toolchain.contract import AXES
 from neuroflight.training.evaluation.comparison import Entry
 from neuroflight.training.evaluation.thrust import Transparency
@@ -22,7 +22,7 @@ EXAMPLE_S = (0.4, 1.2)  # of the episode; pulses begin at 0.5 s
 
 
 def draw(entries: Sequence[Entry], title: str, rests: Sequence[Transparency] = ()) -> Figure:
-    """Median and 90 % of the commands of each entry; the first in front.
+    """Draw median and 90 % of the commands of each entry; the first in front.
 
     rests: of the same controllers, drawn as thrust and motor fraction against the throttle.
     """
@@ -50,7 +50,7 @@ def draw(entries: Sequence[Entry], title: str, rests: Sequence[Transparency] = (
 
 
 def _draw_examples(panels: list[list[Axes]], entries: Sequence[Entry]) -> None:
-    """The first command as each entry flew it: rates above, motors below, on the same scales."""
+    """Draw the first command as each entry flew it: rates above, motors below, on the same scales."""
     examples = [entry.curves.example for entry in entries]
     rates = np.concatenate([np.ravel((each.setpoint, each.rate)) for each in examples])
     for n, (rate, motors) in enumerate(zip(*panels, strict=True)):
@@ -61,26 +61,27 @@ def _draw_examples(panels: list[list[Axes]], entries: Sequence[Entry]) -> None:
         entry, example = entries[n], examples[n]
         t = entry.curves.t
         for axis, name in enumerate(AXES):
-            colour = MOTOR_COLOURS[axis]
+            colour = line_colour(axis)
             rate.plot(t, example.setpoint[:, axis], color=colour, lw=1.0, ls=(0, (4, 2)))
             rate.plot(t, example.rate[:, axis], color=colour, lw=1.4, label=name)
         if example.motors is not None:
             for motor, fractions in enumerate(example.motors.T):
-                motors.plot(t, fractions, color=MOTOR_COLOURS[motor % len(MOTOR_COLOURS)], lw=0.9)
+                motors.plot(t, fractions, color=line_colour(motor), lw=0.9, label=f"motor {motor + 1}")
         dress(rate, f"{entry.controller.label}: first command [deg/s]")
-        dress(motors, f"{entry.controller.label}: motors")
+        dress(motors, f"{entry.controller.label}: motors, 0 to 1")
         rate.set_ylim(rates.min() - 10.0, rates.max() + 10.0)
         motors.set_ylim(0, 1)
-        motors.set_xlabel("s")
+        motors.set_xlabel("time, s")
         for panel in (rate, motors):
             panel.set_xlim(*EXAMPLE_S)
-    panels[0][0].legend(loc="center right", frameon=False)
+    for row in panels:
+        row[0].legend(loc="center right", frameon=False)
 
 
 def _draw_rests(thrusts: Axes, motors: Axes, rests: Sequence[Transparency]) -> None:
     for number, each in enumerate(rests):
         throttle = [rest.throttle for rest in each.rests]
-        colour, front = MOTOR_COLOURS[number % len(MOTOR_COLOURS)], 2 + len(rests) - number
+        colour, front = line_colour(number), 2 + len(rests) - number
         thrust = [float(rest.thrust.value) for rest in each.rests]
         motor, ideal = [rest.motor for rest in each.rests], [each.ideal(value) for value in throttle]
         label = each.controller.label
@@ -104,7 +105,7 @@ def _draw_steps(panels: Sequence[Axes], entries: Sequence[Entry]) -> None:
         for number, entry in enumerate(entries):
             low, median, high = entry.curves.step[:, axis]
             t, front = 1e3 * entry.curves.step_t, len(entries) - number
-            colour = MOTOR_COLOURS[number % len(MOTOR_COLOURS)]
+            colour = line_colour(number)
             panel.fill_between(t, low, high, color=colour, alpha=0.14, lw=0, zorder=2)
             panel.plot(t, median, color=colour, lw=1.7, label=entry.controller.label, zorder=2 + front)
         dress(panel, name)
@@ -117,11 +118,11 @@ def _draw_steps(panels: Sequence[Axes], entries: Sequence[Entry]) -> None:
 
 
 def _draw_errors(panel: Axes, entries: Sequence[Entry]) -> None:
-    """|Error| over an episode; over a flight of a minute, that of its rests, a mark each."""
+    """Draw |error| over an episode; over a flight of a minute, that of its rests, a mark each."""
     flights = entries[0].scores.holding is not None
     for number, entry in enumerate(entries):
         low, median, high = np.maximum(entry.curves.error, ERROR_MIN_DEG_S)
-        front, colour = len(entries) - number, MOTOR_COLOURS[number % len(MOTOR_COLOURS)]
+        front, colour = len(entries) - number, line_colour(number)
         t, label = entry.curves.error_t, entry.controller.label
         panel.fill_between(t, low, high, color=colour, alpha=0.14, lw=0, zorder=2)
         mark = "o-" if flights else "-"

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +17,7 @@ from neuroflight.sim.control.pid import aircraft_pid
 from neuroflight.sim.control.pid_table import pid_settings
 from neuroflight.sim.physics.variation import Variation
 from neuroflight.sim.physics.world import Mount
-from neuroflight.toolchain.contract import Mix
+from neuroflight.toolchain.contract import GYRO_RATE_DEFAULT_HZ, Mix
 from neuroflight.toolchain.errors import PolicyError
 from neuroflight.toolchain.policy.label import policy_label
 from neuroflight.toolchain.policy.model import read_policy
@@ -61,11 +61,11 @@ class ControllerSpec:
         return policy_label(self.name)
 
 
-Contender = ControllerSpec | BetaflightSpec
+AnyController = ControllerSpec | BetaflightSpec
 
 
 def load_controller(name: str, aircraft: Aircraft, idle: float | None = None) -> ControllerSpec:
-    """The controller called `name`: `pid`, `pid:NAME` of the aircraft file, a policy.onnx or a FILE.py:CLASS.
+    """Load `pid`, `pid:NAME` of the aircraft file, a policy.onnx or a FILE.py:CLASS.
 
     idle: replaces its own unless None. Raises AircraftError, PolicyError or TrainingError if it does not
     exist, or drives another number of motors.
@@ -112,7 +112,7 @@ def load_controller(name: str, aircraft: Aircraft, idle: float | None = None) ->
 def users_spec(
     controller: UsersController, aircraft: Aircraft, name: str, idle: float | None = None
 ) -> ControllerSpec:
-    """A class of a user's file as a controller; idle: replaces its own unless None."""
+    """Return a class of a user's file as a controller; idle: replaces its own unless None."""
     return ControllerSpec(
         name=name,
         build=lambda count: controller.build(aircraft, count),
@@ -144,7 +144,7 @@ class Conditions:
 
     def fly(
         self,
-        controller: Contender,
+        controller: AnyController,
         throttle: float | NDArray[np.float32] | None,
         progress: Callable[[int, int], None] | None = None,
         variation: Variation | None = None,
@@ -198,3 +198,10 @@ class Conditions:
             event=event,
             progress=progress,
         )
+
+
+def at_gyro_rate(conditions: Conditions, controllers: Iterable[AnyController], *, sticks: bool) -> Conditions:
+    """Return the conditions at the gyro rate that one of the controllers needs; sticks: see Conditions."""
+    if sticks or any(controller.gyro_mean for controller in controllers):
+        return replace(conditions, gyro_rate_hz=GYRO_RATE_DEFAULT_HZ, sticks=sticks)
+    return conditions

@@ -1,4 +1,4 @@
-"""Flight envelope of a controller: its error and whether it holds, by the command (Koch 2019, chapter 5)."""
+"""Flight envelope of a controller: its error, and the share that it holds, by command (Koch 2019, ch. 5)."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Envelope:
 
 
 def envelope(entry: Entry) -> Envelope | None:
-    """The envelope of an entry; None where its task holds no command for a second."""
+    """Return the envelope of an entry; None where its task holds no command for a second."""
     response = entry.scores.response
     if entry.commands is None or response is None:
         return None
@@ -38,7 +38,7 @@ def envelope(entry: Entry) -> Envelope | None:
 
 
 def by_magnitude(found: Envelope) -> tuple[NDArray[np.intp], Array, Array]:
-    """Commands, mean of their error [deg/s] and share held in each interval of EDGES_DEG_S; NaN for none.
+    """Return commands, mean error [deg/s] and share held in each interval of EDGES_DEG_S; NaN for none.
 
     Each is (B,).
     """
@@ -50,7 +50,7 @@ def by_magnitude(found: Envelope) -> tuple[NDArray[np.intp], Array, Array]:
 
 
 def envelope_document(found: Envelope, first: Envelope) -> dict[str, object]:
-    """The figures as JSON data, the error beside that of `first`."""
+    """Return the figures as JSON data, the error beside that of `first`."""
     mae, reference = float(found.mae.mean()), float(first.mae.mean())
     count, error, held = by_magnitude(found)
     return {
@@ -67,5 +67,5 @@ def envelope_document(found: Envelope, first: Envelope) -> dict[str, object]:
 
 
 def _largest(magnitude: Array, held: NDArray[np.bool_]) -> float | None:
-    """Magnitude of the largest command that was held; None if none was."""
+    """Return the magnitude of the largest command that was held; None if none was."""
     return float(magnitude[held].max()) if held.any() else None

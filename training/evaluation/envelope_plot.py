@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 from mpl_toolkits.mplot3d import Axes3D
 
-from neuroflight.sim.plotting import INK, MOTOR_COLOURS, dress, dress_cube, titled_figure
+from neuroflight.sim.plotting import INK, dress, dress_cube, line_colour, titled_figure
 from neuroflight.training.evaluation.comparison import Entry
 from neuroflight.training.evaluation.envelope import EDGES_DEG_S, Envelope, by_magnitude, envelope
 
@@ -21,7 +21,7 @@ MAE_MIN_DEG_S = 0.1  # least end of the scale of colours
 
 
 def draw_envelope(entries: Sequence[Entry], title: str) -> Figure:
-    """Commands in three axes, their mean over |roll| and |pitch|, and both figures by magnitude.
+    """Draw commands in three axes, their mean over |roll| and |pitch|, and both figures by magnitude.
 
     Raises ValueError if a task holds no command for a second.
     """
@@ -62,7 +62,7 @@ def draw_envelope(entries: Sequence[Entry], title: str) -> Figure:
 
 
 def _draw_map(panel: Axes, each: Envelope, colours: LogNorm) -> Axes:
-    """Mean error in cells of |roll| and |pitch|, with the number of commands in each."""
+    """Draw mean error in cells of |roll| and |pitch|, with the number of commands in each."""
     cells = np.minimum(np.abs(each.commands[:, :2]) // CELL_DEG_S, CELLS - 1).astype(int)
     place = cells[:, 1] * CELLS + cells[:, 0]
     count = np.bincount(place, minlength=CELLS**2)
@@ -86,7 +86,7 @@ def _draw_magnitudes(errors: Axes, shares: Axes, entries: Sequence[Entry], shown
     middles = (np.array(EDGES_DEG_S[:-1]) + EDGES_DEG_S[1:]) / 2
     for number, (entry, each) in enumerate(zip(entries, shown, strict=True)):
         _, error, held = by_magnitude(each)
-        colour = MOTOR_COLOURS[number % len(MOTOR_COLOURS)]
+        colour = line_colour(number)
         errors.plot(middles, error, "o-", ms=4, color=colour, label=entry.controller.label)
         shares.plot(middles, 100 * held, "o-", ms=4, color=colour)
     errors.set_ylim(bottom=0)

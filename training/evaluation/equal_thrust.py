@@ -9,7 +9,7 @@ import numpy as np
 
 from neuroflight.sim.analysis.confidence import Mean
 from neuroflight.training.evaluation.comparison import Array, Entry, document, enter, values
-from neuroflight.training.evaluation.controllers import Conditions, Contender
+from neuroflight.training.evaluation.controllers import AnyController, Conditions
 from neuroflight.training.evaluation.evaluation import interval, mean_over
 from neuroflight.training.evaluation.thrust import (
     TRANSPARENT,
@@ -34,37 +34,37 @@ class Level:
 
 @dataclass(frozen=True, eq=False)
 class EqualThrust:
-    """What controllers do at equal thrust."""
+    """Results of controllers at equal thrust."""
 
     transparency: tuple[Transparency, ...]
     levels: tuple[Level, ...]
 
 
 def all_transparency(
-    contenders: Sequence[Contender], conditions: Conditions, bar: Bar
+    controllers: Sequence[AnyController], conditions: Conditions, bar: Bar
 ) -> tuple[Transparency, ...]:
-    """Each controller at rest along the throttle."""
-    return tuple(transparency(each, conditions, bar(f"{each.label} at rest")) for each in contenders)
+    """Fly each controller at rest along the throttle."""
+    return tuple(transparency(each, conditions, bar(f"{each.label} at rest")) for each in controllers)
 
 
 def equal_thrust(
-    contenders: Sequence[Contender], conditions: Conditions, thrusts: Sequence[float], bar: Bar
+    controllers: Sequence[AnyController], conditions: Conditions, thrusts: Sequence[float], bar: Bar
 ) -> EqualThrust:
     """Find each controller's throttles for `thrusts`, of the weight, and fly all commands at each.
 
     A throttle that stands for two thrusts is flown once.
     """
-    rests = all_transparency(contenders, conditions, bar)
+    rests = all_transparency(controllers, conditions, bar)
     columns = []
     for known in rests:
-        contender = known.controller
-        found = trims(known, conditions, thrusts, bar(f"{contender.label}, throttles"))
+        controller = known.controller
+        found = trims(known, conditions, thrusts, bar(f"{controller.label}, throttles"))
         flown: dict[float, Entry] = {}
         for trim in found:
             throttle = trim.rest.throttle
             if throttle not in flown:
-                show = bar(f"{contender.label}, throttle {throttle:.3f}")
-                flown[throttle] = enter(contender, conditions, throttle, show)
+                show = bar(f"{controller.label}, throttle {throttle:.3f}")
+                flown[throttle] = enter(controller, conditions, throttle, show)
         columns.append([(flown[trim.rest.throttle], trim) for trim in found])
     levels = tuple(
         Level(wanted, tuple(entry for entry, _ in row), tuple(trim for _, trim in row))
@@ -74,7 +74,7 @@ def equal_thrust(
 
 
 def over_levels(levels: Sequence[Level], number: int, name: str) -> tuple[Mean, Mean | None]:
-    """A figure of controller `number`, mean over the levels; and less the first controller's, paired.
+    """Return a figure of controller `number`, mean over the levels; and less the first's, paired.
 
     Each command counts with its mean over the levels. The difference is None for the first controller.
     """
@@ -86,7 +86,7 @@ def over_levels(levels: Sequence[Level], number: int, name: str) -> tuple[Mean, 
 
 
 def level_document(level: Level, flight: Callable[[Entry], dict[str, object]]) -> dict[str, object]:
-    """A level as JSON data; flight: what a controller and its figures give."""
+    """Return a level as JSON data; flight: what a controller and its figures give."""
     first = level.entries[0]
     return {
         "thrust": level.wanted,
@@ -105,7 +105,7 @@ def level_document(level: Level, flight: Callable[[Entry], dict[str, object]]) -
 
 
 def transparency_document(known: Transparency) -> dict[str, object]:
-    """A controller at rest as JSON data."""
+    """Return a controller at rest as JSON data."""
     farthest = known.deviation
     return {
         "controller": known.controller.name,
@@ -126,7 +126,7 @@ def transparency_document(known: Transparency) -> dict[str, object]:
 
 
 def _each(entry: Entry, name: str) -> Array:
-    """A figure of each command, (E,), the mean of its axes where it has three."""
+    """Return a figure of each command, (E,), the mean of its axes where it has three."""
     each = values(entry.scores)[name]
     mean: Array = each.reshape(len(each), -1).mean(axis=1)
     return mean

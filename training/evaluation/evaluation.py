@@ -51,7 +51,7 @@ class Flights:
 
     @property
     def commands(self) -> int:
-        """How many commands an episode holds, of which figures are told one by one."""
+        """Number of commands of an episode whose figures are told one by one."""
         return self.course.commands if self.course else 1
 
     @property
@@ -61,7 +61,7 @@ class Flights:
         return slice(0, rows - rows % self.commands)
 
     def hold(self) -> Hold | None:
-        """The held command of each episode, of a flight one by one; None if one holds under a second."""
+        """Return each episode's held command, of a flight one by one; None if one holds under a second."""
         if self.recorded:
             return None
         parts = len(self.rate) * self.commands
@@ -71,7 +71,7 @@ class Flights:
         return hold(setpoint, rate, self.step_s)
 
     def holding(self) -> Holding | None:
-        """Figures by age; None where episodes are no flights of a minute."""
+        """Return the figures by age; None where episodes are no flights of a minute."""
         if self.course is None:
             return None
         return holding(self.setpoint, self.rate, self.step_s, self.commands, self.commanded.stop)
@@ -103,7 +103,7 @@ class Scores:
 
     @property
     def commands(self) -> int:
-        """How many commands of `response` are of one episode."""
+        """Number of commands of `response` of one episode."""
         return len(self.response.success) // len(self.output) if self.response else 1
 
 
@@ -137,7 +137,7 @@ class Event:
 
 
 class Rows:
-    """What is kept of T control steps of E aircraft with M motors, float32."""
+    """The record of T control steps of E aircraft with M motors, float32."""
 
     def __init__(self, steps: int, episodes: int, motors: int) -> None:
         self._rate = np.empty((steps, episodes, 3), np.float32)
@@ -161,7 +161,7 @@ class Rows:
             self._volts[k] = twin.battery.voltage[:, 0]
 
     def flights(self, setpoint: NDArray[np.float32], step_s: float, task: Task, samples: int) -> Flights:
-        """The record of all steps of the task's episodes; samples: of the twin in a step. See Flights."""
+        """Return the record of all steps of the task's episodes; samples: of the twin in a step."""
         rate, output, motors, lift, power, current = map(
             _by_episode, (self._rate, self.output, self.motors, self._lift, self._power, self._current)
         )
@@ -183,7 +183,7 @@ class Rows:
 
 
 def drawn(seed: int) -> tuple[np.random.Generator, np.random.Generator]:
-    """The streams of a seed that commands and the sensors' noise are drawn from."""
+    """Return the streams of a seed that commands and the sensors' noise are drawn from."""
     commands, noise = (np.random.default_rng(part) for part in np.random.SeedSequence(seed).spawn(2))
     return commands, noise
 
@@ -278,17 +278,17 @@ def record(
 
 
 def _thrust_by_step(throttle: float | NDArray[np.float32]) -> NDArray[np.float32] | None:
-    """The thrust of each control step, (T, episodes), from (episodes, T); None: it stays as it is."""
+    """Return the thrust of each control step, (T, episodes), from (episodes, T); None: it stays as it is."""
     return np.ascontiguousarray(np.transpose(throttle), np.float32) if np.ndim(throttle) == 2 else None
 
 
 def figures(flights: Flights) -> Evaluation:
-    """All figures of recorded flights."""
+    """Return all figures of recorded flights."""
     return summary(scores(flights))
 
 
 def scores(flights: Flights) -> Scores:
-    """The figures of each episode."""
+    """Return the figures of each episode."""
     episodes, step_s, rows = len(flights.rate), flights.step_s, flights.commanded
     setpoint, rate, output = (part[:, rows] for part in (flights.setpoint, flights.rate, flights.output))
     at_a_time = max(1, CHUNK_ROWS // max(1, rate.shape[1]))
@@ -318,12 +318,12 @@ def scores(flights: Flights) -> Scores:
 
 
 def _means(values: NDArray[np.float32] | None, rows: slice) -> NDArray[np.float64] | None:
-    """The mean of each episode (E,) over these rows of values (E, T)."""
+    """Return the mean of each episode (E,) over these rows of values (E, T)."""
     return None if values is None else np.asarray(values[:, rows].mean(axis=1, dtype=np.float64))
 
 
 def summary(scores: Scores) -> Evaluation:
-    """Means over the episodes with their confidence."""
+    """Return the means over the episodes with their confidence."""
     errors = [mean_over(getattr(scores.tracking, field.name)) for field in fields(Tracking)]
     output, change, rough = (mean_over(each) for each in (scores.output, scores.change, scores.smoothness))
     return Evaluation(
@@ -345,12 +345,12 @@ def summary(scores: Scores) -> Evaluation:
 
 
 def mean_over(values: NDArray[np.float64]) -> Mean:
-    """Mean over episodes (E, ...) with its confidence."""
+    """Return the mean over episodes (E, ...) with its confidence."""
     return mean_of(values, np.ones(values.shape, bool))
 
 
 def interval(mean: Mean) -> dict[str, float]:
-    """A mean and its confidence interval, as JSON data."""
+    """Return a mean and its confidence interval, as JSON data."""
     return {name: float(getattr(mean, name)) for name in ("value", "low", "high")}
 
 

@@ -17,7 +17,7 @@ from neuroflight.sim.aircraft.model import Aircraft
 from neuroflight.sim.aircraft.payload import Payload, loaded
 from neuroflight.sim.physics.twin import Twin
 from neuroflight.toolchain.contract import AXES, GYRO_FULL_SCALE_DEG_S
-from neuroflight.training.evaluation.controllers import Conditions, Contender
+from neuroflight.training.evaluation.controllers import AnyController, Conditions
 from neuroflight.training.evaluation.evaluation import Event, Flights
 from neuroflight.training.tasks.task import EpisodicTask
 
@@ -60,7 +60,7 @@ class Plan:
 
 @dataclass(frozen=True, eq=False)
 class CaseResult:
-    """What a controller did in a case. Arrays (3,) are of roll, pitch, yaw; means over episodes."""
+    """Results of a controller in a case. Arrays (3,) are of roll, pitch, yaw; means over episodes."""
 
     case: Case
     before: Array  # [deg/s] MAE of the last WINDOW_S before the change
@@ -75,7 +75,7 @@ class CaseResult:
 
     @property
     def lost(self) -> tuple[str, ...]:
-        """Axes that fewer than half of the episodes recover."""
+        """The axes that fewer than half of the episodes recover."""
         return tuple(axis for axis, share in zip(AXES, self.recovered, strict=True) if share < 0.5)
 
 
@@ -83,41 +83,43 @@ class CaseResult:
 class Failure:
     """All cases of one controller."""
 
-    controller: Contender
+    controller: AnyController
     cases: tuple[CaseResult, ...]
 
 
 def nothing_happens(aircraft: Aircraft) -> Case:
-    """The flight that the others are compared with."""
+    """Return the case without a change, with which the others are compared."""
     return Case("nothing", "none", aircraft, lambda twin: None)
 
 
 def motor_loses(aircraft: Aircraft, motor: int, share: float) -> Case:
-    """Motor `motor`, from 1, loses `share` of its thrust."""
+    """Return the case of `motor`, from 1, that loses `share` of its thrust."""
     shares = np.ones(aircraft.motor_count)
     shares[motor - 1] = 1.0 - share
     return Case(f"motor {motor} loses {100 * share:g} %", "motor", aircraft, lambda twin: twin.weaken(shares))
 
 
 def payload_attached(aircraft: Aircraft, payload: Payload) -> Case:
-    """The payload comes on."""
+    """Return the case of a payload that comes on."""
     after = loaded(aircraft, payload)
     return Case(f"{payload.words} comes on", "attach", aircraft, lambda twin: twin.load(after))
 
 
 def payload_dropped(aircraft: Aircraft, payload: Payload) -> Case:
-    """It was on from the start, and goes."""
+    """Return the case of a payload that was on from the start, and goes."""
     return Case(f"{payload.words} goes", "drop", loaded(aircraft, payload), lambda twin: twin.load(aircraft))
 
 
 def payload_shifted(aircraft: Aircraft, payload: Payload, to: Payload) -> Case:
-    """It was on from the start, and moves."""
+    """Return the case of a payload that was on from the start, and moves."""
     before, after = loaded(aircraft, payload), loaded(aircraft, to)
     x, y, z = (f"{1e3 * value:g}" for value in to.position)
     return Case(f"{payload.words} moves to {x}, {y}, {z}", "shift", before, lambda twin: twin.load(after))
 
 
-def examine(controller: Contender, plan: Plan, progress: Callable[[int, int], None] | None = None) -> Failure:
+def examine(
+    controller: AnyController, plan: Plan, progress: Callable[[int, int], None] | None = None
+) -> Failure:
     """Fly all cases; progress: called with steps done and to do, of all flights together."""
     results = []
     task = EpisodicTask(limit_deg_s=plan.limit_deg_s, hold_s=plan.at_s + plan.after_s)
@@ -135,7 +137,7 @@ def examine(controller: Contender, plan: Plan, progress: Callable[[int, int], No
 
 
 def case_result(case: Case, flights: Flights, at_s: float) -> CaseResult:
-    """Figures of recorded flights whose command is held from the start."""
+    """Return the figures of recorded flights whose command is held from the start."""
     step_s = flights.step_s
     error = np.rad2deg(flights.rate - flights.setpoint, dtype=np.float64)  # (E, T, 3)
     at, window = round(at_s / step_s), max(1, round(WINDOW_S / step_s))
@@ -167,7 +169,7 @@ def case_result(case: Case, flights: Flights, at_s: float) -> CaseResult:
 
 
 def document(result: Failure) -> dict[str, object]:
-    """A controller and its cases, as JSON data."""
+    """Return a controller and its cases, as JSON data."""
     return {
         "controller": result.controller.name,
         "label": result.controller.label,
@@ -194,7 +196,7 @@ def _by_axis(values: Array) -> dict[str, float | None]:
 
 
 def _averaged(values: Array, length: int) -> Array:
-    """Mean over `length` samples up to each, of (E, T, 3); over fewer at the start."""
+    """Return the mean over `length` samples up to each, of (E, T, 3); over fewer at the start."""
     sums = np.cumsum(values, axis=1)
     means = sums.copy()
     means[:, length:] -= sums[:, :-length]

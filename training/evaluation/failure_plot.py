@@ -1,4 +1,4 @@
-"""Plot of `neuroflight failure`: the mean error of each axis over time, a row a case."""
+"""Plot of suite `failures`: the mean error of each axis over time, a row for each case."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ BEFORE_S = 0.3  # shown before the change
 
 
 def draw(results: Sequence[Failure], at_s: float, title: str) -> Figure:
-    """Error of roll, pitch and yaw against time, all controllers in each panel."""
+    """Draw error of roll, pitch and yaw against time, all controllers in each panel."""
     cases = [each.case for each in results[0].cases]
     figure = titled_figure((10, 0.8 + 1.5 * len(cases)), title)
     rows = figure.subplots(len(cases), 3, squeeze=False, sharex=True, sharey=True)

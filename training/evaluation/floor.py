@@ -1,4 +1,4 @@
-"""How far from the best possible: the least errors of each command that any motors could reach.
+"""The least errors of each command that any motors could reach.
 
 A command is followed late by the delay, and then as fast as the rotors' response and the motors' limits let
 the aircraft turn: that much no controller can take away. Here each change of the command is flown by the
@@ -26,7 +26,7 @@ from neuroflight.sim.physics.battery import open_circuit_voltage
 from neuroflight.sim.physics.rotor import target_speed
 from neuroflight.sim.physics.world import Mount
 from neuroflight.toolchain.contract import GRAVITY
-from neuroflight.training.evaluation.controllers import Conditions, Contender
+from neuroflight.training.evaluation.controllers import AnyController, Conditions
 from neuroflight.training.evaluation.evaluation import Flights, Floors, Scores, scores
 from neuroflight.training.learners.pathwise.open_loop import Commands, Motors, search
 
@@ -49,7 +49,7 @@ class Changes:
 
 
 def changes(setpoint: NDArray[np.floating]) -> Changes:
-    """The changes of setpoints (E, T, 3) [rad/s]. Before an episode the command is zero."""
+    """Return the changes of setpoints (E, T, 3) [rad/s]. Before an episode the command is zero."""
     before = np.concatenate([np.zeros_like(setpoint[:, :1]), setpoint[:, :-1]], axis=1)
     episode, step = np.nonzero((setpoint != before).any(axis=2))
     last = np.append(step[1:], 0)
@@ -69,7 +69,7 @@ def floors(
     charge: float | None = None,
     held: Array | None = None,
 ) -> Floors | None:
-    """The least errors of the commands `setpoint` (E, T, 3) [rad/s] in control steps of `step_s` [s].
+    """Return the least errors of the commands `setpoint` (E, T, 3) [rad/s] in control steps of `step_s` [s].
 
     thrust: of all rotors before a change of the command, in parts of the weight: one for all, or that of
     each change (C,), see `changes`; idle: least motor fraction, 0..1; samples: steps of the twin in a
@@ -94,8 +94,8 @@ def floors(
     return None if mae is None or mse is None else Floors(mae, mse)
 
 
-def scored(flights: Flights, controller: Contender, conditions: Conditions) -> Scores:
-    """The figures of each episode with its floors, where those are known: see `floors`."""
+def scored(flights: Flights, controller: AnyController, conditions: Conditions) -> Scores:
+    """Return the figures of each episode with its floors, where those are known: see `floors`."""
     known = scores(flights)
     propulsion = conditions.aircraft.propulsion
     sinks = propulsion.advance is not None and propulsion.advance.ratio_least < 0.0
@@ -108,7 +108,7 @@ def scored(flights: Flights, controller: Contender, conditions: Conditions) -> S
 def floors_of(
     flights: Flights, aircraft: Aircraft, *, idle: float, charge: float | None = None
 ) -> Floors | None:
-    """The least errors with the thrust and the rates that a controller had before each change; see `floors`.
+    """Return the least errors from the thrust and rates that a controller had before each change.
 
     Rates, not commands: who is still on the way when the next command comes may have less of it to go.
 
@@ -137,7 +137,7 @@ def floors_of(
 
 
 def _limits(aircraft: Aircraft, idle: float, charge: float | None) -> tuple[float, float]:
-    """Rotor speeds [rad/s] that the least and the greatest motor fraction settle at."""
+    """Return the rotor speeds [rad/s] that the least and the greatest motor fraction settle at."""
     voltage = None
     if charge is not None and aircraft.battery is not None:
         voltage = open_circuit_voltage(aircraft.battery, np.array(charge))
@@ -148,7 +148,7 @@ def _limits(aircraft: Aircraft, idle: float, charge: float | None) -> tuple[floa
 def _least(
     motors: Motors, found: Changes, thrust: Array, steps: int, delay: float, *, squared: bool
 ) -> Array | None:
-    """The least sum over the control steps of each change (C,), of |e| or e^2, mean of the axes.
+    """Return the least sum over the control steps of each change (C,), of |e| or e^2, mean of the axes.
 
     None where a command changes before the one before it could be reached.
     """

@@ -1,6 +1,6 @@
 """Manoeuvres in free flight, with drag, battery and gusts, of policies, PIDs and Betaflight on equal terms.
 
-Every contender flies alone behind its port, from its boot, through the lockstep loop of `neuroflight fly`:
+Every controller flies alone behind its port, from its boot, through the lockstep loop of `neuroflight fly`:
 receiver frames, calibration and arming included. Before that it flies the stairs: zero command, the centre
 of mass held, gyro noise on, the same battery, a throttle after the other; what thrust its rotors give is its
 curve, by which the thrust that a manoeuvre asks for becomes its own throttle. A policy is computed in Python
@@ -44,15 +44,15 @@ COMPARED = ("mae", "mse")  # figures of which the lowest wins
 
 @dataclass(frozen=True)
 class Air:
-    """What everybody flies in."""
+    """Battery and wind that everybody flies with."""
 
     charge: float  # of the battery at power-on, 0..1
     gust: float  # wind 20 feet above the ground whose turbulence is flown in [m/s]
 
 
 @dataclass(frozen=True)
-class Contender:
-    """Somebody who can be put behind a port, freshly booted."""
+class PortController:
+    """A controller that can be put behind a port, freshly booted."""
 
     name: str  # as the user wrote it
     label: str
@@ -61,8 +61,8 @@ class Contender:
     facts: dict[str, str]  # what a stored result records of it
 
 
-def load_contender(name: str, aircraft: Aircraft) -> Contender:
-    """A policy file, `pid` or `pid:NAME`.
+def port_controller(name: str, aircraft: Aircraft) -> PortController:
+    """Load a policy file, `pid` or `pid:NAME`.
 
     Raises AircraftError or PolicyError where it does not exist or cannot fly the aircraft behind a port.
     """
@@ -73,13 +73,15 @@ def load_contender(name: str, aircraft: Aircraft) -> Contender:
             f"{name}: observes rotor speed or attitude, which no port gives; evaluate it with `neuroflight "
             f"evaluate`"
         )
-    return Contender(name, spec.label, lambda: _port(spec, aircraft), spec.idle, spec.facts)
+    return PortController(name, spec.label, lambda: _port(spec, aircraft), spec.idle, spec.facts)
 
 
-def betaflight_contender(name: str, aircraft: Aircraft, built: Betaflight, tune: Tune | None) -> Contender:
-    """Betaflight, with its defaults or a pilot's settings. Raises AircraftError if it cannot fly it."""
+def betaflight_controller(
+    name: str, aircraft: Aircraft, built: Betaflight, tune: Tune | None
+) -> PortController:
+    """Return Betaflight, its defaults or a pilot's settings. Raises AircraftError if it cannot fly it."""
     settings = aircraft_settings(aircraft)
-    return Contender(
+    return PortController(
         name=name,
         label=betaflight_label(tune),
         open=lambda: BetaflightPort(built, GYRO_RATE_DEFAULT_HZ, settings, tune, aircraft.motor_count),
@@ -101,15 +103,15 @@ def _port(spec: ControllerSpec, aircraft: Aircraft) -> ControllerPort:
 
 
 def thrust_curve(
-    contender: Contender, aircraft: Aircraft, air: Air, seed: int, progress: Progress | None = None
+    controller: PortController, aircraft: Aircraft, air: Air, seed: int, progress: Progress | None = None
 ) -> ThrustCurve:
-    """Thrust at rest against throttle, flown on the stairs."""
-    _, motion, rate_hz = _flight(contender, aircraft, air, stairs(), seed, progress)
+    """Fly the stairs and return thrust at rest against throttle."""
+    _, motion, rate_hz = _flight(controller, aircraft, air, stairs(), seed, progress)
     return ThrustCurve.of_steps(motion.thrust.tolist(), rate_hz)
 
 
 def fly_manoeuvre(
-    contender: Contender,
+    controller: PortController,
     aircraft: Aircraft,
     air: Air,
     manoeuvre: Manoeuvre,
@@ -117,14 +119,14 @@ def fly_manoeuvre(
     seed: int,
     progress: Progress | None = None,
 ) -> ManoeuvreFigures:
-    """One flight of a seed, which draws noise, bias and gusts: the manoeuvre, then a hover."""
+    """Fly a manoeuvre and a hover; the seed draws noise, bias and gusts."""
     scenario = manoeuvre.then_hover().scenario(curve.throttle_of)
-    trace, motion, _ = _flight(contender, aircraft, air, scenario, seed, progress)
+    trace, motion, _ = _flight(controller, aircraft, air, scenario, seed, progress)
     return manoeuvre_figures(trace, motion.thrust, manoeuvre.commanded, SETTLE_S, HOVER_S)
 
 
 def trace_manoeuvre(
-    contender: Contender,
+    controller: PortController,
     aircraft: Aircraft,
     air: Air,
     manoeuvre: Manoeuvre,
@@ -132,34 +134,34 @@ def trace_manoeuvre(
     seed: int,
     progress: Progress | None = None,
 ) -> Trace:
-    """The same flight as it was flown."""
-    return _flight(contender, aircraft, air, manoeuvre.scenario(curve.throttle_of), seed, progress)[0]
+    """Fly the manoeuvre and return it as it was flown."""
+    return _flight(controller, aircraft, air, manoeuvre.scenario(curve.throttle_of), seed, progress)[0]
 
 
 def fly_descent(
-    contender: Contender,
+    controller: PortController,
     aircraft: Aircraft,
     air: Air,
     curve: ThrustCurve,
     seed: int,
     progress: Progress | None = None,
 ) -> DescentFigures:
-    """The descent of a seed: from the hover, level, the throttle closed."""
+    """Fly the descent of a seed: from the hover, level, the throttle closed."""
     scenario = DESCENT.scenario(curve.throttle_of)
-    _, motion, rate_hz = _flight(contender, aircraft, air, scenario, seed, progress)
+    _, motion, rate_hz = _flight(controller, aircraft, air, scenario, seed, progress)
     return descent_figures(motion, round(SETTLE_S * rate_hz), rate_hz)
 
 
 def _flight(
-    contender: Contender,
+    controller: PortController,
     aircraft: Aircraft,
     air: Air,
     scenario: Scenario,
     seed: int,
     progress: Progress | None,
 ) -> tuple[Trace, Motion, int]:
-    """A flight in a fresh twin; noise and gusts are those of the seed, whoever flies."""
-    port = contender.open()
+    """Fly in a fresh twin; noise and gusts are those of the seed, for every controller."""
+    port = controller.open()
     with closing(port):
         twin = Twin(
             aircraft,
@@ -178,38 +180,38 @@ def _flight(
 # --- Means over seeds ------------------------------------------------------------------------
 @dataclass(frozen=True)
 class Flown:
-    """All flights of one contender."""
+    """All flights of one controller."""
 
-    contender: Contender
+    controller: PortController
     curve: ThrustCurve
     manoeuvres: dict[str, tuple[ManoeuvreFigures, ...]]  # by name, a flight a seed
     descents: tuple[DescentFigures, ...]
 
 
 def means(flights: Sequence[ManoeuvreFigures] | Sequence[DescentFigures]) -> dict[str, Mean]:
-    """Each figure over seeds with its 95 % confidence."""
+    """Return each figure over seeds with its 95 % confidence."""
     names = [field.name for field in fields(flights[0])]
     return {name: _mean(_values(flights, name)) for name in names}
 
 
 def winner(flown: Sequence[Flown], manoeuvre: str, figure: str) -> int:
-    """Index of the contender with the lowest mean."""
+    """Return the index of the controller with the lowest mean."""
     return int(np.argmin([_values(one.manoeuvres[manoeuvre], figure).mean() for one in flown]))
 
 
 def significant(flown: Sequence[Flown], manoeuvre: str, figure: str, best: int) -> bool:
-    """Whether the best differs from every other with 95 % confidence, seed by seed."""
+    """Return True if the best differs from every other with 95 % confidence, seed by seed."""
     first = _values(flown[best].manoeuvres[manoeuvre], figure)
     others = [_values(one.manoeuvres[manoeuvre], figure) for k, one in enumerate(flown) if k != best]
     return len(first) > 1 and all(float(paired(first, other).low) > 0.0 for other in others)
 
 
 def document(flown: Sequence[Flown]) -> list[dict[str, object]]:
-    """Contenders with their figures as JSON data; differences are to the first, seed by seed."""
-    return [_contender_document(flown, index) for index in range(len(flown))]
+    """Return controllers with their figures as JSON data; differences are to the first, seed by seed."""
+    return [_document(flown, index) for index in range(len(flown))]
 
 
-def _contender_document(flown: Sequence[Flown], index: int) -> dict[str, object]:
+def _document(flown: Sequence[Flown], index: int) -> dict[str, object]:
     one, first = flown[index], flown[0]
     found: dict[str, object] = {}
     for name, flights in one.manoeuvres.items():
@@ -224,9 +226,9 @@ def _contender_document(flown: Sequence[Flown], index: int) -> dict[str, object]
         ]
         found[name] = figures
     return {
-        "controller": one.contender.name,
-        **one.contender.facts,
-        "idle": one.contender.idle,
+        "controller": one.controller.name,
+        **one.controller.facts,
+        "idle": one.controller.idle,
         "throttle": list(one.curve.throttle),
         "thrust_at_rest": list(one.curve.thrust),
         "figures": found,

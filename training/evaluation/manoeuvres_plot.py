@@ -1,4 +1,4 @@
-"""Plot of manoeuvres: commanded and flown rates of all contenders, a column a manoeuvre, a row an axis."""
+"""Plot of manoeuvres: commanded and flown rates of all controllers, a column each, a row for each axis."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
 from neuroflight.sim.flight.manoeuvres import SETTLE_S
-from neuroflight.sim.plotting import INK, MOTOR_COLOURS, dress, titled_figure
+from neuroflight.sim.plotting import INK, dress, line_colour, titled_figure
 from neuroflight.toolchain.contract import AXES
 
 BEFORE_S = 0.1  # drawn of the hover before the first command
@@ -22,7 +22,7 @@ class Shown:
     """One flight of a manoeuvre."""
 
     manoeuvre: str
-    label: str  # of the contender
+    label: str  # of the controller
     t: NDArray[np.float64]  # (T,) [s]
     setpoint: NDArray[np.float64]  # (T, 3) [deg/s]
     rate: NDArray[np.float64]  # (T, 3) [deg/s], true
@@ -35,7 +35,7 @@ class Shown:
 
 
 def draw(flights: Sequence[Shown], title: str) -> Figure:
-    """The flights from shortly before their first command on; dashed: commanded by the first contender."""
+    """Draw the flights from shortly before their first command on; dashed: commanded."""
     names = list(dict.fromkeys(one.manoeuvre for one in flights))
     labels = list(dict.fromkeys(one.label for one in flights))
     figure = titled_figure((6.0 * len(names), 9.0), title)
@@ -46,7 +46,7 @@ def draw(flights: Sequence[Shown], title: str) -> Figure:
         for axis, word in enumerate(AXES):
             panel = panels[axis, column]
             for one in flown:
-                colour = MOTOR_COLOURS[labels.index(one.label) % len(MOTOR_COLOURS)]
+                colour = line_colour(labels.index(one.label))
                 panel.plot(one.t, one.rate[:, axis], color=colour, lw=1.4, zorder=2)
             panel.plot(flown[0].t, flown[0].setpoint[:, axis], color=INK, lw=1.0, ls=(0, (4, 2)), zorder=3)
             panel.set_xlim(begin - BEFORE_S, float(flown[0].t[-1]))
@@ -57,7 +57,7 @@ def draw(flights: Sequence[Shown], title: str) -> Figure:
         panel.set_ylabel("deg/s", color=INK)
     handles = [
         *(
-            Line2D([], [], color=MOTOR_COLOURS[number % len(MOTOR_COLOURS)], lw=1.4, label=label)
+            Line2D([], [], color=line_colour(number), lw=1.4, label=label)
             for number, label in enumerate(labels)
         ),
         Line2D([], [], color=INK, lw=1.0, ls=(0, (4, 2)), label="commanded"),

@@ -19,7 +19,7 @@ from neuroflight.sim.analysis.confidence import Mean
 from neuroflight.sim.physics.battery import BatteryState
 from neuroflight.sim.physics.world import Mount
 from neuroflight.training.evaluation.comparison import values
-from neuroflight.training.evaluation.controllers import Conditions, Contender
+from neuroflight.training.evaluation.controllers import AnyController, Conditions
 from neuroflight.training.evaluation.evaluation import Flights, interval, mean_over, scores
 from neuroflight.training.evaluation.thrust import Progress, Trim, transparency, trims
 from neuroflight.training.tasks.task import EpisodicTask
@@ -32,14 +32,14 @@ SPIN_UP_S = 0.5  # left out of idling and rest: rotors and filters settle
 
 @dataclass(frozen=True)
 class Draw:
-    """What the battery gives, mean over time, then over aircraft."""
+    """Voltage, current and power of the battery, mean over time, then over aircraft."""
 
     volts: Mean  # [V], under load
     amps: Mean  # [A]
     watts: Mean  # [W]
 
     def document(self) -> dict[str, object]:
-        """As JSON data."""
+        """Return the figures as JSON data."""
         return {name: interval(getattr(self, name)) for name in ("volts", "amps", "watts")}
 
 
@@ -55,15 +55,15 @@ class Flown:
 
 @dataclass(frozen=True)
 class Drawn:
-    """What a controller draws."""
+    """Draw of a controller on the ground and in flight."""
 
-    controller: Contender
+    controller: AnyController
     idling: Draw  # on the ground, throttle closed
     flown: tuple[Flown, ...]  # by thrust, as asked
 
 
 def disarmed(battery: Battery, charge: float) -> Draw:
-    """What stopped motors leave of the load: the electronics. charge: 0..1."""
+    """Return the load that stopped motors leave: the electronics. charge: 0..1."""
     pack = BatteryState(battery, 1)
     pack.reset(np.arange(1), charge)
     for _ in range(SETTLING):
@@ -72,7 +72,7 @@ def disarmed(battery: Battery, charge: float) -> Draw:
 
 
 def power(
-    controller: Contender, conditions: Conditions, thrusts: Sequence[float], idle_s: float, bar: Bar
+    controller: AnyController, conditions: Conditions, thrusts: Sequence[float], idle_s: float, bar: Bar
 ) -> Drawn:
     """Let a controller idle for `idle_s` and fly at each of `thrusts`, of the weight.
 
@@ -97,12 +97,12 @@ def power(
 
 
 def settled(flights: Flights) -> Draw:
-    """What flights draw after SPIN_UP_S."""
+    """Return the figures of flights after SPIN_UP_S."""
     return _of(flights, round(SPIN_UP_S / flights.step_s))
 
 
 def document(drawn: Drawn) -> dict[str, object]:
-    """What a controller draws, as JSON data."""
+    """Return the figures of a controller as JSON data."""
     return {
         "controller": drawn.controller.name,
         "label": drawn.controller.label,
@@ -129,6 +129,6 @@ def _of(flights: Flights, first: int) -> Draw:
 
 
 def _draw(volts: NDArray[np.floating], amps: NDArray[np.floating]) -> Draw:
-    """Means of (E, T), over T and then over E."""
+    """Return the means of (E, T), over T and then over E."""
     each, drawn = volts.astype(np.float64), amps.astype(np.float64)
     return Draw(*(mean_over(series.mean(axis=1)) for series in (each, drawn, each * drawn)))

@@ -1,4 +1,4 @@
-"""Plot of `neuroflight power`: current disarmed and idling, and error against current in flight."""
+"""Plot of suite `power`: current disarmed and idling, and error against current in flight."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from neuroflight.sim.analysis.confidence import Mean
-from neuroflight.sim.plotting import INK, MOTOR_COLOURS, MUTED, dress, titled_figure
+from neuroflight.sim.plotting import INK, MUTED, dress, line_colour, titled_figure
 from neuroflight.training.evaluation.power import Draw, Drawn
 
 
 def draw(still: Draw, drawn: Sequence[Drawn], title: str) -> Figure:
-    """Bars of current on the ground; where controllers flew, their errors against the current beside them."""
+    """Draw bars of current on the ground; of flights, the errors against the current beside them."""
     flew = any(each.flown for each in drawn)
     figure = titled_figure((12.0 if flew else 6.5, 4.8), title)
     panels = figure.subplots(1, 2 if flew else 1, squeeze=False)[0]
@@ -28,7 +28,7 @@ def _bars(panel: Axes, still: Draw, drawn: Sequence[Drawn]) -> None:
     names = ["disarmed", *(each.controller.label for each in drawn)]
     draws = [still, *(each.idling for each in drawn)]
     amps = [float(each.amps.value) for each in draws]
-    colours = [MUTED, *(MOTOR_COLOURS[n % len(MOTOR_COLOURS)] for n in range(len(drawn)))]
+    colours = [MUTED, *(line_colour(n) for n in range(len(drawn)))]
     margins = [_half(each.amps) for each in draws]
     style = {"ecolor": INK, "elinewidth": 1.2, "capsize": 4}
     bars = panel.bar(names, amps, yerr=margins, color=colours, width=0.6, error_kw=style)
@@ -48,7 +48,7 @@ def _errors(panel: Axes, drawn: Sequence[Drawn]) -> None:
             mae,
             xerr=[_half(flown.commands.amps) for flown in each.flown],
             yerr=[_half(flown.mae) for flown in each.flown],
-            color=MOTOR_COLOURS[number % len(MOTOR_COLOURS)],
+            color=line_colour(number),
             marker="o",
             ms=5,
             lw=1.4,

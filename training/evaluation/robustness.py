@@ -22,7 +22,7 @@ from neuroflight.sim.physics.world import Mount
 from neuroflight.toolchain.contract import GYRO_FULL_SCALE_DEG_S
 from neuroflight.training.config.randomization import Randomization, Range
 from neuroflight.training.config.training_config import WorldConfig
-from neuroflight.training.evaluation.controllers import Conditions, ControllerSpec
+from neuroflight.training.evaluation.controllers import AnyController, Conditions
 from neuroflight.training.evaluation.evaluation import Flights, interval, mean_over
 from neuroflight.training.tasks.flight import FlightTask
 from neuroflight.training.tasks.task import Task
@@ -80,7 +80,7 @@ class Case:
         return f"{self.parameter} x {self.value:g}"
 
     def variation(self, count: int, delay_s: float) -> Variation | None:
-        """`count` such aircraft; delay_s: the file's."""
+        """Return `count` such aircraft; delay_s: the file's."""
         if self.parameter is None:
             return None
         nominal = Variation.nominal(count, delay_s)
@@ -102,21 +102,21 @@ class Plan:
 
     @property
     def commands(self) -> int:
-        """Of an episode."""
+        """The number of commands of an episode."""
         return self.task.pulses if isinstance(self.task, FlightTask) else 1
 
     @property
     def divergence(self) -> str:
-        """When an episode diverges, in words."""
+        """The time at which an episode diverges, in words."""
         return FLIGHT_DIVERGENCE if isinstance(self.task, FlightTask) else DIVERGENCE
 
     def extremes(self) -> Randomization:
-        """The varied parameters: the battery only if the aircraft has one that affects its thrust."""
+        """Return the varied parameters: the battery only if the aircraft has one that affects its thrust."""
         known = self.aircraft.battery is not None and self.aircraft.propulsion.supply_voltage is not None
         return EXTREMES if known else replace(EXTREMES, charge=None)
 
     def cases(self) -> list[Case]:
-        """Nominal, then each parameter at both of its extremes."""
+        """Return the nominal case, then each parameter at both of its extremes."""
         extremes = self.extremes()
         found = [Case()]
         for field in fields(extremes):
@@ -152,7 +152,7 @@ class CaseResult:
 
     @property
     def met(self) -> bool:
-        """Whether the ratio is within its bar; the nominal case has no bar."""
+        """True if the ratio is within its bar; the nominal case has no bar."""
         return self.case.parameter is None or bool(self.ratio.value <= CASE_RATIO_MAX)
 
 
@@ -170,7 +170,7 @@ class JointResult:
 
     @property
     def met(self) -> bool:
-        """Whether all three bars are met."""
+        """True if all three bars are met."""
         usual, high = float(self.median.value), float(self.high.value)
         return usual <= MEDIAN_RATIO_MAX and high <= HIGH_RATIO_MAX and self.diverged == 0
 
@@ -179,12 +179,12 @@ class JointResult:
 class Robustness:
     """All results of one controller."""
 
-    controller: ControllerSpec
+    controller: AnyController
     cases: tuple[CaseResult, ...]  # the nominal one first
     joint: JointResult | None  # None without draws
 
 
-def examine(controller: ControllerSpec, plan: Plan, progress: Progress | None = None) -> Robustness:
+def examine(controller: AnyController, plan: Plan, progress: Progress | None = None) -> Robustness:
     """Fly every case and every draw; progress: called with steps done and to do, of all flights together."""
     cases = plan.cases()
     flights = len(cases) + (2 if plan.draws else 0)
@@ -219,14 +219,14 @@ def examine(controller: ControllerSpec, plan: Plan, progress: Progress | None = 
 
 
 def ratio_of(part: Array, whole: Array) -> Mean:
-    """Ratio of the means of two figures of the same episodes, (E,), linearised for its 95 % confidence."""
+    """Return the ratio of the means of two figures (E,), linearised for its 95 % confidence."""
     ratio = float(part.mean() / whole.mean())
     away = ratio + (part - ratio * whole) / whole.mean()
     return mean_over(away)
 
 
 def quantile_of(values: Array, q: float) -> Mean:
-    """The q-quantile of values (D,), 0 < q < 1, with order statistics as its 95 % confidence interval.
+    """Return the q-quantile of values (D,), 0 < q < 1, its 95 % confidence by order statistics.
 
     It holds for any distribution: the number of values below the quantile is binomial, here approximated by
     a normal one. With too few values for a bound, the bound is the least or greatest value.
@@ -239,7 +239,7 @@ def quantile_of(values: Array, q: float) -> Mean:
 
 
 def episode_figures(flights: Flights) -> EpisodeFigures:
-    """Figures of each recorded episode; of a flight, those of its commands, and the drift in its hover."""
+    """Return the figures of each episode; of a flight, those of its commands, and the drift in its hover."""
     stride = max(1, round(CHANGE_S / flights.step_s))
     holding, rows = flights.holding(), flights.commanded
     drift = None if holding is None else np.abs(holding.drift).max(axis=1)
@@ -260,7 +260,7 @@ def episode_figures(flights: Flights) -> EpisodeFigures:
 
 
 def _fly(
-    controller: ControllerSpec,
+    controller: AnyController,
     plan: Plan,
     seed: int,
     count: int,
@@ -300,7 +300,7 @@ def _joint(varied: EpisodeFigures, nominal: EpisodeFigures, draws: int) -> Joint
 
 
 def document(result: Robustness) -> dict[str, object]:
-    """A controller and its results, as JSON data."""
+    """Return a controller and its results, as JSON data."""
     controller, joint = result.controller, result.joint
     return {
         "controller": controller.name,

@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullLocator
 
-from neuroflight.sim.plotting import INK, MOTOR_COLOURS, MUTED, SHADE, dress, plain_numbers
+from neuroflight.sim.plotting import INK, MUTED, SHADE, dress, line_colour, plain_numbers
 from neuroflight.training.evaluation.robustness import (
     CASE_RATIO_MAX,
     HIGH,
@@ -27,7 +27,7 @@ SPREAD = 0.5  # part of a row's height with the dots of all controllers
 
 
 def draw(results: Sequence[Robustness], title: str) -> Figure:
-    """Ratios of the cases, their |delta u| beside them, and below the distribution of the draws."""
+    """Draw ratios of the cases, their |delta u| beside them, and below the distribution of the draws."""
     drawn = any(result.joint for result in results)
     rows = len(results[0].cases)
     lines = 1 + (len(results) + 1) // LEGEND_COLUMNS
@@ -39,7 +39,7 @@ def draw(results: Sequence[Robustness], title: str) -> Figure:
     )
 
     def place(left: float, right: float, top: float, tall: float) -> tuple[float, float, float, float]:
-        """Left, bottom, width, height in parts of the figure, of a panel in inches from left and top."""
+        """Return left, bottom, width, height in parts of the figure, of a panel in inches from its top."""
         return left / WIDTH, 1 - (top + tall) / height, (right - left) / WIDTH, tall / height
 
     cases = figure.add_axes(place(MARGIN, 8.3, HEAD, ROW * rows))
@@ -54,7 +54,7 @@ def draw(results: Sequence[Robustness], title: str) -> Figure:
 
 
 def _places(results: Sequence[Robustness], number: int) -> np.ndarray:
-    """Height of each row's dot of one controller."""
+    """Return the height of each row's dot of one controller."""
     rows = np.arange(len(results[0].cases), dtype=np.float64)
     middle = (len(results) - 1) / 2
     return rows + SPREAD * (number - middle) / max(len(results), 2)
@@ -68,7 +68,7 @@ def _draw_ratios(panel: Axes, results: Sequence[Robustness]) -> None:
     lost_some = False
     for number, result in enumerate(results):
         y = _places(results, number)
-        colour = MOTOR_COLOURS[number % len(MOTOR_COLOURS)]
+        colour = line_colour(number)
         low, value, high = (
             np.clip([float(getattr(each.ratio, part)) for each in result.cases], RATIO_MIN, RATIO_MAX)
             for part in ("low", "value", "high")
@@ -96,7 +96,7 @@ def _draw_ratios(panel: Axes, results: Sequence[Robustness]) -> None:
 def _draw_changes(panel: Axes, results: Sequence[Robustness]) -> None:
     for number, result in enumerate(results):
         changes = [each.change for each in result.cases]
-        colour = MOTOR_COLOURS[number % len(MOTOR_COLOURS)]
+        colour = line_colour(number)
         panel.plot(changes, _places(results, number), ls="none", marker="o", ms=6, color=colour, zorder=3)
     for row in range(0, len(results[0].cases), 2):
         panel.axhspan(row - 0.5, row + 0.5, color=SHADE, alpha=0.6, lw=0, zorder=0)
@@ -112,7 +112,7 @@ def _draw_changes(panel: Axes, results: Sequence[Robustness]) -> None:
 
 
 def _draw_joint(panel: Axes, results: Sequence[Robustness]) -> None:
-    """The cumulative distribution of the ratios of the draws."""
+    """Draw the cumulative distribution of the ratios of the draws."""
     top = 2.6
     for number, result in enumerate(results):
         joint = result.joint
@@ -120,7 +120,7 @@ def _draw_joint(panel: Axes, results: Sequence[Robustness]) -> None:
             continue
         ratios = np.clip(np.sort(joint.ratios), RATIO_MIN, RATIO_MAX)
         share = 100 * np.arange(1, len(ratios) + 1) / len(ratios)
-        colour = MOTOR_COLOURS[number % len(MOTOR_COLOURS)]
+        colour = line_colour(number)
         lost = f", {joint.diverged} diverged" if joint.diverged else ""
         label = (
             f"{result.controller.label}: median {float(joint.median.value):.2f}, "

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from neuroflight.sim.analysis.confidence import Mean
 from neuroflight.sim.physics.world import Mount
 from neuroflight.toolchain.contract import GRAVITY
-from neuroflight.training.evaluation.controllers import Conditions, Contender
+from neuroflight.training.evaluation.controllers import AnyController, Conditions
 from neuroflight.training.evaluation.evaluation import mean_over
 from neuroflight.training.tasks.task import EpisodicTask
 
@@ -56,7 +56,7 @@ class Trim:
 
     @property
     def reached(self) -> bool:
-        """Whether the thrust is the wanted one."""
+        """True if the thrust is the wanted one."""
         return abs(float(self.rest.thrust.value) - self.wanted) <= max(0.02 * self.wanted, 0.01)
 
 
@@ -64,23 +64,23 @@ class Trim:
 class Transparency:
     """A controller at rest along the throttle."""
 
-    controller: Contender
+    controller: AnyController
     rests: tuple[Rest, ...]  # by rising throttle
 
     def ideal(self, throttle: float) -> float:
-        """Motor fraction of a transparent controller of the same idle."""
+        """Return the motor fraction of a transparent controller of the same idle."""
         return self.controller.idle + (1.0 - self.controller.idle) * throttle
 
     @property
     def deviation(self) -> Rest:
-        """Where the mean motor fraction is farthest from the ideal, within TRANSPARENT."""
+        """The throttle of the largest distance of mean motor fraction and ideal, within TRANSPARENT."""
         low, high = TRANSPARENT
         inside = [rest for rest in self.rests if low <= rest.throttle <= high]
         return max(inside, key=lambda rest: abs(rest.motor - self.ideal(rest.throttle)))
 
     @property
     def falls(self) -> tuple[float, float] | None:
-        """The first two neighbouring throttles between which the motors do not turn faster; None: none."""
+        """The first neighbouring throttles between which the motors turn no faster; None: none."""
         for before, after in pairwise(self.rests):
             if after.motor <= before.motor:
                 return before.throttle, after.throttle
@@ -88,20 +88,20 @@ class Transparency:
 
 
 def transparency(
-    controller: Contender, conditions: Conditions, progress: Progress | None = None
+    controller: AnyController, conditions: Conditions, progress: Progress | None = None
 ) -> Transparency:
-    """The controller at rest at THROTTLES."""
+    """Fly the controller at rest at THROTTLES."""
     return Transparency(controller, tuple(at_rest(controller, conditions, THROTTLES, progress)))
 
 
 def at_rest(
-    controller: Contender,
+    controller: AnyController,
     conditions: Conditions,
     throttles: Sequence[float],
     progress: Progress | None = None,
     aircraft: int = AIRCRAFT,
 ) -> list[Rest]:
-    """The controller at rest at each throttle, all at once; aircraft: so many at each."""
+    """Fly the controller at rest at each throttle, all at once; aircraft: so many at each."""
     still = EpisodicTask(distribution="normal", sigma_deg_s=0.0, hold_s=REST_S)
     count = len(throttles) * aircraft
     resting = replace(conditions, task=still, episodes=count, mount=Mount.CENTRE)
@@ -121,14 +121,14 @@ def at_rest(
 
 
 def throttle_of(rests: Sequence[Rest], wanted: float) -> float:
-    """The throttle that gives about `wanted` of the weight, or the nearest to it, between known ones."""
+    """Return the throttle that gives about `wanted` of the weight, or the nearest, between known ones."""
     return _Search.of(rests, wanted).guess()
 
 
 def trims(
     known: Transparency, conditions: Conditions, wanted: Sequence[float], progress: Progress | None = None
 ) -> list[Trim]:
-    """The throttle for each wanted thrust, of the weight; 0 is the throttle closed.
+    """Find the throttle for each wanted thrust, of the weight; 0 is the throttle closed.
 
     Where a thrust lies beyond what the controller gives along its throttle, the nearest to it. The search
     goes on from two neighbours of `known` with the thrust between them.
@@ -150,7 +150,7 @@ def trims(
 
 @dataclass
 class _Search:
-    """For one throttle: rotor speed goes with the root of the thrust, and nearly with the throttle."""
+    """A search for one throttle: rotor speed goes with the root of the thrust, nearly with the throttle."""
 
     wanted: float
     low: Rest
@@ -159,7 +159,7 @@ class _Search:
 
     @staticmethod
     def of(rests: Sequence[Rest], wanted: float) -> _Search:
-        """Between the first neighbours with the thrust between them."""
+        """Begin between the first neighbours with the thrust between them."""
         closed = rests[0]
         if wanted == 0.0:
             return _Search(wanted, closed, closed, closed)
@@ -171,18 +171,18 @@ class _Search:
 
     @property
     def ended(self) -> bool:
-        """Whether there is nothing to gain."""
+        """True if another throttle gains nothing."""
         near = abs(_thrust(self.best) - self.wanted) <= NEAR * self.wanted
         return near or self.high.throttle - self.low.throttle <= FINEST
 
     def guess(self) -> float:
-        """The next throttle to try, within the inner 90 %."""
+        """Return the next throttle to try, within the inner 90 %."""
         roots = [max(0.0, thrust) ** 0.5 for thrust in (_thrust(self.low), self.wanted, _thrust(self.high))]
         part = (roots[1] - roots[0]) / (roots[2] - roots[0]) if roots[2] > roots[0] else 0.5
         return self.low.throttle + min(max(part, 0.05), 0.95) * (self.high.throttle - self.low.throttle)
 
     def see(self, rest: Rest) -> None:
-        """Take in what a throttle gave."""
+        """Take in the thrust of a throttle."""
         if _thrust(rest) <= self.wanted:
             self.low = rest
         else:

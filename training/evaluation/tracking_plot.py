@@ -12,7 +12,7 @@ from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
 from neuroflight.sim.analysis.response import BAND
-from neuroflight.sim.plotting import AXIS_COLOURS, INK, MOTOR_COLOURS, SHADE, dress, titled_figure
+from neuroflight.sim.plotting import AXIS_COLOURS, INK, SHADE, dress, line_colour, titled_figure
 from neuroflight.toolchain.contract import AXES
 from neuroflight.training.evaluation.comparison import Example
 
@@ -34,7 +34,7 @@ class Tracked:
 
 
 def draw_step(flown: Sequence[Tracked], title: str) -> Figure:
-    """Rates of each axis with the band of 10 % around the command, all controllers; motors of each below."""
+    """Draw rates of each axis with the band of 10 % around the command; motors of each below."""
     begin = _begin(flown[0])
     figure = titled_figure((12, 8.2), title)
     grid = figure.add_gridspec(2, 1, height_ratios=(3, 2))
@@ -45,13 +45,15 @@ def draw_step(flown: Sequence[Tracked], title: str) -> Figure:
         _draw_band(panel, command)
         for number, one in enumerate(flown):
             t = 1e3 * (one.t - one.t[_begin(one)])
-            panel.plot(t, one.example.rate[:, axis], color=_colour(number), lw=LINE_WIDTH, label=one.label)
+            panel.plot(
+                t, one.example.rate[:, axis], color=line_colour(number), lw=LINE_WIDTH, label=one.label
+            )
         dress(panel, f"{name}, {command:g} deg/s")
         panel.set_xlabel("time since the command, ms", color=INK)
         panel.set_xlim(*_window(flown[0], begin))
     handles = [
         *(
-            Line2D([], [], color=_colour(number), lw=LINE_WIDTH, label=one.label)
+            Line2D([], [], color=line_colour(number), lw=LINE_WIDTH, label=one.label)
             for number, one in enumerate(flown)
         ),
         Line2D([], [], color=INK, lw=1.0, ls=DASHES, label="command"),
@@ -71,7 +73,7 @@ def draw_step(flown: Sequence[Tracked], title: str) -> Figure:
 
 
 def draw_long(flown: Sequence[Tracked], title: str) -> Figure:
-    """The whole episode, an axis a row; then a close-up of it, and each controller's motors in that time."""
+    """Draw the whole episode, a row for each axis; a close-up, and each controller's motors in that time."""
     figure = titled_figure((13, 9.0 + 1.4 * len(flown)), title)
     grid = figure.add_gridspec(3 + len(flown), 2, width_ratios=(3, 2))
     last = float(flown[0].t[-1])
@@ -83,7 +85,7 @@ def draw_long(flown: Sequence[Tracked], title: str) -> Figure:
             row, ((0.0, last), (start, start + length)), (0.7, LINE_WIDTH), strict=True
         ):
             for number, one in enumerate(flown):
-                panel.plot(one.t, one.example.rate[:, axis], color=_colour(number), lw=width, zorder=3)
+                panel.plot(one.t, one.example.rate[:, axis], color=line_colour(number), lw=width, zorder=3)
             setpoint = flown[0].example.setpoint[:, axis]
             panel.plot(flown[0].t, setpoint, color=INK, lw=width, ls=DASHES, zorder=4)
             panel.set_xlim(low, high)
@@ -95,7 +97,7 @@ def draw_long(flown: Sequence[Tracked], title: str) -> Figure:
         error = np.abs(one.example.setpoint - one.example.rate).mean(axis=1)
         mean = np.cumsum(error) / np.arange(1, len(error) + 1)
         errors.plot(
-            one.t, mean, color=_colour(number), lw=LINE_WIDTH, label=f"{one.label}: {mean[-1]:.2f} deg/s"
+            one.t, mean, color=line_colour(number), lw=LINE_WIDTH, label=f"{one.label}: {mean[-1]:.2f} deg/s"
         )
     dress(errors, "error so far: mean of time and axes, deg/s")
     errors.set_xlim(0.0, last)
@@ -126,7 +128,7 @@ def _draw_motors(panel: Axes, t: NDArray[np.float64], one: Tracked) -> None:
         panel.text(0.5, 0.5, "not recorded", transform=panel.transAxes, ha="center", color=INK)
         return
     for motor, fractions in enumerate(motors.T):
-        colour = MOTOR_COLOURS[motor % len(MOTOR_COLOURS)]
+        colour = line_colour(motor)
         panel.plot(t, fractions, color=colour, lw=0.9, label=f"{motor + 1}")
     panel.set_ylim(0, 1)
     panel.legend(
@@ -135,15 +137,11 @@ def _draw_motors(panel: Axes, t: NDArray[np.float64], one: Tracked) -> None:
 
 
 def _begin(one: Tracked) -> int:
-    """The first sample with a command."""
+    """Return the first sample with a command."""
     return int((one.example.setpoint != 0.0).any(axis=1).argmax())
 
 
 def _window(one: Tracked, begin: int) -> tuple[float, float]:
-    """Drawn times around the begin of the command [ms]."""
+    """Return the drawn times around the begin of the command [ms]."""
     before = min(BEFORE_S, float(one.t[begin]))
     return -1e3 * before, 1e3 * min(AFTER_S, float(one.t[-1] - one.t[begin]))
-
-
-def _colour(number: int) -> str:
-    return MOTOR_COLOURS[number % len(MOTOR_COLOURS)]

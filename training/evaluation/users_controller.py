@@ -35,7 +35,7 @@ Floats = NDArray[np.float32]
 
 @dataclass(frozen=True)
 class Parameter:
-    """What may be tuned of a controller."""
+    """A number of a controller that may be tuned."""
 
     start: float
     low: float
@@ -44,7 +44,7 @@ class Parameter:
 
 @dataclass(frozen=True)
 class UsersController:
-    """A class of a user's file, and what it says of itself."""
+    """A class of a user's file, and its attributes."""
 
     name: str  # as the user wrote it, without a file of values
     kind: type[Any]
@@ -104,12 +104,12 @@ class _Checked:
         self._name, self._made, self._shape = name, made, shape
 
     def reset(self) -> None:
-        """See Controller."""
+        """Begin an episode, see Controller."""
         with blaming(self._name):
             self._made.reset()
 
     def step(self, setpoint: Floats, gyro: Floats, throttle: Floats) -> Floats:
-        """See Controller."""
+        """Return the checked outputs, see Controller."""
         with blaming(self._name):
             found = self._made.step(*map(_own, (setpoint, gyro, throttle)))
         outputs = real_array(f"{self._name}: step()", found, self._shape, "aircraft, motors")
@@ -117,7 +117,7 @@ class _Checked:
 
 
 def _own(array: Floats) -> Floats:
-    """Return a copy that is the user's to change."""
+    """Return a copy that the user may change."""
     return np.array(array, np.float32)
 
 
@@ -129,7 +129,7 @@ def _split(name: str) -> tuple[str, Path | None]:
 
 
 def _said(where: str, kind: type[Any], key: str, usual: Any, known: Any) -> Any:  # noqa: ANN401
-    """Return what a class says by an attribute, one of `known`."""
+    """Return an attribute of a class, one of `known`."""
     value = getattr(kind, key, usual)
     if not isinstance(value, type(usual)) or value not in known:
         raise TrainingError(f"{where}: {key} {value!r}, expected one of: {', '.join(map(str, known))}")
@@ -143,7 +143,7 @@ def _idle(where: str, value: Any) -> float:  # noqa: ANN401 - as the class has i
 
 
 def _parameters(where: str, given: object) -> dict[str, Parameter]:
-    """Check what a class says of its parameters."""
+    """Return the parameters of a class, checked."""
     if not isinstance(given, Mapping) or len(given) > PARAMETERS_MAX:
         raise TrainingError(f'{where}: parameters, expected a dictionary such as {{"p": (0.02, 0.001, 1.0)}}')
     found = {}

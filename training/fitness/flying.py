@@ -12,7 +12,7 @@ from neuroflight.sim.analysis.holding import holding
 from neuroflight.sim.analysis.swing import change, swing
 from neuroflight.sim.physics.world import Mount
 from neuroflight.toolchain.contract import GYRO_RATE_DEFAULT_HZ
-from neuroflight.training.evaluation.controllers import Conditions, Contender
+from neuroflight.training.evaluation.controllers import AnyController, Conditions
 from neuroflight.training.evaluation.evaluation import Flights
 from neuroflight.training.evaluation.floor import floors_of
 from neuroflight.training.evaluation.thrust import THROTTLES, at_rest, throttle_of
@@ -76,7 +76,7 @@ class CourseFigures:
     ground_turned: float  # [deg], about any axis there
 
 
-def fly_course(controller: Contender, course: Course, progress: Progress | None = None) -> CourseFigures:
+def fly_course(controller: AnyController, course: Course, progress: Progress | None = None) -> CourseFigures:
     """Fly everything. progress: is called with the part that is done."""
     rate_hz = max(GYRO_RATE_DEFAULT_HZ, controller.control_rate_hz)
     base = Conditions(course.aircraft, FLIGHT, 1, SEED, gyro_rate_hz=rate_hz, sticks=True)

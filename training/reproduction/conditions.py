@@ -1,4 +1,4 @@
-"""Conditions of a row, by the words of its steps and their recipes, beside those of the dissertation."""
+"""Conditions of a row, read from the commands of its steps and their recipes, beside the dissertation's."""
 
 from __future__ import annotations
 
@@ -47,13 +47,13 @@ class Difference:
     theirs: str  # empty: no one word
 
     def __str__(self) -> str:
-        """Return it as it is printed."""
+        """Return the text that is printed: our value, the dissertation's in brackets."""
         told = f"{NAMES.get(self.term, self.term)} {self.ours}"
         return f"{told} ({self.theirs})" if self.theirs else told
 
 
 def ours(figure: Figure, known: Experiments, budget: Budget) -> Mapping[str, str | float]:
-    """Return the terms of a figure of ours."""
+    """Return the conditions of a figure of ours, by term."""
     words = known.steps[figure.ours.step].words(budget)
     found: dict[str, str | float] = {}
     if words[0] in MACHINES:
@@ -79,7 +79,7 @@ def ours(figure: Figure, known: Experiments, budget: Budget) -> Mapping[str, str
 
 
 def _policy(figure: Figure, words: Sequence[str], known: Experiments, budget: Budget) -> str:
-    """Return the policy that a figure is of; empty: of none."""
+    """Return the path of the policy that a figure is of; empty if it is of none."""
     if words[0] == "build":
         return _option(words, "--policy") or SHIPPED
     if words[0] == "timing" and (image := FOLDER.match(words[1])):
@@ -125,7 +125,7 @@ def _option(words: Sequence[str], name: str) -> str | None:
 
 
 def _task(words: Sequence[str], known: Experiments, budget: Budget) -> dict[str, str | float]:
-    """Return what is flown, how long and how often."""
+    """Return the task that is flown, its length and how often."""
     episodes = _option(words, "--episodes")
     if log := _option(words, "--commands"):
         named = FOLDER.match(log)
@@ -150,7 +150,7 @@ def _flight(step: Step, budget: Budget) -> dict[str, str | float]:
 
 
 def _training(config: TrainingConfig, agents: int) -> dict[str, str | float]:
-    """Return what a policy has learnt from."""
+    """Return the conditions that a policy was trained in."""
     terms = dict.fromkeys(term.partition("@")[0] for term in config.observation.split(","))
     return {
         "steps": config.steps,
@@ -163,7 +163,7 @@ def _training(config: TrainingConfig, agents: int) -> dict[str, str | float]:
 
 @cache
 def _of_step(step: Step, budget: Budget) -> tuple[TrainingConfig, int]:
-    """Return the configuration that a step trains, and how many agents it does."""
+    """Return the configuration that a step trains, and the number of its agents."""
     words = step.words(budget)
     overrides: list[str] = []
     if "--set" in words:
@@ -176,5 +176,5 @@ def _of_step(step: Step, budget: Budget) -> tuple[TrainingConfig, int]:
 
 @cache
 def _of_file(policy: str) -> TrainingConfig:
-    """Return the configuration of a policy that comes with the project."""
+    """Return the training configuration of a policy that comes with the project."""
     return load_config(ROOT / Path(policy).with_name("training.json"))

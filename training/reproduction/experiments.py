@@ -72,7 +72,7 @@ class Step:
 
 @dataclass(frozen=True)
 class Source:
-    """The place of a figure of ours."""
+    """The place of one of our figures: a step, and a path in its output."""
 
     step: str
     path: str  # in the JSON that the step's command prints, see `lookup`
@@ -106,12 +106,12 @@ class Figure:
 
     @property
     def sources(self) -> tuple[Source, ...]:
-        """The places of all that it is made of."""
+        """The places of all numbers that it is computed from."""
         return tuple(source for source in (*self.made_of, self.margin) if source is not None)
 
     @property
     def made_of(self) -> tuple[Source | None, ...]:
-        """The places of ours, of what it is taken against, multiplied by and divided by."""
+        """The places of our value and of those it is compared with, multiplied by and divided by."""
         return self.ours, self.against, self.times, self.per
 
 
@@ -148,7 +148,7 @@ class Experiments:
     steps: Mapping[str, Step]
 
     def chosen(self, names: Sequence[str]) -> tuple[ExperimentRow, ...]:
-        """Return the rows called so; "3" or "3.9" stands for all that begin with it. None named: all.
+        """Return the rows that are named; "3" or "3.9" stands for all that begin with it. None named: all.
 
         Raises ReproduceError naming one that is unknown.
         """
@@ -187,7 +187,7 @@ def experiments() -> Experiments:
 
 
 def parse(text: str, where: str) -> Experiments:
-    """Read experiments from TOML; a row that names no known step or quote is an error."""
+    """Parse experiments from TOML. Raises ReproduceError if a row names an unknown step or quote."""
     try:
         document = expanded(tomllib.loads(text))
     except PatternError as error:
@@ -309,7 +309,7 @@ def _figures(table: StrictTable, steps: Mapping[str, Step]) -> Iterator[Figure]:
 
 
 def _quote(entry: StrictTable) -> Quoted | None:
-    """Return what the dissertation prints, or what follows from that as ours does from our figures."""
+    """Return the dissertation's figure, or the ratio of two that it prints; None if the entry quotes none."""
     if not entry.has("quote"):
         return None
     try:

@@ -1,4 +1,4 @@
-"""Inputs of a command: the files that its words name, and a digest of each, so that a change is noticed."""
+"""The files that the words of a command name, with a digest of each, by which a change is noticed."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ SHIPPED = {"--config": RECIPES, "--aircraft": AIRCRAFT}  # by option: where the 
 
 
 def inputs(words: Sequence[str], root: Path) -> dict[str, str]:
-    """Digest the files that words name: by path in `root`, or as a recipe or an aircraft that comes
-    with the project. Of TOML the content counts, not its comments.
+    """Return a digest of each file that words name, by its path in `root`; recipes and aircraft
+    that come with the project are such files too. Comments in TOML do not count.
 
     Files that an input names in its turn (a mesh of an aircraft) and the program itself are not looked at.
     """
@@ -35,7 +35,7 @@ def inputs(words: Sequence[str], root: Path) -> dict[str, str]:
 
 
 def changed(before: Mapping[str, str], now: Mapping[str, str]) -> str:
-    """Return the name of an input that is another one now; empty: none is."""
+    """Return the name of an input that has changed; empty if none has."""
     return next((name for name in {**before, **now} if before.get(name) != now.get(name)), "")
 
 

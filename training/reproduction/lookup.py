@@ -22,7 +22,7 @@ MARGIN = "margin"
 
 
 def find(document: Any, path: str) -> Value:  # noqa: ANN401 - any JSON value
-    """Return the number, or numbers, at `path`. Raises ReproduceError naming the part that is not there."""
+    """Return the number, or the numbers, at `path`. Raises ReproduceError naming the part that is missing."""
     at, value = 0, document
     while at < len(path):
         part = PART.match(path, at)
@@ -63,7 +63,7 @@ def ours(
     times: Value | None = None,
     per: Value | None = None,
 ) -> Value:
-    """Return ours: what was found, or its change in % from `against`; times `times`, over `per`; scaled."""
+    """Return our figure: `found`, or its change in % from `against`; times `times`, over `per`; scaled."""
     steps: tuple[tuple[Value | None, Callable[[float, float], float]], ...] = (
         (against, _change),
         (times, lambda value, factor: value * factor),
@@ -118,7 +118,7 @@ def _half(low: Value, high: Value) -> Value:
 
 
 def _mean_margin(margins: Sequence[Value]) -> Value:
-    """Return half the width of the interval of a mean, from those of as many independent ones."""
+    """Return half the width of the interval of a mean, from those of the independent values."""
     count = len(margins)
     columns = zip(*(each if isinstance(each, tuple) else (each,) for each in margins), strict=True)
     found = tuple(math.hypot(*column) / count for column in columns)

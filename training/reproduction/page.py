@@ -41,7 +41,7 @@ def render(experiments: Experiments, kept: Mapping[str, Kept], pictures: str) ->
 
 
 def shown(value: Value | None, figure: Figure) -> str:
-    """Return a value of ours with the digits that it is judged by, or three that count."""
+    """Return our value with the digits that it is judged by, or else three significant ones."""
     if value is None:
         return "not run"
     values = value if isinstance(value, tuple) else (value,)
@@ -54,18 +54,18 @@ def shown(value: Value | None, figure: Figure) -> str:
 
 
 def quoted(figure: Figure) -> str:
-    """Return the dissertation's figure as it prints it, with its confidence."""
+    """Return the dissertation's figure as it is printed there, with its confidence."""
     return figure.beside or "drawn" if figure.quote is None else figure.quote.text
 
 
 def measured(result: Result) -> str:
-    """Return our figure, with its confidence where that is told."""
+    """Return our figure, with its confidence where there is one."""
     text = shown(result.value, result.figure)
     return text if result.margin is None else f"{text} ± {shown(result.margin, result.figure)}"
 
 
 def barred(result: Result) -> str:
-    """Return what our figure is held against."""
+    """Return the bar that our figure is compared with; empty if there is none."""
     held = bar(result.figure, result.margin)
     return "" if held is None else str(held)
 
@@ -79,7 +79,7 @@ def judged(result: Result) -> str:
 
 
 def differing(result: Result, row: ExperimentRow, experiments: Experiments) -> str:
-    """Tell in what our figure was made otherwise, if it has a bar."""
+    """Return the differences of our conditions from the dissertation's, if the figure has a bar."""
     if bar(result.figure) is None:
         return ""
     told = [str(each) for each in differences(row.name, result.figure, experiments, result.budget or "full")]
@@ -143,7 +143,7 @@ def _place(place: str, group: Sequence[RowResult], experiments: Experiments, pic
 
 
 def _used(headings: Sequence[str], body: Sequence[Sequence[str]]) -> tuple[list[str], list[list[str]]]:
-    """Return a table without the columns in which nothing stands."""
+    """Return a table without its empty columns."""
     kept = [i for i in range(len(headings)) if i == 0 or any(row[i] for row in body)]
     return [headings[i] for i in kept], [[row[i] for i in kept] for row in body]
 
@@ -155,7 +155,7 @@ def _common(titles: Sequence[str]) -> str:
 
 
 def _names(rows: Sequence[ExperimentRow], experiments: Experiments) -> Sequence[str]:
-    """Return what stands for rows on the command line: a beginning that no other row has, or their names."""
+    """Return the names of these rows on the command line: a beginning that no other has, or all."""
     parts = rows[0].name.split("-")
     for count in range(1, len(parts) + 1):
         start = "-".join(parts[:count])
@@ -165,7 +165,7 @@ def _names(rows: Sequence[ExperimentRow], experiments: Experiments) -> Sequence[
 
 
 def _alike(results: Sequence[RowResult], experiments: Experiments) -> str:
-    """Tell of all rows with a verdict in what they are the same as the dissertation's experiment."""
+    """Return a table of all rows with a verdict: the conditions that agree with the dissertation's."""
     body = []
     for result in results:
         held = [each for each in result.results if bar(each.figure) is not None]

@@ -44,7 +44,7 @@ class Quoted:
         return replace(found, confident=self.confident)
 
     def over(self, other: Quoted) -> Quoted:
-        """Return its ratio to another figure. Raises ValueError where that may be 0."""
+        """Return the ratio to another figure. Raises ValueError where that may be 0."""
         if len(self.value) != len(other.value):
             raise ValueError(f"{self.name} has {len(self.value)} numbers, {other.name} {len(other.value)}")
         if any(abs(number) <= allowed for number, allowed in zip(other.value, other.allowed, strict=True)):
@@ -69,7 +69,7 @@ def quoted(name: str) -> Quoted:
 
 
 def printed(name: str, value: Sequence[Printed], margin: Sequence[Printed | None]) -> Quoted:
-    """Make a figure of its numbers as they are printed, each with its confidence, where that is printed."""
+    """Return a figure of printed numbers, each with its confidence, where that is printed."""
     allowed, decimals = [], []
     for number, width in zip(value, margin, strict=True):
         rounded = 0.5 * 10.0**-number.decimals
@@ -101,7 +101,7 @@ def written(number: Printed) -> str:
 
 
 def _follows(name: str, value: Sequence[float], allowed: Sequence[float]) -> Quoted:
-    """Return a figure that is computed from printed ones, to as many decimals as its margin is worth."""
+    """Return a figure computed from printed ones, with as many decimals as its margin justifies."""
     least = min(width for width in allowed if width > 0.0)
     decimals = min(DECIMALS_MAX, max(0, DIGITS - 1 - math.floor(math.log10(least))))
     found = Quoted(name, tuple(value), tuple(allowed), "", decimals, decimals).rounded

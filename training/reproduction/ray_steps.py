@@ -13,7 +13,10 @@ from neuroflight.training.sweeps.ray_workers import check_ray, ray_session
 
 @contextmanager
 def on_ray(address: str, jobs: int) -> Iterator[Execute]:
-    """Yield what runs a command on a Ray worker; address: see `ray_session`. Without Ray: TrainingError."""
+    """Yield a function that runs a command on a Ray worker; address: see `ray_session`.
+
+    Raises TrainingError without Ray.
+    """
     check_ray()
     with ray_session(address, jobs):
         import ray
@@ -37,7 +40,7 @@ def on_ray(address: str, jobs: int) -> Iterator[Execute]:
 
 
 def _work(words: list[str], folder: str) -> tuple[str, str]:
-    """Return what the command printed and why it failed; the driver need not know an exception of ours."""
+    """Return what the command printed, and why it failed, as a text: the driver may not know our errors."""
     try:
         return execute_here(words, Path(folder), lambda: False), ""
     except ReproduceError as error:

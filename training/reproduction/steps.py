@@ -46,22 +46,22 @@ class Done:
 
 @dataclass(frozen=True)
 class StepOutputs:
-    """The files in which a budget's steps leave their results."""
+    """The folder of the results of a budget's steps."""
 
     root: Path  # the project's folder, in which commands run
     out: Path
     budget: Budget
 
     def folder(self, name: str) -> Path:
-        """Return the folder that the step's command writes."""
+        """Return the folder that the step's command writes into."""
         return self.out / self.budget / name
 
     def output(self, name: str) -> Path:
-        """Return the file of what it printed, with the command."""
+        """Return the file of what the step printed, with its command."""
         return self.out / self.budget / f"{name}.json"
 
     def picture(self, name: str) -> Path:
-        """Return the file of what it drew."""
+        """Return the picture that the step drew."""
         return self.out / self.budget / f"{name}.png"
 
     def words(self, step: Step) -> list[str]:
@@ -73,7 +73,7 @@ class StepOutputs:
         return [filled(word) for word in step.words(self.budget)]
 
     def inputs(self, step: Step) -> dict[str, str]:
-        """Digest the files that the command reads, see `inputs`; what it writes is none of them."""
+        """Return digests of the files that the command reads, see `inputs`; not of those it writes."""
         pairs = zip(step.words(self.budget), self.words(step), strict=True)
         read = [word for raw, word in pairs if not {OUT, PLOT} & set(FOLDER.findall(raw))]
         return inputs(read, self.root)
@@ -88,16 +88,16 @@ class Watcher:
     """Called while steps run, from one thread; a subclass overrides what it needs."""
 
     def started(self, step: Step) -> None:
-        """Tell that a step's command has begun."""
+        """Hear that a step's command has begun."""
 
     def finished(self, done: Done, *, again: bool) -> None:
-        """Tell that a step has its result; `again` is False if it was there already."""
+        """Hear that a step has its result; `again` is False if it was there already."""
 
     def outdated(self, step: Step, name: str) -> None:
-        """Tell that a step has the result of another content of the input `name`; it is run again."""
+        """Hear that a result is outdated, because the input `name` has changed; the step is run again."""
 
     def failed(self, step: Step, reason: str) -> None:
-        """Tell that a step has none; steps that need it are left out."""
+        """Hear that a step failed; steps that need it are left out."""
 
 
 Execute = Callable[[Sequence[str], Path, Callable[[], bool]], str]  # words, folder, stop? -> stdout
@@ -123,7 +123,9 @@ def run_steps(
     lost: set[str] = set()
     if not force:
         for step in plan:
-            kept = kept_result(step, outputs, watcher) if all(name in done for name in step.needs) else None
+            kept = (
+                None if any(name not in done for name in step.needs) else kept_result(step, outputs, watcher)
+            )
             if kept is not None:
                 done[step.name] = kept
                 watcher.finished(kept, again=False)
@@ -157,7 +159,7 @@ def run_steps(
 
 
 def kept_result(step: Step, outputs: StepOutputs, watcher: Watcher) -> Done | None:
-    """Return the result that a step already has, if it is of the same command and inputs."""
+    """Return the stored result of a step, if it is of the same command and inputs."""
     path = outputs.output(step.name)
     if not path.is_file() or file_size(path) > OUTPUT_BYTES_MAX:
         return None
@@ -210,7 +212,7 @@ def _run(step: Step, outputs: StepOutputs, execute: Execute, stop: Event) -> Don
 
 
 def _begun(folder: Path) -> bool:
-    """Return whether a training or a sweep has left something to go on with."""
+    """Return True if a training or a sweep has left something to go on with."""
     return (
         any(folder.glob("checkpoint.pt"))
         or any(folder.glob("seed-*/checkpoint.pt"))

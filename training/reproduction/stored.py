@@ -32,7 +32,7 @@ WIDTH_MAX, COLOURS = 1200, 200  # pixels and colours of a stored picture
 
 @dataclass(frozen=True)
 class Kept:
-    """The stored part of a step's output: the figures that rows read, by their paths in its output."""
+    """The figures of a step that rows read, by their paths in its output."""
 
     step: str
     budget: Budget
@@ -78,7 +78,7 @@ class RowResult:
 
 
 def keep(done: Done, rows: Iterable[ExperimentRow]) -> Kept:
-    """Return what is kept of a step that has run. Raises ReproduceError on a figure that its output lacks."""
+    """Return the stored part of a step that has run. Raises ReproduceError if its output lacks a figure."""
     paths = {source.path for row in rows for source in sources(row) if source.step == done.step.name}
     try:
         figures = {path: find(done.output, path) for path in sorted(paths)}
@@ -153,7 +153,7 @@ def _small(picture: Path) -> Image.Image:
 
 
 def read_stored(folder: Path) -> dict[str, Kept]:
-    """Read what is kept in `folder`, by step. Raises ReproduceError naming a file that is damaged."""
+    """Return the stored figures of `folder`, by step. Raises ReproduceError naming a file that is damaged."""
     return {kept.step: kept for kept in (_read(path) for path in sorted(folder.glob("*.json")))}
 
 

@@ -23,7 +23,7 @@ AXES = ("roll", "pitch", "yaw")
 
 
 class Verdict(Enum):
-    """The comparison of our figure with the dissertation's."""
+    """The result of comparing our figure with the dissertation's."""
 
     SURPASSED = "surpassed"  # better by more than the margin on every axis
     REACHED = "reached"  # worse by no more than the margin on any axis
@@ -42,14 +42,14 @@ class Judged:
     why: str = ""  # of UNLIKE
 
     def __str__(self) -> str:
-        """Return it as it is printed."""
+        """Return the text that is printed."""
         more = self.why or ", ".join(self.axes)
         return f"{self.verdict.value}: {more}" if more else self.verdict.value
 
 
 @dataclass(frozen=True)
 class Bar:
-    """The limits of our figure on each axis; no more of its badness than `most` is reached."""
+    """The bar of our figure on each axis: it is reached if its badness is at most `most`."""
 
     aim: str
     ideal: tuple[float, ...]  # of "near" and "to NUMBER": the badness is the distance to it
@@ -65,7 +65,7 @@ class Bar:
         return Verdict.REACHED if bad <= self.most[axis] else Verdict.NOT_REACHED
 
     def __str__(self) -> str:
-        """Return it as it is printed."""
+        """Return the text that is printed."""
         sign = -1.0 if self.aim == "higher" else 1.0
         limits = _joined(f"{sign * limit + 0.0:,.{self.decimals}f}" for limit in self.most)
         if self.aim in ("lower", "higher"):
@@ -74,7 +74,7 @@ class Bar:
 
 
 def bar(figure: Figure, confidence: Value | None = None) -> Bar | None:
-    """Return the bar of a figure whose value of ours has that confidence; None: it has none."""
+    """Return the bar of a figure, given the confidence of our value; None if it has none."""
     quote = figure.quote
     if quote is None or not figure.aim:
         return None
@@ -114,7 +114,7 @@ def judge(figure: Figure, value: Value, confidence: Value | None = None) -> Judg
 
 
 def _margins(quote: Quoted, confidence: Value | None) -> tuple[float, ...]:
-    """Return how far ours and the dissertation's may lie apart and still be the same, on each axis."""
+    """Return the margin on each axis within which our figure counts as the dissertation's."""
     if confidence is None:
         return quote.allowed
     ours = confidence if isinstance(confidence, tuple) else (confidence,) * len(quote.allowed)
@@ -125,13 +125,13 @@ def _margins(quote: Quoted, confidence: Value | None) -> tuple[float, ...]:
 
 
 def _badness(aim: str, value: float, ideal: float) -> float:
-    """Return a number that is better the less it is."""
+    """Return a number that is lower for a better value."""
     if aim == "lower":
         return value
     return -value if aim == "higher" else abs(value - ideal)
 
 
 def _joined(texts: Iterable[str]) -> str:
-    """Join the texts of all axes, or return once what is the same for all."""
+    """Join the texts of the axes, or return the one that all have."""
     found = list(texts)
     return found[0] if len(set(found)) == 1 else " / ".join(found)

@@ -21,7 +21,7 @@ class Difference:
 
 @dataclass(frozen=True)
 class ControllerRow:
-    """One controller on one task: a row of a table; unknown figures are missing or None."""
+    """One controller on one task; unknown figures are missing or None."""
 
     label: str
     episodes: int
@@ -43,7 +43,7 @@ class Timing:
     """Durations on the dissertation's board, a MATEKF722 at 216 MHz."""
 
     label: str
-    work: str  # as `neuroflight timing` names it
+    work: str  # as `policy time` and `image time` name it
     worst_us: float
     best_us: float
 
@@ -56,7 +56,7 @@ DRIFTS |= {("reduced", 1.0): "5/drift_reduced_1"}  # the only step that DART ran
 
 
 def printed_rows(task: str, aircraft: str) -> Sequence[ControllerRow]:
-    """Return the dissertation's rows of a task of chapter 5: none with another aircraft than its own.
+    """Return the dissertation's rows of a task of chapter 5; none for an aircraft other than its own.
 
     Those of chapter 3's episodic task stand beside its own experiments (`neuroflight reproduce`).
     """
@@ -65,7 +65,7 @@ def printed_rows(task: str, aircraft: str) -> Sequence[ControllerRow]:
 
 
 def printed_timing(work: str) -> Sequence[Timing]:
-    """Return times of the "control algorithm" or the "control task", both firmwares, armed and disarmed."""
+    """Return the timing of the "control algorithm" or "control task": both firmwares, armed and disarmed."""
     table = {"control algorithm": "4.4", "control task": "4.5"}.get(work)
     if table is None:
         return ()
@@ -107,7 +107,7 @@ def _pulses() -> Sequence[ControllerRow]:
 
 
 def _envelope() -> Sequence[ControllerRow]:
-    """Return shares of trials that remained in the band: beside our share of whole trials."""
+    """Return the shares of trials that remained in the band: beside our share of whole trials."""
     known = quotes()
     return [
         ControllerRow(

@@ -17,7 +17,7 @@ HOLDS = (("rest_late", "rest late", 2), ("drift", "drift, °", 1))  # of flights
 
 
 def equal_thrust_section(stored: Stored) -> str:
-    """Render controllers at equal thrust: a table of each thrust, their mean, and thrust against throttle."""
+    """Return controllers at equal thrust: a table of each thrust, their mean, and thrust against throttle."""
     levels = stored.entries("equal_thrust")
     flights = stored.text("task") == "flight"
     holds, told_means = (HOLDS, (*MEANS, *HOLDS)) if flights else ((), MEANS)
@@ -48,12 +48,12 @@ def equal_thrust_section(stored: Stored) -> str:
 
 
 def transparency_section(stored: Stored) -> str:
-    """Render thrust against throttle alone."""
+    """Return the section of thrust against throttle alone."""
     return f"## Thrust against throttle, {stored.text('aircraft')}\n\n{transparency_table(stored)}"
 
 
 def transparency_table(stored: Stored) -> str:
-    """Render thrust and motors at rest of each controller, a column a throttle."""
+    """Return a table of thrust and motors at rest of each controller, a column for each throttle."""
     entries = stored.entries("transparency")
     throttles = _numbers(entries[0], "throttle")
     low, high = _numbers(entries[0], "deviation", "throttles")
@@ -71,7 +71,7 @@ def transparency_table(stored: Stored) -> str:
 
 
 def _level_rows(level: Stored, holds: Sequence[tuple[str, str, int]]) -> list[Sequence[str]]:
-    """Return a row a controller; holds: figures of flights that are told besides."""
+    """Return a row for each controller; holds: further figures, of flights."""
     thrust = level.number("thrust")
     rows: list[Sequence[str]] = []
     for each in level.entries("controllers"):
@@ -124,7 +124,7 @@ def _less(each: Stored, name: str, digits: int) -> str:
 
 
 def _numbers(stored: Stored, *path: str) -> list[float]:
-    """Return a list of numbers at a path. Raises ResultsError if there is none."""
+    """Return the numbers of the list at a path. Raises ResultsError if there is none."""
     values = stored.get(*path)
     if not isinstance(values, list) or not values or not all(isinstance(v, int | float) for v in values):
         raise stored.error(".".join(path), values, "a list of numbers")

@@ -23,7 +23,7 @@ THROTTLES = (0.0, 0.15, 0.3, 0.6)  # of the table of thrust at rest
 
 
 def manoeuvre_section(stored: Stored) -> str:
-    """Render each controller's figures in each manoeuvre; wins, thrust at rest, descents."""
+    """Return the section: errors and stray axes of each controller in each manoeuvre, thrust, descents."""
     controllers = stored.entries("manoeuvres", "contenders")
     figures = controllers[0].get("figures")
     if not isinstance(figures, dict) or not figures:
@@ -53,7 +53,7 @@ def manoeuvre_section(stored: Stored) -> str:
 
 
 def _row(controller: Stored, name: str, shown: Sequence[tuple[str, int]], first: bool) -> tuple[str, ...]:
-    """Return the row of a controller in a manoeuvre; shown: figures beside those that are won."""
+    """Return the row of a controller in a manoeuvre; shown: figures that are told but not won."""
     cells = []
     for figure, digits in COMPARED:
         value, high = (controller.number("figures", name, figure, part) for part in ("value", "high"))
@@ -69,7 +69,7 @@ def _row(controller: Stored, name: str, shown: Sequence[tuple[str, int]], first:
 
 
 def _wins(controllers: Sequence[Stored], count: int) -> str:
-    """Return a sentence: how many of the manoeuvres each controller wins."""
+    """Return a sentence: the number of manoeuvres that each controller wins."""
     words = []
     for each in controllers:
         won = [each.get("figures", name, "wins") for name in each.get("figures")]

@@ -36,7 +36,7 @@ from neuroflight.training.results_page.training import training_section
 
 
 def render(results: Sequence[Stored]) -> str:
-    """Render the page. Raises ResultsError naming the file and key that cannot be used."""
+    """Return the page. Raises ResultsError naming the file and key that cannot be used."""
     tables: dict[tuple[str, str], list[ControllerRow]] = {}
     drifts, runs, robust, timed, freely, lifted, studies = [], [], [], [], [], [], []
     for stored in results:
@@ -160,7 +160,7 @@ def _envelope_section(aircraft: str, rows: Sequence[ControllerRow]) -> str:
 
 
 def _differences(rows: Sequence[ControllerRow], columns: Sequence[tuple[str, str, float, int]]) -> list[str]:
-    """Return a table of paired differences, if there are any; columns: figure, heading, factor, digits."""
+    """Return a table of paired differences, if any; columns: figure, heading, factor, digits."""
     body = [
         (
             f"{row.label} less {row.against}",
@@ -212,12 +212,12 @@ def _command(stored: Stored) -> str:
 
 
 def _mean_mae(row: ControllerRow) -> float:
-    """Return the mean of the axes; for the dissertation from its IAE = 1000 MAE, which has more digits."""
+    """Return the mean over axes; the dissertation's from its IAE = 1000 MAE, which has more digits."""
     return row.means["iae"] / 1000 if row.printed else sum(row.tracking["mae"]) / 3
 
 
 def _mean_mse(row: ControllerRow) -> float:
-    """Return the mean of the axes; the dissertation's as printed, since its axes are cut to whole numbers."""
+    """Return the mean over axes; the dissertation's as printed, since its axes are cut to whole numbers."""
     return row.means["mse"] if row.printed else sum(row.tracking["mse"]) / 3
 
 
@@ -234,7 +234,7 @@ def _figure(row: ControllerRow, name: str, digits: int) -> str:
 
 HEAD = """# Results
 
-Written by `neuroflight results` from the files in [results/](results/); `neuroflight results --check` tests
+Written by `neuroflight report` from the files in [results/](results/); `neuroflight report --check` tests
 whether it is up to date. All figures are of simulated flights: unless a section says otherwise the twin turns
 about its centre of mass; errors are against its true rate, in deg/s, roll / pitch / yaw. The dissertation is
 W. Koch, *Flight Controller Synthesis via Deep Reinforcement Learning* (2019); its rows were measured in its

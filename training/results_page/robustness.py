@@ -8,7 +8,7 @@ from neuroflight.training.results_page.stored_results import Stored
 
 
 def robustness_section(stored: Stored) -> str:
-    """Render ratios of the error to the nominal aircraft's, a column a controller, beside their bars."""
+    """Return ratios of the error to the nominal aircraft's beside their bars, a column per controller."""
     controllers = stored.entries("robustness", "controllers")
     bar, usual, high = (stored.number("robustness", "bars", name) for name in ("case", "median", "high"))
     cases = controllers[0].get("cases")
@@ -54,7 +54,7 @@ def _joint(controller: Stored, name: str, bar: float) -> str:
 
 
 def _marked(value: float, bar: float) -> str:
-    """Write the value, bold if it misses its bar."""
+    """Return the value, bold if it misses its bar."""
     return f"{value:.2f}" if value <= bar else f"**{value:.2f}**"
 
 

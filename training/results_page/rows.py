@@ -47,7 +47,7 @@ def compared_rows(stored: Stored) -> list[ControllerRow]:
 
 
 def evaluated_row(stored: Stored, against: str = "") -> ControllerRow:
-    """Return the row of `evaluate --json`, or of one controller of a comparison, whose first is `against`."""
+    """Return the row of `evaluate --json`, or of one controller of a comparison whose first is `against`."""
     conditions = []
     if not stored.get("noise"):
         conditions.append("no noise")
@@ -105,7 +105,7 @@ def flown_rows(stored: Stored) -> list[ControllerRow]:
 
 
 def controller_label(stored: Stored) -> str:
-    """Return the label of a controller: Betaflight, a PID's name or a policy's folder; the idle unless 0."""
+    """Return a controller's label: Betaflight, a PID's name or a policy's folder, and the idle unless 0."""
     name = stored.text("controller")
     if stored.has("betaflight"):
         own = stored.text("betaflight_settings") if stored.has("betaflight_settings") else None
@@ -118,7 +118,7 @@ def controller_label(stored: Stored) -> str:
 
 
 def digests(stored: Stored) -> Sequence[str]:
-    """Return hashes of the aircraft and the policies of a file."""
+    """Return the hashes of the aircraft and the policies of a file."""
     of_training = {"config": ("config", "aircraft"), "sweep": ("aircraft",)}
     for kind, path in of_training.items():
         if stored.has(kind):

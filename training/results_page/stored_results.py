@@ -48,7 +48,7 @@ class Stored:
         return value
 
     def has(self, *path: str) -> bool:
-        """Return whether there is a value at a path of keys."""
+        """Return True if there is a value at a path of keys."""
         value: Any = self.document
         for key in path:
             if not isinstance(value, Mapping) or key not in value:
@@ -65,21 +65,21 @@ class Stored:
         return [Stored(f"{where}[{number}]", item) for number, item in enumerate(value)]
 
     def number(self, *path: str) -> float:
-        """Return a finite number at a path."""
+        """Return the finite number at a path."""
         value = self.get(*path)
         if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
             raise self.error(".".join(path), value, "a finite number")
         return float(value)
 
     def text(self, *path: str) -> str:
-        """Return a line of text at a path."""
+        """Return the line of text at a path."""
         value = self.get(*path)
         if not isinstance(value, str) or not value.isprintable():
             raise self.error(".".join(path), value, "a line of text")
         return value
 
     def axes(self, *path: str) -> Axes:
-        """Return three finite numbers at a path."""
+        """Return the three finite numbers at a path."""
         value = self.get(*path)
         good = isinstance(value, list) and len(value) == 3
         if not good or not all(isinstance(v, int | float) and math.isfinite(v) for v in value):
@@ -111,7 +111,7 @@ def read_results(folder: Path) -> list[Stored]:
 
 
 def read_commands(folder: Path) -> dict[str, list[str]]:
-    """Read the command that makes each file of a folder of results: words after `neuroflight`, no --json.
+    """Return the command that makes each file of a folder of results: words after `neuroflight`, no --json.
 
     They stand in its commands.txt, a line for each file; # begins a remark. Raises ResultsError naming a /
     wrong line.

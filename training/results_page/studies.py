@@ -26,7 +26,7 @@ class Point:
 
 
 def study_section(stored: Stored) -> str:
-    """Render a row for each variant: its figures, what they are more than the baseline's, what it costs."""
+    """Return a row for each variant: its figures, their differences to the baseline's, and its cost."""
     if stored.get("complete") is not True:
         raise stored.error("complete", stored.get("complete"), "true: a study with all its runs")
     runs = stored.entries("runs")

@@ -17,7 +17,7 @@ ROOM = 0.1  # beside the outermost points, of an axis' span
 
 
 def draw_sizes(drawn: Sequence[Point], title: str) -> Figure:
-    """Draw two panels over instructions: the error, and the change of the motors; at least one point."""
+    """Draw error and change of the motors, a panel each, over the instructions of at least one point."""
     figure = titled_figure((11, 4.8), title)
     error, change = figure.subplots(1, 2, sharex=True)
     _draw(error, drawn, [point.mae for point in drawn], [point.margin for point in drawn])

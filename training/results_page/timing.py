@@ -13,7 +13,7 @@ NAMES = {"policy": "policy", "pid": "PID"}
 
 
 def timing_section(stored: Stored) -> str:
-    """Render a table for each kind of work, worst / best, beside the dissertation's measurements."""
+    """Return a table for each kind of work, worst / best, beside the dissertation's measurements."""
     core_hz = stored.number("core_hz")
     tables: dict[str, list[tuple[str, ...]]] = {}
     for entry in stored.entries("board_timing"):

@@ -11,7 +11,7 @@ GOOD_DEG_S = 5.0  # mean error of a policy that flies
 
 
 def training_section(runs: Sequence[Stored]) -> str:
-    """Render durations of the runs, and the results of monitored ones."""
+    """Return the durations of the runs, and the results of monitored ones."""
     body = []
     for run in runs:
         seconds, steps = run.number("seconds"), run.number("steps")

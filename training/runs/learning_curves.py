@@ -117,7 +117,7 @@ class Curve:
 
 
 def run_folders(folder: Path) -> list[Path]:
-    """List the runs in a folder of `neuroflight train`: those of its seeds, or itself."""
+    """List the runs in a folder of `neuroflight policy train`: those of its seeds, or itself."""
     seeds = sorted(path.parent for path in folder.glob(f"seed-*/{RECORD}"))
     return seeds or [folder]
 

@@ -7,7 +7,7 @@ import platform
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from importlib.metadata import version
+from importlib.metadata import distributions
 from pathlib import Path
 from typing import Any
 
@@ -41,7 +41,7 @@ REWARDS = "rewards.csv"
 RESULTS = (CHECKPOINT, POLICY, RECORD, MONITOR, REWARDS)
 RECORD_BYTES_MAX = 4 << 20
 CHECKPOINTS_MIN = 4  # of a run whose chosen one must be fit to fly: the earlier ones are there to go back to
-TOOLS = ("torch", "stable_baselines3", "sb3_contrib", "pybullet", "gymnasium", "numpy")
+TOOLS = ("torch", "stable_baselines3", "sb3_contrib", "pybullet", "pybullet-arm64", "gymnasium", "numpy")
 
 
 @dataclass(frozen=True)
@@ -265,7 +265,7 @@ class _Results:
             "steps_per_second": round(run.steps / seconds) if seconds else None,
             "command": self.command,
             "python": platform.python_version(),
-            "tools": {tool: version(tool) for tool in TOOLS},
+            "tools": {tool: found.version for tool in TOOLS for found in distributions(name=tool)},
             "chosen": best and {"rule": rule(self.config.selection), **best.document()},
             "monitor": [metrics.document() for metrics in monitor_state.history],
             "setbacks": run.learner.get("setbacks", []),

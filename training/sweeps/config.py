@@ -86,7 +86,7 @@ class Board:
     """The time that the board has for a policy."""
 
     control_task_cycles: int  # at most
-    other_cycles: int  # of them, what is not policy_step: `neuroflight timing` of an image tells
+    other_cycles: int  # of them, what is not policy_step: `neuroflight policy time` of an image tells
 
 
 @dataclass(frozen=True)

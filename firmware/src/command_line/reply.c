@@ -56,7 +56,7 @@ void command_got(const struct task_line *t, const char *name, const char *got)
 
 void command_end_foreign(const struct task_line *t)
 {
-	printer_text(t->out, "; a diff of Betaflight's: neuroflight msp import");
+	printer_text(t->out, "; a diff of Betaflight's: neuroflight board settings import");
 	printer_end(t->out);
 }
 

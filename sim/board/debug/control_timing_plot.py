@@ -1,4 +1,4 @@
-"""Plot of `neuroflight timing IMAGE.bin`: how long each run of the controller and of its task took."""
+"""Plot of `neuroflight image time IMAGE.bin`: how long each run of the controller and of its task took."""
 
 from __future__ import annotations
 

@@ -34,7 +34,7 @@ def save_bench_plot(path: Path, recordings: Mapping[str, Sequence[Recording]], t
 
 
 def draw_bench(recordings: Mapping[str, Sequence[Recording]], title: str) -> Figure:
-    """Draw a column an experiment, a row a channel. recordings: repeats of each experiment, at least one."""
+    """Draw a column for each experiment, a row for each channel. recordings: repeats of each, one or more."""
     figure = titled_figure((7.0 * len(recordings), 9.5), title, (0.06, 0.08))
     panels = figure.subplots(len(CHANNELS), len(recordings), sharex="col", squeeze=False)
     for column, (kind, group) in enumerate(recordings.items()):

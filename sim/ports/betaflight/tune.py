@@ -74,7 +74,7 @@ def tune_path(which: str, aircraft: str) -> Path:
     path = aircraft_file(aircraft).with_suffix(SUFFIX)
     if not path.is_file():
         raise LinkError(
-            f"betaflight:{TUNED}: {path} does not exist; find it by `neuroflight tune-pid --of betaflight "
+            f"betaflight:{TUNED}: {path} does not exist; find it by `neuroflight pid tune --of betaflight "
             f"--aircraft {aircraft} --write {path.name}`"
         )
     return path

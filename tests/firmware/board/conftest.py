@@ -41,13 +41,14 @@ from neuroflight.toolchain.contract import (
     SRAM2,
     observation_blocks,
 )
+from neuroflight.toolchain.files import locked, write_text_if_changed
 from neuroflight.toolchain.image.bank_state import proven
 from neuroflight.toolchain.ir.network import chain
 from neuroflight.toolchain.ir.operations import Clip, Linear, Operation, Tanh
 from neuroflight.toolchain.policy.model import PolicyModel
 from neuroflight.toolchain.rendering.contract_header import render_contract
 from neuroflight.toolchain.rendering.pid_table import render_pid_table
-from tests.conftest import Once
+from tests.conftest import BUILD
 from tests.firmware.board.registers import registers_in_use
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -101,23 +102,28 @@ def random_policy() -> PolicyModel:
 
 
 @pytest.fixture(scope="session")
-def image_folder(once: Once) -> Path:
+def image_folder() -> Path:
     """Where make has left neuroflight.elf, .bin and .hex."""
-    return once("matekf722", make_image) / "build"
+    folder = BUILD / "random"
+    with locked(folder):
+        make_image(folder)
+    return folder / "build"
 
 
 def make_image(scratch: Path) -> None:
-    """Build it into a folder of `scratch`."""
-    emission = compile_policy(random_policy()).emission
-    (scratch / "policy.c").write_text(emission.source)
-    (scratch / "policy.h").write_text(emission.header)
-    (scratch / "nf_contract.h").write_text(render_contract())
-    pid = pid_table(load_aircraft("nf1"))
-    (scratch / "pid_table.c").write_text(render_pid_table(pid, WIDTHS[-1], CONTROL_HZ))
-    make = ["make", "-s", f"-j{os.cpu_count() or 1}", "-C", str(ROOT / "firmware"), "TARGET=MATEKF722"]
-    done = subprocess.run(
-        [*make, f"GENERATED={scratch}", f"BUILD={scratch / 'build'}"], capture_output=True, text=True
-    )
+    """Build it into a folder of `scratch`, what has changed of it."""
+    emission, pid = compile_policy(random_policy()).emission, pid_table(load_aircraft("nf1"))
+    write_text_if_changed(scratch / "policy.c", emission.source)
+    write_text_if_changed(scratch / "policy.h", emission.header)
+    write_text_if_changed(scratch / "nf_contract.h", render_contract())
+    write_text_if_changed(scratch / "pid_table.c", render_pid_table(pid, WIDTHS[-1], CONTROL_HZ))
+    firmware = ROOT / "firmware"
+    named = [
+        f"{name}={os.path.relpath(path, firmware)}"
+        for name, path in (("GENERATED", scratch), ("BUILD", scratch / "build"))
+    ]
+    make = ["make", "-s", f"-j{os.cpu_count() or 1}", "-C", str(firmware), "TARGET=MATEKF722", *named]
+    done = subprocess.run(make, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
 
 

@@ -20,6 +20,7 @@ from neuroflight.sim.board.serial.bridge import MSP_UART, UartLine
 from neuroflight.sim.board.serial.idle_board import IdleBoard, configured
 from neuroflight.toolchain.contract import MSP_VARIANT_BETAFLIGHT, Msp
 from neuroflight.toolchain.image.elf import read_flashable
+from tests.sampling import sampled
 
 UART3 = "USART3"
 BAUDS = {MSP_UART: 115200, UART3: 921600}
@@ -98,7 +99,9 @@ def test_each_of_two_peers_gets_its_own_answers_when_they_take_turns_byte_by_byt
         assert (told.command, told.payload) == (Msp.FC_VARIANT, MSP_VARIANT_BETAFLIGHT.encode())
 
 
-@pytest.mark.parametrize(("rude", "polite"), [(MSP_UART, UART3), (UART3, MSP_UART)])
+@pytest.mark.parametrize(
+    ("rude", "polite"), [(MSP_UART, UART3), pytest.param(UART3, MSP_UART, marks=pytest.mark.slow)]
+)
 @pytest.mark.parametrize(
     "noise",
     [
@@ -135,7 +138,7 @@ def test_all_of_it_is_answered_when_six_kilobytes_are_pasted_and_more_comes_back
     assert executions(idle, "runtime_link_lost") == lost
 
 
-@pytest.mark.parametrize("uart", BAUDS)
+@pytest.mark.parametrize("uart", sampled(BAUDS, MSP_UART))
 def test_it_is_known_and_the_next_request_served_when_more_is_pasted_than_the_line_can_answer(
     idle: IdleBoard, line: Callable[[str], UartLine], uart: str
 ) -> None:
@@ -177,7 +180,7 @@ def test_half_a_request_is_forgotten_when_its_sender_pauses_but_not_while_answer
     assert len(Decoder().feed(told)) == 400
 
 
-@pytest.mark.parametrize("before", [0, 1, 3])
+@pytest.mark.parametrize("before", sampled([0, 1, 3], 1))
 def test_a_pause_is_none_while_bytes_from_before_it_still_wait(
     idle: IdleBoard, line: Callable[[str], UartLine], before: int
 ) -> None:

@@ -192,7 +192,7 @@ def test_a_line_of_betaflights_diff_is_told_who_takes_it(desk: Desk, line: str) 
     before = desk.settings()
     (said,) = desk.tell(line)
     assert said.startswith("###ERROR ")
-    assert said.endswith("; a diff of Betaflight's: neuroflight msp import")
+    assert said.endswith("; a diff of Betaflight's: neuroflight board settings import")
     assert desk.settings() == before
     assert SAVE_REFUSED in desk.type("save")
 

@@ -11,6 +11,8 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+from tests.sampling import examples
+
 DECIMAL_BYTES, PLACES = 24, 12
 LIBC = ctypes.CDLL(None)
 LIBC.strtof.restype = ctypes.c_float
@@ -44,7 +46,7 @@ def parse(core: Any, text: str) -> float | None:
     return float(value[0]) if taken else None
 
 
-@settings(max_examples=3000, deadline=None)
+@settings(max_examples=examples(3000), deadline=None)
 @given(bits=numbers | powers_of_two, negative=st.booleans())
 @example(bits=LEAST, negative=False)
 @example(bits=LEAST + 1, negative=False)
@@ -61,7 +63,7 @@ def test_a_float_is_written_with_the_fewest_places_and_reads_back_when_it_is_of_
     assert text == np.format_float_positional(np.float32(value), unique=True, trim="-")
 
 
-@settings(max_examples=1000, deadline=None)
+@settings(max_examples=examples(1000), deadline=None)
 @given(bits=st.integers(0, LEAST - 1))
 @example(bits=1)
 @example(bits=LEAST - 1)
@@ -99,7 +101,7 @@ def test_a_float_is_written_as_people_write_it(scripted: Any, value: float, text
     assert format_(scripted, value) == text
 
 
-@settings(max_examples=3000, deadline=None)
+@settings(max_examples=examples(3000), deadline=None)
 @given(
     sign=st.sampled_from(["", "-", "+"]),
     whole=st.text("0123456789", min_size=1, max_size=6),
@@ -118,7 +120,7 @@ def test_a_number_is_read_as_the_c_library_reads_it(
     assert bits_of(read) == bits_of(LIBC.strtof(text.encode(), None))
 
 
-@settings(max_examples=1000, deadline=None)
+@settings(max_examples=examples(1000), deadline=None)
 @given(bits=st.integers(0x45800000, LARGEST - 1))  # from 4096 on twelve places say the middle exactly
 def test_half_way_between_two_floats_is_the_even_one(scripted: Any, bits: int) -> None:
     text = f"{(of_bits(bits) + of_bits(bits + 1)) / 2:.{PLACES}f}"  # exact in float64

@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.firmware.conftest import Core
+from tests.sampling import examples
 
 
 def sha256(core: Core, data: bytes, offset: int = 0) -> bytes:
@@ -33,7 +34,7 @@ def test_a_digest_is_right_when_the_padding_fills_any_part_of_a_block(scripted: 
         assert sha256(scripted, data) == hashlib.sha256(data).digest(), size
 
 
-@settings(max_examples=300, deadline=None, derandomize=True)
+@settings(max_examples=examples(300), deadline=None, derandomize=True)
 @given(data=st.binary(max_size=2000), offset=st.integers(0, 7))
 def test_a_digest_is_the_standard_librarys_whatever_the_bytes(
     scripted: Core, data: bytes, offset: int

@@ -8,10 +8,13 @@ from __future__ import annotations
 import os
 import shutil
 import subprocess
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from neuroflight.toolchain.errors import BuildError
+from neuroflight.toolchain.files import locked
+from tests.conftest import BUILD
 from tests.firmware.conftest import FIRMWARE, write_scripted
 
 FOLDER = Path(__file__).parent
@@ -57,7 +60,6 @@ class Workbench:
         """Compile the core. Raises BuildError when the compiler is missing or does not like it."""
         if shutil.which(self.compiler) is None:
             raise BuildError(f"{self.compiler} is missing; install it from the system's packages")
-        write_scripted(self.folder / "generated", motors=4)
         watched = f"{COMMON} {LIBFUZZER if self.fuzzes else GCC_ONLY}"
         named = {
             "TARGET": "HOST",
@@ -67,15 +69,24 @@ class Workbench:
             "BUILD": os.path.relpath(self.folder / "build", FIRMWARE),
         }
         library = f"{named['BUILD']}/libneuroflight.so"
-        run(["make", "-s", "-C", str(FIRMWARE), *(f"{k}={v}" for k, v in named.items()), library])
+        with locked(self.folder):
+            write_scripted(self.folder / "generated", motors=4)
+            run(["make", "-s", "-C", str(FIRMWARE), *(f"{k}={v}" for k, v in named.items()), library])
 
     def program(self, name: str) -> Path:
         """The program of a target; `make` has been called. Raises BuildError."""
-        target, program = TARGETS[name], self.folder / name
+        target = TARGETS[name]
         names = (*target.sources, *(() if self.fuzzes else ("replay.c",)))
+        more = [
+            *(["-fsanitize=fuzzer"] if self.fuzzes else []),
+            *([f"-D{target.define}"] if target.define else []),
+        ]
+        return self.link(name, *(FOLDER / part for part in names), more=more)
+
+    def link(self, name: str, *sources: Path, more: Sequence[str] = ()) -> Path:
+        """Link `sources` with the core into a program; `make` has been called. Raises BuildError."""
         search = (FIRMWARE, FIRMWARE / "src", FIRMWARE / "targets" / "HOST", self.folder / "generated")
-        command = [
-            self.compiler,
+        warned = [
             "-std=c11",
             "-fshort-enums",
             "-Wall",
@@ -83,12 +94,10 @@ class Workbench:
             "-Werror",
             *COMMON.replace("-w ", "").split(),
         ]
-        command += ["-fsanitize=fuzzer"] if self.fuzzes else []
-        command += [f"-I{path}" for path in search] + ([f"-D{target.define}"] if target.define else [])
-        run(
-            [*command, "-o", str(program), *(str(FOLDER / part) for part in names), *map(str, self.objects())]
-        )
-        return program
+        command = [self.compiler, *warned, *more, *(f"-I{path}" for path in search)]
+        with locked(self.folder):
+            run([*command, "-o", str(self.folder / name), *map(str, sources), *map(str, self.objects())])
+        return self.folder / name
 
     def objects(self) -> list[Path]:
         """The core and the simulated board, without a main."""
@@ -97,6 +106,13 @@ class Workbench:
         core = [objects / path.with_suffix(".o") for path in sources if path.name != "main.c"]
         board = [objects / "hal" / "host" / f"{name}.o" for name in HOST_OBJECTS]
         return [*core, objects / "policy.o", objects / "pid_table.o", *board]
+
+
+def sanitized() -> Workbench:
+    """The core under gcc's sanitizers, kept from run to run. Raises BuildError."""
+    bench = Workbench(BUILD / "sanitized", "gcc")
+    bench.make()
+    return bench
 
 
 def run(command: list[str]) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.firmware.fuzz.build import TARGETS, Workbench
+from tests.firmware.fuzz.build import TARGETS, Workbench, sanitized
 from tests.firmware.fuzz.corpus import SEEDS, write
 from tests.firmware.fuzz.fuzzer import fuzz
 
@@ -16,10 +16,9 @@ SECONDS = 30
 
 
 @pytest.fixture(scope="module")
-def replay(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., subprocess.CompletedProcess[str]]:
+def replay() -> Callable[..., subprocess.CompletedProcess[str]]:
     """Runs inputs through a target that gcc has built, under the sanitizers."""
-    bench = Workbench(tmp_path_factory.mktemp("replay"), "gcc")
-    bench.make()
+    bench = sanitized()
 
     def run(target: str, *inputs: Path) -> subprocess.CompletedProcess[str]:
         return subprocess.run([bench.program(target), *inputs], capture_output=True, text=True)

@@ -127,7 +127,7 @@ def test_the_logs_of_a_run_can_be_fetched(
         )
         assert refusal(client, Msp.LOG_ENTRY, entry_request(2)) is Refusal.INDEX
         assert refusal(client, Msp.LOG_ERASE, erase_request()) is Refusal.ABSENT
-        assert main(["log", "fetch", "--port", port, "--all", "--out", str(out)]) == 0
+        assert main(["board", "logs", "fetch", "--port", port, "--all", "--out", str(out)]) == 0
         assert "LOG00002.BBL" in capsys.readouterr().out
         fetched = {file.name: file.read_bytes() for file in out.iterdir()}
         assert fetched == {"LOG00001.BBL": first, "LOG00002.BBL": second}

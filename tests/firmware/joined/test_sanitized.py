@@ -12,32 +12,16 @@ import pytest
 
 from neuroflight.toolchain import contract
 from neuroflight.toolchain.policy.blob import PolicyBlob, blob_terms, pack
+from tests.firmware.fuzz.build import sanitized
 
-ROOT = Path(__file__).resolve().parents[3]
-SOURCE = ROOT / "firmware" / "src"
 FEED = Path(__file__).parents[1] / "sanitized" / "feed.c"
-SANITIZERS = ("address", "undefined", "float-cast-overflow", "float-divide-by-zero")
 MSP_REQUESTS = (b"$M<\x00\x01\x01", b"$M<\x00\x04\x04", b"$M<\x00\x96\x96", b"$X<\x00\x01\x4e\x00\x00\xcf")
 
 
 @pytest.fixture(scope="module")
-def feed(scripted_build: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def feed() -> Path:
     """The feeding program around the core and the scripted policy."""
-    program = tmp_path_factory.mktemp("sanitized") / "feed"
-    generated = scripted_build.parent / "generated"
-    sources = [path for path in sorted(SOURCE.rglob("*.c")) if path.name != "main.c"]
-    command = ["gcc", "-std=c11", "-O1", "-g", "-ffp-contract=off", "-fno-math-errno", "-fshort-enums"]
-    command += ["-fno-sanitize-recover=all"]
-    command += [
-        f"-fsanitize={','.join(SANITIZERS)}",
-        f"-I{SOURCE}",
-        f"-I{SOURCE.parent}",
-        f"-I{generated}",
-        "-o",
-        str(program),
-    ]
-    subprocess.run([*command, *map(str, sources), str(generated / "policy.c"), str(FEED)], check=True)
-    return program
+    return sanitized().link("feed", FEED)
 
 
 SMALLEST_BLOB = PolicyBlob(

@@ -20,10 +20,11 @@ from neuroflight.flash.link.msp import (
 )
 from neuroflight.toolchain.contract import MSP_PAYLOAD_MAX
 from tests.firmware.conftest import Core
+from tests.sampling import examples
 
 REPLY_MAX = 240  # MSP_REPLY_MAX of msp.h
 THOUSAND = settings(
-    max_examples=1000, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck)
+    max_examples=examples(1000), deadline=None, derandomize=True, suppress_health_check=list(HealthCheck)
 )
 NOISE = st.binary(max_size=20).map(lambda data: data.replace(b"$", b"#"))
 

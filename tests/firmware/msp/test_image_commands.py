@@ -36,6 +36,7 @@ from tests.firmware.conftest import Chip, Core, scripted_blob
 from tests.firmware.images import crc_of, header_of, make_image
 from tests.firmware.msp.test_msp_commands import Server, server
 from tests.firmware.storage.bank_board import BankBoard, Held, confirmed
+from tests.sampling import examples
 
 __all__ = ["server"]  # the fixture
 POLICY = policy_header(pack(scripted_blob()))
@@ -310,7 +311,7 @@ RUNS = st.lists(
 ).map(lambda runs: [step for run in runs for step in run])
 
 
-@settings(max_examples=200, deadline=None, derandomize=True)
+@settings(max_examples=examples(200), deadline=None, derandomize=True)
 @given(steps=RUNS)
 def test_never_a_wrong_image_is_accepted_when_frames_are_lost_doubled_and_mixed(
     scripted: Core, steps: list[tuple[str, int, int]]

@@ -13,9 +13,10 @@ from neuroflight.toolchain.contract.msp_fields import NUMBERS, MspField, MspGrou
 from neuroflight.toolchain.contract.msp_layouts import MspLayout
 from neuroflight.toolchain.contract.msp_messages import LAYOUTS
 from neuroflight.toolchain.errors import LinkError
+from tests.sampling import examples
 
 MANY = settings(max_examples=40, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
-THOUSAND = settings(MANY, max_examples=1000)
+THOUSAND = settings(MANY, max_examples=examples(1000))
 WIDTHS = {"B": 8, "b": 8, "H": 16, "h": 16, "I": 32, "i": 32}
 CHARACTERS = st.characters(min_codepoint=32, max_codepoint=126)
 NAMES = [f"{layout.message.name}-{layout.direction.value}" for layout in LAYOUTS]

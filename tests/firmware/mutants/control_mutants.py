@@ -20,7 +20,6 @@ CONTROL_MUTANTS = (
         old="pid->standing ? 0.0f : error",
         new="pid->standing ? error * g->period_s : error",
         tests=(OF_TAKEOFF,),
-        slow=False,
     ),
     Mutant(
         name="the observed integral winds up on the ground",
@@ -49,7 +48,6 @@ CONTROL_MUTANTS = (
         old="(chirp->axis + 1u) % AXES",
         new="(chirp->axis + 0u) % AXES",
         tests=(OF_CHIRP,),
-        slow=False,
     ),
     Mutant(
         name="a sweep that was ended begins again while the mode is still on",
@@ -71,7 +69,6 @@ CONTROL_MUTANTS = (
         old="if (!(action[i] >= 0.0f && action[i] <= 1.0f))",
         new="if (action[i] < 0.0f || action[i] > 1.0f)",
         tests=(OF_CONTROL,),
-        slow=False,
     ),
     Mutant(
         name="outputs may lie a little above 1",
@@ -177,7 +174,6 @@ CONTROL_MUTANTS = (
         old="return control->reversed ? control_fly_reversed(",
         new="return false ? control_fly_reversed(",
         tests=(OF_CONTROL,),
-        slow=False,
     ),
     Mutant(
         name="reversed motors have the yaw rate as it is",
@@ -241,7 +237,6 @@ CONTROL_MUTANTS = (
         old="pid->p[i] = factors[i][0] * gains",
         new="pid->p[i] = factors[i][2] * gains",
         tests=(OF_PID,),
-        slow=False,
     ),
     Mutant(
         name="yaw has roll's factor of I",

@@ -32,7 +32,6 @@ JOINED_MUTANTS = (
         old="dshot[fw->outputs[i]] = fw",
         new="dshot[i] = fw",
         tests=(OF_ORDER,),
-        slow=False,
     ),
     Mutant(
         name="only the last motor's wiring is looked at",
@@ -54,7 +53,6 @@ JOINED_MUTANTS = (
         old="attitude = fw->attitude;\n\t\tfence();\n\t} while (before != fw->published);",
         new="attitude = fw->attitude;\n\t\tfence();\n\t} while (before > fw->published);",
         tests=(OF_INTERRUPT,),
-        slow=False,
     ),
     Mutant(
         name="firmware_record never retries",

@@ -16,7 +16,6 @@ class Mutant:
     new: str
     tests: tuple[str, ...]  # in tests/firmware/, as pytest names them
     argued: str = ""  # why no test can catch it; empty: one must
-    slow: bool = True  # for the long run only
 
     @property
     def of_chip(self) -> bool:

@@ -20,7 +20,6 @@ RECEIVER_MUTANTS = (
         old="return goes_off && receiver->offs < NF_RECEIVER_OFF_FRAMES ?",
         new="return goes_off && receiver->offs < NF_RECEIVER_OFF_FRAMES - 1 ?",
         tests=(OF_RECEIVER,),
-        slow=False,
     ),
     Mutant(
         name="frames that say off need not come in a row",

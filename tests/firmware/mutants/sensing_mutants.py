@@ -20,7 +20,6 @@ SENSING_MUTANTS = (
         old="gyro->turn[i][j] = turn[i][j];",
         new="gyro->turn[i][j] = turn[j][i];",
         tests=(OF_BOARD,),
-        slow=False,
     ),
     Mutant(
         name="a board that only rolls is not turned",

@@ -14,7 +14,6 @@ from tests.firmware.mutants.workshop import ROOT, MutantError, Workshop
 
 FIRMWARE = ROOT / "firmware"
 CORE = FIRMWARE / "src"
-ORDINARY = tuple(mutant for mutant in MUTANTS if not mutant.slow)
 
 
 @pytest.fixture(scope="session")
@@ -23,13 +22,8 @@ def workshop(tmp_path_factory: pytest.TempPathFactory) -> Workshop:
     return Workshop(tmp_path_factory.mktemp("mutants"))
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        pytest.param(m.name, id=m.name.replace(" ", "-"), marks=[pytest.mark.slow] if m.slow else [])
-        for m in MUTANTS
-    ],
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("name", [m.name for m in MUTANTS], ids=lambda name: name.replace(" ", "-"))
 def test_a_mistake_is_noticed_when_the_core_makes_it(workshop: Workshop, name: str) -> None:
     (mutant,) = (m for m in MUTANTS if m.name == name)
     verdict = workshop.try_out(mutant)
@@ -37,16 +31,14 @@ def test_a_mistake_is_noticed_when_the_core_makes_it(workshop: Workshop, name: s
     assert verdict.as_told, verdict.caught_by or "no test fails"
 
 
-@pytest.mark.parametrize(
-    "mutants", [ORDINARY, pytest.param(MUTANTS, marks=pytest.mark.slow)], ids=["ordinary", "all"]
-)
-def test_the_tests_pass_when_there_is_no_mistake(workshop: Workshop, mutants: tuple[object, ...]) -> None:
-    tests = sorted({test for mutant in MUTANTS if mutant in mutants for test in mutant.tests})
-    assert workshop.test(tests) == ""
+@pytest.mark.slow
+def test_the_tests_pass_when_there_is_no_mistake(workshop: Workshop) -> None:
+    assert workshop.test(sorted({test for mutant in MUTANTS for test in mutant.tests})) == ""
 
 
+@pytest.mark.slow
 def test_nothing_is_said_of_a_mutant_when_it_has_no_place_or_does_not_compile(workshop: Workshop) -> None:
-    some = ORDINARY[0]
+    some = MUTANTS[0]
     source = workshop.folder / "firmware" / "src" / some.file
     before = source.read_text()
     with pytest.raises(MutantError, match=r"has 0 times 'no such text', expected once"):
@@ -86,7 +78,7 @@ def test_mutants_are_listed_and_strange_names_refused(capsys: pytest.CaptureFixt
 def test_the_exit_code_tells_when_a_mutant_survives_or_an_argument_is_wrong(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    some = ORDINARY[0]
+    some = MUTANTS[0]
     assert try_out([some], 1) == 0
     assert try_out([some, replace(some, name="no mistake", new=some.old + " ")], 1) == 1
     out = capsys.readouterr().out

@@ -77,7 +77,11 @@ class Workshop:
         command += [f"tests/firmware/{test}" for test in tests]
         # Those around us, if any, are for another run.
         told = {name: value for name, value in os.environ.items() if not name.startswith("PYTEST_")}
-        told |= {"PYTHONPATH": str(self.folder), SCRIPTED_BUILD: str(self._scripted)}
+        told |= {
+            "PYTHONPATH": str(self.folder),
+            SCRIPTED_BUILD: str(self._scripted),
+            "NEUROFLIGHT_PROVES": "1",
+        }
         told["PYTHON"] = sys.executable  # with which make stamps an image: the copy has no environment
         process = subprocess.Popen(
             command,

@@ -21,6 +21,7 @@ from neuroflight.toolchain.contract import (
     Mode,
     ModeRange,
 )
+from tests.sampling import examples
 
 STEPS = st.integers(0, MODE_STEPS).map(lambda step: MODE_LOW_US + MODE_STEP_US * step)
 PULSES = st.integers(CHANNEL_VALID_MIN_US, CHANNEL_VALID_MAX_US)
@@ -138,7 +139,7 @@ def test_the_defaults_are_the_upper_positions_of_the_first_four_channels(scripte
             assert scripted.lib.modes_on(modes, channels) == (bit if us >= 1700 else 0)
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=examples(300), deadline=None)
 @given(
     ranges=st.lists(st.tuples(MODES, AUXES, STEPS, STEPS, st.booleans()), max_size=MODE_SLOT_COUNT),
     channels=st.lists(PULSES, min_size=AUX_COUNT, max_size=AUX_COUNT),

@@ -10,32 +10,17 @@ import pytest
 from numpy.typing import NDArray
 
 from neuroflight.toolchain.contract import CHANNEL_COUNT, CRC8_DVB_S2_POLY
+from tests.firmware.fuzz.build import sanitized
 
-ROOT = Path(__file__).resolve().parents[3]
-SOURCE = ROOT / "firmware" / "src"
 FEED = Path(__file__).parents[1] / "sanitized" / "feed_receiver.c"
-MODULES = (
-    *("receiver/receiver", "receiver/sbus", "receiver/crsf", "receiver/channels", "receiver/link_quality"),
-    *("receiver/rates", "receiver/modes", "storage/settings", "storage/mode_range", "common/crc8"),
-)
-SANITIZERS = ("address", "undefined", "float-cast-overflow", "float-divide-by-zero")
 PIECES = 100_000
 Bytes = NDArray[np.uint8]
 
 
 @pytest.fixture(scope="module")
-def feed(scripted_build: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def feed() -> Path:
     """The feeding program."""
-    program = tmp_path_factory.mktemp("sanitized") / "feed_receiver"
-    command = ["gcc", "-std=c11", "-O1", "-g", "-ffp-contract=off", "-fno-sanitize-recover=all"]
-    command += [
-        f"-fsanitize={','.join(SANITIZERS)}",
-        f"-I{SOURCE}",
-        f"-I{scripted_build.parent / 'generated'}",
-    ]
-    sources = [str(SOURCE / f"{module}.c") for module in MODULES]
-    subprocess.run([*command, "-o", str(program), *sources, str(FEED)], check=True)
-    return program
+    return sanitized().link("feed_receiver", FEED)
 
 
 def crc(rows: Bytes) -> Bytes:

@@ -20,57 +20,16 @@ from neuroflight.toolchain.contract import (
     Msp,
 )
 from neuroflight.toolchain.policy.blob import PolicyBlob, pack
+from tests.firmware.fuzz.build import sanitized
 
-ROOT = Path(__file__).resolve().parents[3]
-FIRMWARE = ROOT / "firmware"
-SOURCE = FIRMWARE / "src"
 FEED = Path(__file__).parents[1] / "sanitized" / "store.c"
-CORE = (
-    *("common/crc8", "common/crc32", "common/decimal", "housekeeping/scheduler", "housekeeping/battery"),
-    *("command_line/commands", "command_line/command_line", "command_line/printer"),
-    *("command_line/reply", "command_line/session"),
-    *("command_line/listing_commands", "command_line/motor_commands"),
-    *("command_line/report_commands", "command_line/setting_commands", "storage/settings_text"),
-    *("msp/msp", "msp/msp_commands", "msp/msp_payload", "msp/msp_port", "msp/msp_replies", "msp/msp_stream"),
-    *("msp/msp_configure", "msp/msp_fields", "msp/msp_lists", "msp/msp_sources", "common/nf_math"),
-    *("storage/fault_log", "port/flash", "storage/policy_blob", "storage/policy_slots"),
-    *("storage/mode_range", "storage/settings", "storage/settings_store", "common/sha256"),
-    *(
-        "storage/image_bank",
-        "storage/image_update",
-        "msp/msp_logs",
-        "blackbox/blackbox",
-        "blackbox/blackbox_kept",
-    ),
-    *(
-        f"blackbox/log_{name}"
-        for name in ("encoding", "frames", "header", "ring", "slow", "snapshot", "text")
-    ),
-    *("sensing/gyro", "sensing/calibration"),
-)
-SANITIZERS = ("address", "undefined", "float-cast-overflow", "float-divide-by-zero")
 PIECES = 3000
 
 
 @pytest.fixture(scope="module")
-def feed(scripted_build: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def feed() -> Path:
     """The feeding program around what stores and the scripted policy."""
-    program = tmp_path_factory.mktemp("sanitized") / "store"
-    generated = scripted_build.parent / "generated"
-    sources = [SOURCE / f"{name}.c" for name in CORE]
-    sources += [FIRMWARE / "hal" / "host" / "flash_model.c", generated / "policy.c", FEED]
-    command = [
-        "gcc",
-        "-std=c11",
-        "-O1",
-        "-g",
-        "-ffp-contract=off",
-        "-fno-math-errno",
-        "-fno-sanitize-recover=all",
-    ]
-    command += [f"-fsanitize={','.join(SANITIZERS)}", f"-I{FIRMWARE}", f"-I{SOURCE}", f"-I{generated}"]
-    subprocess.run([*command, "-o", str(program), *map(str, sources)], check=True)
-    return program
+    return sanitized().link("store", FEED)
 
 
 def ask(command: int, payload: bytes = b"") -> bytes:

@@ -23,6 +23,7 @@ from neuroflight.toolchain.contract import (
     Refusal,
     Setting,
 )
+from tests.sampling import examples
 
 BYTES = 32
 BY_NAME = {setting.name: (index, setting) for index, setting in enumerate(SETTINGS)}
@@ -102,7 +103,7 @@ def legal(draw: st.DrawFn) -> tuple[str, bytes]:
 PRINTABLE = "".join(map(chr, range(ord(" "), ord("~") + 1)))
 
 
-@effort(max_examples=2000, deadline=None)
+@effort(max_examples=examples(2000), deadline=None)
 @given(case=legal())
 @example(case=("craft_name", b"-"))
 @example(case=("craft_name", b" "))
@@ -116,7 +117,7 @@ def test_a_value_reads_back_to_the_bit_when_it_was_written(scripted: Any, case: 
     assert parse(scripted, name, format_(scripted, name, value)) == (Error.GOOD, padded(value))
 
 
-@effort(max_examples=500, deadline=None)
+@effort(max_examples=examples(500), deadline=None)
 @given(name=st.sampled_from([setting.name for setting in SETTINGS]), text=st.text(PRINTABLE, max_size=40))
 @example(name="roll_rate", text="1e100")
 @example(name="roll_rate", text="99999999")
@@ -225,7 +226,7 @@ def test_each_choice_is_written_by_name_and_read_by_it(scripted: Any) -> None:
             assert parse(scripted, setting.name, choice.upper()) == (Error.GOOD, padded(number))
 
 
-@effort(max_examples=300, deadline=None)
+@effort(max_examples=examples(300), deadline=None)
 @given(case=legal())
 def test_what_a_setting_takes_it_takes_as_text(scripted: Any, case: tuple[str, bytes]) -> None:
     name, value = case

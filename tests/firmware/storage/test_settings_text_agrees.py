@@ -23,6 +23,7 @@ from neuroflight.toolchain.contract import (
 )
 from neuroflight.toolchain.contract.settings import Span
 from tests.firmware.storage.test_settings_text import BY_NAME, PRINTABLE, Error, format_, padded, parse
+from tests.sampling import examples
 
 
 @st.composite
@@ -64,7 +65,7 @@ CASES = st.sampled_from(SETTINGS).flatmap(lambda setting: st.tuples(st.just(sett
 NAME = SETTINGS[BY_NAME["craft_name"][0]]
 
 
-@effort(max_examples=2000, deadline=None)
+@effort(max_examples=examples(2000), deadline=None)
 @given(case=CASES)
 @example(case=(SETTINGS[BY_NAME["filter4_hz"][0]], 1024.53125))  # half way between two texts
 @example(case=(SETTINGS[BY_NAME["yaw_max"][0]], 1.0))  # a whole of one style of rates, 1 deg/s of the other
@@ -92,7 +93,7 @@ def test_both_agree_on_each_setting_at_its_default_and_its_ends(scripted: Any) -
             assert stored(parse_value(setting.name, text), setting) == stored(value, setting)
 
 
-@effort(max_examples=1000, deadline=None)
+@effort(max_examples=examples(1000), deadline=None)
 @given(case=CASES, style=st.sampled_from([str.upper, str.lower, str.title]))
 def test_both_read_the_same_when_capitals_are_others(
     scripted: Any, case: tuple[Setting, Value], style: Any

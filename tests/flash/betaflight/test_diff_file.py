@@ -81,10 +81,10 @@ def test_lines_are_the_same_whoever_saved_them(file: Path, newline: str, encodin
         (b"# Rotorflight / STM32F7X2 (S7X2) 4.3.0\n", "written by Rotorflight 4.3.0"),
         (b"# OtherFork / BOARD (ABCD) 1.0 Jul 1 2018 / 00:00:00\n", "written by OtherFork 1.0"),
         (
-            b"# diff of MATEKF722 0.1.0: neuroflight msp --port PORT restore FILE\n",
+            b"# diff of MATEKF722 0.1.0: neuroflight board settings restore --port PORT FILE\n",
             ":1: settings of Neuroflight",
         ),
-        (b"# Neuroflight 0.1.0 on HOST\n", "`neuroflight msp restore` takes them"),
+        (b"# Neuroflight 0.1.0 on HOST\n", "`neuroflight board settings restore` takes them"),
         ((HEADER + HEADER.replace("4.0.0", "4.1.0")).encode(), ":2: a second one, of Betaflight 4.1.0"),
         (HEADER.encode() + b"\0\1\2", ":2: a zero byte"),
         (

@@ -1,4 +1,4 @@
-"""`neuroflight msp import` against the running host program, and against the emulated board's image."""
+"""`board settings import` against the running host program, and against the emulated board's image."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def msp(resting_host: str, capsys: pytest.CaptureFixture[str]) -> Run:
     """Return a function that runs `msp` with words and the port: exit code, stdout, stderr."""
 
     def run(*words: str, port: str = resting_host) -> tuple[int, str, str]:
-        code = main(["msp", *words, "--port", port])
+        code = main(["board", "settings", *words, "--port", port])
         output = capsys.readouterr()
         assert output.err.count("\n") <= 1
         return code, output.out, output.err
@@ -174,6 +174,7 @@ def test_nothing_half_done_is_kept_when_one_set_is_refused_midway(
     assert (tmp_path / "flash.bin").read_bytes() == before
 
 
+@pytest.mark.slow
 def test_nothing_is_stored_when_the_line_is_cut_midway(
     msp: Run, resting_host: str, pty_line: LayLine, diff: Path, tmp_path: Path
 ) -> None:

@@ -80,9 +80,8 @@ FAILING: dict[str, tuple[Callable[[Build], bytes], str]] = {
 }
 
 
-@pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=[pytest.mark.slow] if at else []) for at, name in enumerate(FAILING)]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("name", FAILING)
 def test_the_old_image_flies_within_three_starts_and_the_tool_says_why(
     build: Build, trial: Trial, name: str
 ) -> None:

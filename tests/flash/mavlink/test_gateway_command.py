@@ -1,4 +1,4 @@
-"""`neuroflight gateway` as a program, against the running host program; what it refuses."""
+"""`neuroflight board gateway` as a program, against the running host program; what it refuses."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def station() -> Iterator[Station]:
 
 
 def test_a_ground_station_sees_the_aircraft_and_its_parameters(resting_host: str, station: Station) -> None:
-    command = [sys.executable, "-m", "neuroflight.cli.main", "gateway", "--port", resting_host]
+    command = [sys.executable, "-m", "neuroflight.cli.main", "board", "gateway", "--port", resting_host]
     with subprocess.Popen(
         [*command, "--mavlink", station.address],
         cwd=ROOT,
@@ -87,6 +87,7 @@ def test_the_gateway_outlives_a_restart_that_a_ground_station_asks_for(
         sys.executable,
         "-m",
         "neuroflight.cli.main",
+        "board",
         "gateway",
         "--port",
         line,
@@ -120,7 +121,7 @@ def test_the_gateway_outlives_a_restart_that_a_ground_station_asks_for(
 
 def refused(capsys: pytest.CaptureFixture[str], *words: str) -> str:
     """The one line of an error."""
-    assert main(["gateway", *words]) == 1
+    assert main(["board", "gateway", *words]) == 1
     output = capsys.readouterr()
     assert output.err.count("\n") == 1
     return output.err

@@ -181,7 +181,7 @@ def test_logs_are_not_erased_over_mavlink(lockstep: MakeLockstep) -> None:
     gateway.station.link.mav.log_erase_send(1, 1)
     gateway.run(100)
     assert board.logs == [log_of(500)]
-    assert any("erased by `neuroflight log erase`" in text for text in gateway.station.texts())
+    assert any("erased by `neuroflight board logs erase`" in text for text in gateway.station.texts())
 
 
 def test_one_peer_is_served_at_a_time(lockstep: MakeLockstep) -> None:

@@ -10,7 +10,7 @@ from neuroflight.sim.aircraft.pid_write import write_pid
 from neuroflight.toolchain.errors import AircraftError
 
 NF1 = (FOLDER / "nf1.toml").read_text()
-BARE = NF1[: NF1.index("# Found by `neuroflight tune-pid")]
+BARE = NF1[: NF1.index("# Found by `neuroflight pid tune")]
 OTHERS = """# Mine, by hand.
 # Do not touch.
 [pid.mine]
@@ -30,7 +30,7 @@ SETTINGS = PidSettings(((1.5, 0.0, 0.02), (1.25, 30.0, 0.0201), (2.0, 0.5, 0.0))
 def written(folder: Path, text: str, settings: PidSettings = SETTINGS, name: str = "tuned") -> str:
     source, target = folder / "source.toml", folder / "target.toml"
     source.write_bytes(text.encode())
-    write_pid(source, target, name, settings, "Found by `neuroflight tune-pid --seed 7`.\nGood.")
+    write_pid(source, target, name, settings, "Found by `neuroflight pid tune --seed 7`.\nGood.")
     return target.read_bytes().decode()
 
 
@@ -38,7 +38,7 @@ def test_table_comes_first_and_other_lines_stay_when_the_file_has_pids(tmp_path:
     text = written(tmp_path, BARE + OTHERS)
     block = text[len(BARE) : -len(OTHERS)]
     assert text == BARE + block + OTHERS
-    assert block.startswith("# Found by `neuroflight tune-pid --seed 7`.\n# Good.\n[pid.tuned]\n")
+    assert block.startswith("# Found by `neuroflight pid tune --seed 7`.\n# Good.\n[pid.tuned]\n")
     aircraft = load_aircraft(tmp_path / "target.toml")
     assert [name for name, _ in aircraft.pids] == ["tuned", "mine"]
     assert aircraft.pids[0][1] == SETTINGS

@@ -67,8 +67,14 @@ def test_plot_shows_setpoint_and_rates_of_each_flight_when_drawn() -> None:
     assert np.asarray(yaw.lines[2].get_ydata())[-1] == pytest.approx(-2)
     assert [line.get_label() for line in error.lines] == ["roll", "pitch", "yaw"]
     assert error.lines[0].get_ydata() == pytest.approx(np.full(3000, 2.0))
-    assert [line.get_label() for line in motors.lines[1::2]] == ["1", "2", "3", "4"]
+    assert [line.get_label() for line in motors.lines[1::2]] == [f"motor {n}" for n in range(1, 5)]
     assert motors.lines[1].get_ydata() == pytest.approx(np.full(3000, 25.0))
+
+
+def test_plot_shows_all_of_an_oscillation_that_nobody_commands() -> None:
+    yaw = draw_flights([make_flight("firmware", error_deg_s=100.0)], "title").axes[2]
+    low, high = yaw.get_ylim()
+    assert low < -100.0 and high > 0.0  # of a setpoint of 0
 
 
 def test_plot_shows_the_beginning_when_the_flight_is_long() -> None:

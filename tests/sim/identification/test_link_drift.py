@@ -174,9 +174,11 @@ def test_command_prints_one_document_when_asked_for_json(
 ) -> None:
     plot, rates = tmp_path / "drift.png", tmp_path / "map.png"
     words = ["--threshold-mm", "0.5", "--json", "--plot", str(plot), "--map", str(rates)]
-    assert main(["stability", "--steps-ms", "2", *words]) == 0
+    assert main(["aircraft", "stability", "--steps-ms", "2", *words]) == 0
     document = json.loads(capsys.readouterr().out)
-    assert document["command"] == "neuroflight stability --aircraft nf1 --steps-ms 2 --threshold-mm 0.5"
+    assert (
+        document["command"] == "neuroflight aircraft stability --aircraft nf1 --steps-ms 2 --threshold-mm 0.5"
+    )
     assert [run["formulation"] for run in document["runs"]] == ["reduced", "maximal"]
     assert document["runs"][0]["drift_m"] < 1e-6 < document["runs"][1]["drift_m"]
     still, apart = document["runs"]
@@ -201,7 +203,7 @@ def test_command_prints_one_document_when_asked_for_json(
 def test_command_refuses_in_one_line_when_the_input_is_bad(
     arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["stability", *arguments]) == 1
+    assert main(["aircraft", "stability", *arguments]) == 1
     captured = capsys.readouterr()
     assert message in captured.err
     assert captured.err.count("\n") == 1

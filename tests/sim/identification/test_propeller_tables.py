@@ -60,7 +60,7 @@ def save(path: Path, text: str) -> Path:
 
 def command(capsys: pytest.CaptureFixture[str], *words: str | Path) -> dict[str, object]:
     capsys.readouterr()
-    assert main(["twin", "propeller", *map(str, words), "--json"]) == 0
+    assert main(["aircraft", "propeller", *map(str, words), "--json"]) == 0
     document: dict[str, object] = json.loads(capsys.readouterr().out)
     return document
 
@@ -93,12 +93,12 @@ def test_a_table_at_rest_gives_coefficients_in_both_forms(
     assert found["advance_ratio"] is None
     assert command(capsys, path, "--rpm", "4900")["c_t"] == pytest.approx(0.12)
     assert command(capsys, path)["thrust_coefficient"] is None
-    assert main(["twin", "propeller", str(path)]) == 0
+    assert main(["aircraft", "propeller", str(path)]) == 0
     out = capsys.readouterr().out
     assert "c_t = 0.11\n" in out and "in a climb it does not tell" in out
     own = tmp_path / "own.toml"
     own.write_bytes((FOLDER / "nf1.toml").read_bytes())
-    assert main(["twin", "propeller", str(path), "--write", str(own)]) == 0
+    assert main(["aircraft", "propeller", str(path), "--write", str(own)]) == 0
     rotor = load_aircraft(own).propulsion
     diameter = rotor.propeller_diameter
     assert diameter is not None
@@ -138,7 +138,7 @@ def test_what_is_no_table_is_one_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], text: str, words: list[str], message: str
 ) -> None:
     path = save(tmp_path / "t.txt", text)
-    assert main(["twin", "propeller", str(path), *words]) == 1
+    assert main(["aircraft", "propeller", str(path), *words]) == 1
     error = capsys.readouterr().err
     assert message in error and error.count("\n") == 1
 

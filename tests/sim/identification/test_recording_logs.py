@@ -101,7 +101,7 @@ def test_every_form_of_a_high_resolution_log_gives_the_same_noise(
     for name in ("LOG.BBL", "mine.csv", "mine.npz", "explorer.csv", "raw.csv"):
         more = ["--gyro-unit", "0.1"] if name == "raw.csv" else []
         capsys.readouterr()
-        assert main(["twin", "noise", str(tmp_path / name), "--json", *more]) == 0, name
+        assert main(["aircraft", "noise", str(tmp_path / name), "--json", *more]) == 0, name
         document = json.loads(capsys.readouterr().out)
         assert document["samples"] == COUNT
         assert document["gyro_deg_s"]["sigma"] == pytest.approx(right.tolist(), rel=1e-3), name
@@ -128,7 +128,7 @@ def test_a_scale_is_told_once_and_never_guessed(
     message: str,
 ) -> None:
     log = save(tmp_path / "LOG.BFL", log_of(at_rest(), told, firmware=CLEANFLIGHT))
-    assert main(["twin", "noise", str(log), *words]) == 1
+    assert main(["aircraft", "noise", str(log), *words]) == 1
     error = capsys.readouterr().err
     assert message in error and error.count("\n") == 1
     assert main(["log", "decode", str(log), "--csv", str(tmp_path / "a.csv")]) == 0
@@ -178,11 +178,11 @@ def test_a_flight_is_told_with_the_part_in_which_it_is_at_rest(
     log = save(tmp_path / "FLIGHT.BBL", log_of(rows, SCALE))
     own = tmp_path / "own.toml"
     own.write_bytes(before := (FOLDER / "nf1.toml").read_bytes())
-    assert main(["twin", "noise", str(log), "--write", str(own)]) == 1
+    assert main(["aircraft", "noise", str(log), "--write", str(own)]) == 1
     error = capsys.readouterr().err
     assert "the aircraft moved" in error and "--from 0.0 --to 2.5" in error
     assert own.read_bytes() == before
-    assert main(["twin", "noise", str(log), "--from", "0", "--to", "2.5", "--json"]) == 0
+    assert main(["aircraft", "noise", str(log), "--from", "0", "--to", "2.5", "--json"]) == 0
     document = json.loads(capsys.readouterr().out)
     assert not document["moved"]
     assert document["gyro_deg_s"]["sigma"] == pytest.approx(
@@ -196,7 +196,7 @@ def test_a_swing_in_a_log_tells_the_moment(tmp_path: Path, capsys: pytest.Captur
     rows = at_rest(4, count, 3.0)
     rows[:, 1] += np.rint(10 * 4.0 * turn * np.exp(-0.02 * time) * np.sin(turn * time)).astype(np.int64)
     log = save(tmp_path / "PITCH.BBL", log_of(rows, SCALE))
-    assert main(["twin", "inertia", str(log), "--stiffness", str(stiffness), "--json"]) == 0
+    assert main(["aircraft", "inertia", str(log), "--stiffness", str(stiffness), "--json"]) == 0
     found = json.loads(capsys.readouterr().out)["axes"]["pitch"]
     assert found["inertia_kg_m2"] == pytest.approx(inertia, rel=1e-3)
     assert found["amplitude_deg"] == pytest.approx(4.0, rel=0.02)

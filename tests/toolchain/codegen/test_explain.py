@@ -1,4 +1,4 @@
-"""`neuroflight compile`: what it writes, what --explain tells, and one line where it refuses."""
+"""`neuroflight policy compile`: what it writes, what --explain tells, and one line where it refuses."""
 
 from __future__ import annotations
 
@@ -88,8 +88,8 @@ def policy_file(kit: Kit, tmp_path: Path) -> Path:
 
 
 def document(arguments: list[str], capsys: Capture) -> dict[str, Any]:
-    """What `neuroflight compile --json` prints."""
-    assert main(["compile", *arguments, "--json"]) == 0
+    """What `neuroflight policy compile --json` prints."""
+    assert main(["policy", "compile", *arguments, "--json"]) == 0
     printed = capsys.readouterr()
     facts = json.loads(printed.out)
     assert isinstance(facts, dict)
@@ -98,7 +98,7 @@ def document(arguments: list[str], capsys: Capture) -> dict[str, Any]:
 
 def refused(arguments: list[str], capsys: Capture) -> str:
     """The one line on stderr of a command that fails."""
-    assert main(["compile", *arguments]) == 1
+    assert main(["policy", "compile", *arguments]) == 1
     printed = capsys.readouterr()
     assert printed.out == ""
     assert printed.err.startswith("neuroflight: ")
@@ -143,7 +143,7 @@ def test_table_is_printed_when_explained(
     policy_file: Path, tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("COLUMNS", "120")
-    assert main(["compile", str(policy_file), "--explain"]) == 0
+    assert main(["policy", "compile", str(policy_file), "--explain"]) == 0
     printed = capsys.readouterr().out
     for step in PASSES:
         assert sum(line.startswith(f"{step.name} ") for line in printed.splitlines()) == 1
@@ -160,7 +160,7 @@ def test_nothing_is_claimed_when_no_pass_finds_anything(kit: Kit, tmp_path: Path
     assert facts["savings"] == []
     assert facts["proof"] is None
     assert facts["before"] == facts["after"]
-    assert main(["compile", str(path), "--explain"]) == 0
+    assert main(["policy", "compile", str(path), "--explain"]) == 0
     assert f"none of {len(PASSES)} found anything to do" in capsys.readouterr().out
 
 
@@ -177,7 +177,7 @@ def test_explained_policy_is_the_same_when_it_is_written(
 def test_onnxruntime_is_not_waited_for_when_nothing_is_explained(policy_file: Path, tmp_path: Path) -> None:
     code = "import sys; from neuroflight.cli.main import main; main(sys.argv[1:]); "
     code += "sys.exit('onnxruntime' in sys.modules)"
-    words = ["compile", str(policy_file), "--out", str(tmp_path / "out")]
+    words = ["policy", "compile", str(policy_file), "--out", str(tmp_path / "out")]
     subprocess.run([sys.executable, "-c", code, *words], check=True, capture_output=True)
 
 
@@ -187,7 +187,7 @@ def test_name_from_the_file_commands_no_terminal_when_it_holds_codes(
     monkeypatch.setenv("COLUMNS", "120")
     path = tmp_path / "odd.onnx"
     path.write_bytes(kit.chain(6, 6).add("Tanh", name="[bold]/layer[0]\n\x1b[31m").clip().data())
-    assert main(["compile", str(path), "--explain"]) == 0
+    assert main(["policy", "compile", str(path), "--explain"]) == 0
     printed = capsys.readouterr().out
     assert "/layer_0_" in printed
     assert "\x1b" not in printed

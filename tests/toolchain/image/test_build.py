@@ -23,6 +23,7 @@ from neuroflight.toolchain.image.elf import read_image
 from neuroflight.toolchain.image.report import MotorFacts, built_motors
 from neuroflight.toolchain.policy.model import read_policy
 from neuroflight.toolchain.rendering.pid_table import PidTable
+from tests.sampling import sampled
 
 if TYPE_CHECKING:
     from tests.toolchain.conftest import Chain, Kit
@@ -278,7 +279,7 @@ def test_region_and_bytes_are_named_when_the_linker_finds_no_room(tmp_path: Path
     )
 
 
-@pytest.mark.parametrize("where", ["checkout", "folder for outputs"])
+@pytest.mark.parametrize("where", sampled(["checkout", "folder for outputs"], "folder for outputs"))
 def test_the_firmware_is_built_when_a_path_has_what_make_takes_for_its_own(
     tmp_path: Path, policy_file: Path, where: str
 ) -> None:

@@ -43,7 +43,7 @@ from neuroflight.toolchain.ir.operations import (
 from neuroflight.toolchain.passes import PASSES, optimize, size
 from neuroflight.toolchain.passes.equivalence import BOUND, check_equivalence
 
-SEEDS, SEEDS_PROVEN = range(150), range(1000, 5000)
+SEEDS, SEEDS_PROVEN = range(50), range(1000, 5000)
 WIDEST = 8
 WIDTHS_TOGETHER = 100  # no more Concats beyond it
 CLEAN = (Tanh(), Sigmoid(), Silu(), Softsign(), Erf(), Softplus(), Relu())

@@ -60,7 +60,7 @@ def source(kit: Kit, tmp_path: Path) -> Path:
 
 def refused(arguments: list[str], capsys: Capture) -> str:
     """The one line of a freeze that fails."""
-    assert main(["freeze", *arguments]) == 1
+    assert main(["policy", "import", *arguments]) == 1
     printed = capsys.readouterr()
     assert printed.out == ""
     assert printed.err.count("\n") == 1
@@ -71,7 +71,7 @@ def test_model_becomes_a_policy_when_frozen_with_what_it_does_not_say(
     source: Path, tmp_path: Path, capsys: Capture
 ) -> None:
     out = tmp_path / "policy.onnx"
-    assert main(["freeze", str(source), *OPTIONS, "--clip", "--out", str(out)]) == 0
+    assert main(["policy", "import", str(source), *OPTIONS, "--clip", "--out", str(out)]) == 0
     printed = capsys.readouterr().out.splitlines()
     assert re.fullmatch(
         r"compared with onnxruntime on the model itself, 300 steps: at most \d\.\de-0\d apart",
@@ -114,7 +114,7 @@ def test_metadata_are_replaced_when_the_model_has_some(kit: Kit) -> None:
 
 def test_freeze_tells_all_it_did_when_asked_for_json(source: Path, tmp_path: Path, capsys: Capture) -> None:
     out = tmp_path / "policy.onnx"
-    assert main(["freeze", str(source), *OPTIONS, "--clip", "--json", "--out", str(out)]) == 0
+    assert main(["policy", "import", str(source), *OPTIONS, "--clip", "--json", "--out", str(out)]) == 0
     document = json.loads(capsys.readouterr().out)
     assert document["policy_sha256"] == read_policy(out).source_sha256
     assert len(document["changes"]) == 5
@@ -123,7 +123,9 @@ def test_freeze_tells_all_it_did_when_asked_for_json(source: Path, tmp_path: Pat
 
 def test_policy_has_the_idle_that_it_is_frozen_with(source: Path, tmp_path: Path, capsys: Capture) -> None:
     out = tmp_path / "policy.onnx"
-    assert main(["freeze", str(source), *OPTIONS, "--clip", "--idle", "0.23", "--out", str(out)]) == 0
+    assert (
+        main(["policy", "import", str(source), *OPTIONS, "--clip", "--idle", "0.23", "--out", str(out)]) == 0
+    )
     assert read_policy(out).idle == 0.23
 
 
@@ -134,11 +136,11 @@ def test_policy_has_mix_filters_and_its_aircrafts_model_when_frozen_with_them(
     source.write_bytes(foreign(kit.mlp((6, 8, 4))))
     told = ["--observation", "rate_estimate,rate_estimate_error", "--rate", "2000", "--aircraft", "nf1"]
     told += ["--mix", "centred", "--filters", '[["mean"]]', "--out", str(out)]
-    assert main(["freeze", str(source), *told]) == 0
+    assert main(["policy", "import", str(source), *told]) == 0
     assert capsys.readouterr().out.splitlines()[-2].endswith(', 2000 Hz, mix centred, filters [["mean"]]')
     policy, model = read_policy(out), model_constants(load_aircraft("nf1"), 2000)
     assert (policy.mix, policy.gyro_mean, policy.model) == (Mix.CENTRED, True, model)
-    assert main(["freeze", str(source), *told, "--json"]) == 0
+    assert main(["policy", "import", str(source), *told, "--json"]) == 0
     document = json.loads(capsys.readouterr().out)
     assert (document["mix"], document["filters"]) == ("centred", [["mean"]])
     assert document["model"] == json.loads(json.dumps(model.document()))
@@ -219,10 +221,13 @@ def ending(kit: Kit, tmp_path: Path, *last: tuple[Any, ...]) -> Path:
     [
         (
             [("Tanh",)],
-            "its outputs lie in -1 to 1: if these mean 0 to full power, `neuroflight freeze --output-",
+            "its outputs lie in -1 to 1: if these mean 0 to full power, `neuroflight policy import --output-",
         ),
-        ([("Clip", np.float32(-1), np.float32(1))], "`neuroflight freeze --output-range -1,1` maps them"),
-        ([("Tanh",), ("Mul", np.float32(3))], "`neuroflight freeze --output-range -3,3` maps them"),
+        (
+            [("Clip", np.float32(-1), np.float32(1))],
+            "`neuroflight policy import --output-range -1,1` maps them",
+        ),
+        ([("Tanh",), ("Mul", np.float32(3))], "`neuroflight policy import --output-range -3,3` maps them"),
         ([("Softsign",)], "--output-range -1,1"),
         ([], "--output-range LO,HI` (-1,1 for most trainers), or, if they are motor fractions"),
     ],
@@ -259,7 +264,7 @@ def test_outputs_are_mapped_when_their_range_is_told(
     session = onnxruntime.InferenceSession(path.read_bytes(), providers=["CPUExecutionProvider"])
     theirs = np.concatenate([session.run(None, {"obs": row[None]})[0] for row in observation])
     expected = np.clip((theirs.astype(np.float64) - low) / (high - low), 0, 1)
-    assert main(["freeze", str(path), *OPTIONS, "--output-range", asked, "--out", str(out)]) == 0
+    assert main(["policy", "import", str(path), *OPTIONS, "--output-range", asked, "--out", str(out)]) == 0
     printed = capsys.readouterr().out
     assert f"mapped outputs from {low:g} to {high:g} to motor fractions from 0 to 1" in printed
     assert "warning" not in printed
@@ -286,7 +291,9 @@ def test_freeze_warns_when_a_clip_holds_what_the_model_means(
     kit: Kit, tmp_path: Path, capsys: Capture, last: list[tuple[Any, ...]], warned: str | None
 ) -> None:
     path = ending(kit, tmp_path, *last)
-    assert main(["freeze", str(path), *OPTIONS, "--clip", "--out", str(tmp_path / "policy.onnx")]) == 0
+    assert (
+        main(["policy", "import", str(path), *OPTIONS, "--clip", "--out", str(tmp_path / "policy.onnx")]) == 0
+    )
     printed = capsys.readouterr().out
     assert ("warning" in printed) == (warned is not None)
     assert warned is None or (warned in printed and "use --output-range -1,1 instead of --clip" in printed)
@@ -307,7 +314,7 @@ def test_freeze_warns_when_outputs_lie_beyond_the_range_that_is_told(
     kit: Kit, tmp_path: Path, capsys: Capture, last: list[tuple[Any, ...]], asked: str, words: str | None
 ) -> None:
     path, out = ending(kit, tmp_path, *last), tmp_path / "policy.onnx"
-    assert main(["freeze", str(path), *OPTIONS, "--output-range", asked, "--out", str(out)]) == 0
+    assert main(["policy", "import", str(path), *OPTIONS, "--output-range", asked, "--out", str(out)]) == 0
     printed = capsys.readouterr().out
     assert ("warning: the Clip holds motors at 0 or full" in printed) == (words is not None)
     assert words is None or words in printed
@@ -360,7 +367,7 @@ def test_weights_are_refused_when_a_link_leads_out_of_the_folder(
     (folder / "weights").unlink()
     (folder / "kept").write_bytes((elsewhere / "weights").read_bytes())
     (folder / "weights").symlink_to("kept")  # within the folder it may lead
-    assert main(["freeze", str(folder / "model.onnx"), *OPTIONS, "--out", str(out)]) == 0
+    assert main(["policy", "import", str(folder / "model.onnx"), *OPTIONS, "--out", str(out)]) == 0
 
 
 def test_refusal_asks_for_the_mean_when_outputs_are_twice_the_motors(
@@ -587,7 +594,7 @@ def test_inputs_are_joined_in_the_order_told_when_there_are_two(
         ([], "'gyro' and 'command' (the model's, --input-order names another): 'gyro' takes {}; 'command'"),
         (["--input-order", "command,gyro"], "'command' and 'gyro' (as told): 'command' takes {}; 'gyro'"),
     ):
-        assert main(["freeze", str(source), *OPTIONS, *order, "--out", str(out)]) == 0
+        assert main(["policy", "import", str(source), *OPTIONS, *order, "--out", str(out)]) == 0
         line = f"joined the inputs {words.format('rate_error')} takes rate_error_delta"
         assert line in capsys.readouterr().out.splitlines()
         given = np.roll(observation, 3, axis=1) if order else observation
@@ -635,7 +642,10 @@ def test_input_is_a_constant_when_it_is_told_so(kit: Kit, tmp_path: Path, capsys
         ("dones=0", "--constant: the model has no input 'dones', its inputs are 'obs', 'episode_starts'"),
     ):
         assert words in refused([str(source), *OPTIONS, "--constant", text, "--out", str(out)], capsys)
-    assert main(["freeze", str(source), *OPTIONS, "--constant", "episode_starts=0", "--out", str(out)]) == 0
+    assert (
+        main(["policy", "import", str(source), *OPTIONS, "--constant", "episode_starts=0", "--out", str(out)])
+        == 0
+    )
     printed = capsys.readouterr().out.splitlines()
     assert printed[0] == "took 0 for the input 'episode_starts' throughout"
     assert printed[-3].startswith("compared with onnxruntime on the model itself")

@@ -94,7 +94,7 @@ def test_model_is_called_what_it_is_when_a_tool_changed_it(
     make, words = CHANGED[name]
     make(source, changed)
     capsys.readouterr()
-    assert main(["freeze", str(changed), *OPTIONS, "--out", str(tmp_path / "policy.onnx")]) == 1
+    assert main(["policy", "import", str(changed), *OPTIONS, "--out", str(tmp_path / "policy.onnx")]) == 1
     told = capsys.readouterr().err
     assert words in told
     assert told.count("\n") == 1
@@ -186,13 +186,13 @@ def test_file_is_called_what_it_is_when_it_is_no_model(
     make, words = FILES[name]
     path.write_bytes(make())
     for arguments in (
-        ["freeze", str(path), "--out", str(tmp_path / "policy.onnx")],
-        ["freeze", str(path), *OPTIONS, "--out", str(tmp_path / "policy.onnx")],
-        ["verify", str(path)],
-        ["compile", str(path), "--explain"],
+        ["policy", "import", str(path), "--out", str(tmp_path / "policy.onnx")],
+        ["policy", "import", str(path), *OPTIONS, "--out", str(tmp_path / "policy.onnx")],
+        ["policy", "verify", str(path)],
+        ["policy", "compile", str(path), "--explain"],
     ):
         if name == "state dict" and arguments[0] != "freeze":
-            words = "a checkpoint, which `neuroflight freeze` makes a policy of"
+            words = "a checkpoint, which `neuroflight policy import` makes a policy of"
         if name == "state dict" and OPTIONS[0] in arguments:
             continue  # taken for a checkpoint, which knows these itself
         assert main(arguments) == 1

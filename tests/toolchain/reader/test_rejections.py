@@ -212,7 +212,7 @@ MODELS: dict[str, Callable[[onnx.ModelProto], object]] = {
     "the policy has 5004 nodes, expected at most": many_nodes,
     "local functions or sparse weights": lambda model: model.functions.add(),
     "it has no graph": lambda model: model.ClearField("graph"),
-    "an ONNX model without metadata; add them with `neuroflight freeze MODEL.onnx --observation": (
+    "an ONNX model without metadata; add them with `neuroflight policy import MODEL.onnx --observation": (
         lambda model: model.ClearField("metadata_props")
     ),
     "not a valid ONNX model, or a truncated one": extra_output,

@@ -1,4 +1,4 @@
-"""`neuroflight verify`: it holds for a sound policy, and each planted fault is caught by its name."""
+"""`neuroflight policy verify`: it holds for a sound policy, and each planted fault is caught by its name."""
 
 from __future__ import annotations
 
@@ -332,9 +332,9 @@ def test_command_leaves_torch_out_when_asked_although_a_checkpoint_lies_beside(
 ) -> None:
     path = checkpoint(tmp_path / "checkpoint.pt").with_name("policy.onnx")
     path.write_bytes(policy.data())
-    assert main(["verify", str(path), "--count", "5"]) == 1
+    assert main(["policy", "verify", str(path), "--count", "5"]) == 1
     assert "is the checkpoint the one it was frozen from?" in capsys.readouterr().err
-    assert main(["verify", str(path), "--count", "5", "--no-torch"]) == 0
+    assert main(["policy", "verify", str(path), "--count", "5", "--no-torch"]) == 0
 
 
 def test_command_refuses_a_checkpoint_whose_network_does_not_fit(
@@ -344,7 +344,7 @@ def test_command_refuses_a_checkpoint_whose_network_does_not_fit(
     three = kit.mlp((3, 8, 4))
     three.metadata["neuroflight.observation"] = "rate_error"
     path.write_bytes(three.data())
-    assert main(["verify", str(path), "--count", "5"]) == 1
+    assert main(["policy", "verify", str(path), "--count", "5"]) == 1
     assert "its network does not take 3 values" in capsys.readouterr().err
 
 
@@ -369,7 +369,7 @@ def test_command_prints_one_document_when_json_is_asked_for(
 ) -> None:
     path = tmp_path / "policy.onnx"
     path.write_bytes(policy.data())
-    assert main(["verify", str(path), "--count", "20", "--json"]) == 0
+    assert main(["policy", "verify", str(path), "--count", "20", "--json"]) == 0
     document: dict[str, Any] = json.loads(capsys.readouterr().out)
     assert document["verdict"] == "holds"
     assert document["first_failure"] is None
@@ -384,7 +384,7 @@ def test_command_exits_1_with_one_line_when_something_fails(
     path = tmp_path / "policy.onnx"
     path.write_bytes(policy.data())
     other = checkpoint(tmp_path / "other" / "checkpoint.pt")
-    assert main(["verify", str(path), "--count", "20", "--json", "--checkpoint", str(other)]) == 1
+    assert main(["policy", "verify", str(path), "--count", "20", "--json", "--checkpoint", str(other)]) == 1
     told = capsys.readouterr()
     failure = json.loads(told.out)["first_failure"]
     assert failure["machine"] == "torch"
@@ -399,12 +399,12 @@ def test_command_exits_0_on_a_missing_tool_only_when_that_is_allowed(
     path = tmp_path / "policy.onnx"
     path.write_bytes(policy.data())
     monkeypatch.setattr(shutil, "which", lambda _name: None)
-    assert main(["verify", str(path), "--count", "5"]) == 1
+    assert main(["policy", "verify", str(path), "--count", "5"]) == 1
     told = capsys.readouterr()
     assert told.err.count("\n") == 1
     assert "incomplete: host C, gcc not run: gcc is not installed" in told.err
     assert "Incomplete" in told.out
-    assert main(["verify", str(path), "--count", "5", "--allow-missing"]) == 0
+    assert main(["policy", "verify", str(path), "--count", "5", "--allow-missing"]) == 0
 
 
 @pytest.mark.parametrize(
@@ -420,7 +420,7 @@ def test_command_refuses_in_one_line_when_an_option_is_wrong(
 ) -> None:
     path = tmp_path / "policy.onnx"
     path.write_bytes(policy.data())
-    assert main(["verify", str(path), "--count", "5", *arguments]) == 1
+    assert main(["policy", "verify", str(path), "--count", "5", *arguments]) == 1
     told = capsys.readouterr()
     assert words in told.err
     assert told.err.count("\n") == 1

@@ -42,7 +42,7 @@ def test_the_lines_make_a_policy_of_the_environments_task(tmp_path: Path) -> Non
     policy = read_policy(tmp_path / "policy.onnx")
     assert (policy.observation, policy.control_rate_hz) == ("rate_error,rate_error_delta", 1000)
     assert (policy.idle, policy.mix.text, policy.aircraft) == (0.055, "centred", "nf1")
-    assert main(["compile", str(tmp_path / "policy.onnx"), "--out", str(tmp_path / "c")]) == 0
+    assert main(["policy", "compile", str(tmp_path / "policy.onnx"), "--out", str(tmp_path / "c")]) == 0
 
 
 @pytest.mark.slow

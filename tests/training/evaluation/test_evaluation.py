@@ -126,6 +126,7 @@ def test_a_task_without_held_commands_has_no_response() -> None:
     assert figures(record(Still(2), NF1, task, episodes=2, seed=1, control_rate_hz=1000)).response is None
 
 
+@pytest.mark.slow
 def test_margin_shrinks_when_there_are_more_episodes() -> None:
     task = EnvelopeTask()
     few, many = (

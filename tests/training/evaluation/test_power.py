@@ -77,29 +77,10 @@ def test_in_flight_more_thrust_takes_more_current_and_the_error_is_told() -> Non
     assert len(draw(still, [replace(drawn, flown=())], "title").axes) == 1
 
 
-@pytest.mark.parametrize(
-    ("words", "told"),
-    [
-        ([], "no controller; expected policies, pid, pid:NAME, or betaflight"),
-        (["pid", "--battery", "nan"], "--battery nan, expected 0 to 1"),
-        (["pid", "--seconds", "0"], "--seconds 0.0, expected 0.1 to 60"),
-        (["pid", "--thrust", "21"], "--thrust 21.0, expected 0 to 20"),
-        (["pid", "pid"], "2 controllers, 1 of them different"),
-        (["pid", "--plot", "power.jpg"], "power.jpg: expected a name that ends in .png"),
-    ],
-)
-def test_the_command_refuses_in_one_line(
-    words: list[str], told: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["power", *words]) == 1
-    (line,) = capsys.readouterr().err.splitlines()
-    assert told in line
-
-
 def test_an_aircraft_without_a_battery_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     text = NF1_FILE.read_text()
     head, _, rest = text.partition("[battery]")
     file = tmp_path / "nf1.toml"
     file.write_text(head + "[body]" + rest.partition("[body]")[2])
-    assert main(["power", "pid", "--aircraft", str(file)]) == 1
+    assert main(["compare", "--suite", "power", "pid", "--aircraft", str(file)]) == 1
     assert "no [battery] table" in capsys.readouterr().err

@@ -184,8 +184,8 @@ def test_prints_a_table_and_the_same_as_json(
     document = json.loads(capsys.readouterr().out)
     assert plot.read_bytes().startswith(b"\x89PNG")
     assert document["command"] == (
-        "neuroflight robustness pid:tuned pid:published --aircraft nf1 --task pulse --episodes 4 --seed 3 "
-        "--throttle-max 0.8 --draws 5"
+        "neuroflight compare pid:tuned pid:published --suite robustness --aircraft nf1 --task pulse "
+        "--episodes 4 --seed 3 --throttle-max 0.8 --draws 5"
     )
     assert document["aircraft_sha256"] == NF1.sha256
     told = document["robustness"]
@@ -201,26 +201,3 @@ def test_prints_a_table_and_the_same_as_json(
     line = next(line for line in table.splitlines() if line.startswith("lag x 2"))
     assert f"{case['ratio']['value']:.2f}" in line
     assert "diverged of the draws" in table
-
-
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (["pid", "pid"], "2 controllers, 1 of them different"),
-        (["pid", "--episodes", "1"], "--episodes 1, expected 2 to 1500"),
-        (["pid", "--task", "pulse", "--episodes", "5000"], "--episodes 5000, expected 2 to 4096"),
-        (["pid", "--task", "pulse", "--draws", "820"], "--draws 820, expected 0 to 819"),
-        (["pid", "--draws", "301"], "--draws 301, expected 0 to 300"),
-        (["pid", "--throttle-max", "1.1"], "--throttle-max 1.1, expected 0 to 1"),
-        (["pid", "--throttle-max", "nan"], "--throttle-max nan, expected 0 to 1"),
-        (["pid", "--seed", "-1"], "--seed -1, expected 0 or more"),
-        (["pid:none"], "no PID 'none'"),
-        (["pid", "--plot", "figure.txt"], "ends in .png"),
-    ],
-)
-def test_invalid_arguments_are_rejected(words: list[str], message: str, capsys: Capture) -> None:
-    assert main(["robustness", *words]) == 1
-    printed = capsys.readouterr()
-    assert printed.out == ""
-    assert message in printed.err
-    assert printed.err.count("\n") == 1

@@ -190,11 +190,11 @@ def test_a_tuner_of_the_users_searches_some_parameters(
 @pytest.mark.slow
 def test_what_was_found_is_written_and_flown(tmp_path: Path, capsys: Capture) -> None:
     path, out = written(tmp_path, RATES), tmp_path / "gains.toml"
-    words = ["tune-pid", "--of", f"{path}:Rates", "--budget", "12", "--check", "5", "--max-change", "0.06"]
+    words = ["pid", "tune", "--of", f"{path}:Rates", "--budget", "12", "--check", "5", "--max-change", "0.06"]
     assert main([*words, "--write", str(out), "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
     assert told["parameters"] == tomllib.loads(out.read_text())
-    assert "Found by `neuroflight tune-pid --of mine.py:Rates" in out.read_text()
+    assert "Found by `neuroflight pid tune --of mine.py:Rates" in out.read_text()
     found = told["figures"]
     assert np.mean(found["tuned"]["thrust 1"]["mae"]) < np.mean(found["defaults"]["thrust 1"]["mae"])
 
@@ -210,9 +210,9 @@ def test_what_was_found_is_written_and_flown(tmp_path: Path, capsys: Capture) ->
 )
 def test_a_wrong_tuning_is_refused(words: list[str], message: str, tmp_path: Path, capsys: Capture) -> None:
     path = written(tmp_path, RATES)
-    assert main(["tune-pid", "--of", f"{path}:Rates", *words]) == 1
+    assert main(["pid", "tune", "--of", f"{path}:Rates", *words]) == 1
     assert message.replace("\\", "") in capsys.readouterr().err
-    assert main(["tune-pid", "--of", "nothing"]) == 1
+    assert main(["pid", "tune", "--of", "nothing"]) == 1
     assert "--of nothing, expected pid, betaflight or FILE.py:CLASS" in capsys.readouterr().err
 
 

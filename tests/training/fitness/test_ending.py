@@ -22,7 +22,7 @@ from neuroflight.training.fitness.check import Verdict
 from neuroflight.training.fitness.course import AXES
 from tests.cli.test_train import TINY
 
-WORDS = ["train", "--algorithm", "ppo", *TINY, "checkpoint_steps=128", "selection.fit=true"]
+WORDS = ["policy", "train", "--algorithm", "ppo", *TINY, "checkpoint_steps=128", "selection.fit=true"]
 Capture = pytest.CaptureFixture[str]
 Checked = list[str]  # SHA-256 of the policies that were checked, in their order
 Judge = Callable[[set[int]], Checked]

@@ -50,6 +50,7 @@ def weaker(gain: float) -> float:
     return float(f"{0.8 * gain:.4g}")
 
 
+@pytest.mark.slow
 def test_search_by_flying_terms_begins_with_given_settings_and_keeps_to_its_terms() -> None:
     good = pid_settings(NF1, "flying")
     roll, pitch, yaw = ((weaker(p), weaker(i), weaker(d)) for p, i, d in good.gains)
@@ -109,7 +110,12 @@ def test_an_idling_aircraft_sinks_when_idle_is_at_its_limit(name: str) -> None:
 
 @pytest.mark.parametrize(
     ("name", "pid", "throttle"),
-    [("nf1", "tuned", 0.0), ("iris", "tuned", 0.0), ("nf1", "flying", 0.25), ("nf1", "flying", 0.8)],
+    [
+        pytest.param("nf1", "tuned", 0.0, marks=pytest.mark.slow),
+        ("iris", "tuned", 0.0),
+        ("nf1", "flying", 0.25),
+        pytest.param("nf1", "flying", 0.8, marks=pytest.mark.slow),
+    ],
 )
 def test_every_command_is_reached_and_held_when_the_tuned_pid_flies_the_episodic_task(
     name: str, pid: str, throttle: float
@@ -153,11 +159,12 @@ def test_tuned_pid_meets_its_bar_when_it_flies_unseen_pulses() -> None:
     assert result.effort.change <= 0.012
 
 
+@pytest.mark.slow
 def test_command_writes_the_settings_of_the_same_search_by_the_dissertations_terms(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     target, plot = tmp_path / "new" / "nf1.toml", tmp_path / "plot.png"
-    words = ["tune-pid", "--terms", "dissertation", "--seed", "3", "--budget", "1", "--check", "2"]
+    words = ["pid", "tune", "--terms", "dissertation", "--seed", "3", "--budget", "1", "--check", "2"]
     words += ["--max-idle", "0.2", "--write", str(target), "--plot", str(plot), "--name", "mine", "--json"]
     status = main(words)
     document = json.loads(capsys.readouterr().out)
@@ -168,7 +175,7 @@ def test_command_writes_the_settings_of_the_same_search_by_the_dissertations_ter
     settings = pid_settings(load_aircraft(target), "mine")
     assert settings == dataclasses.replace(found, nominal_voltage=NF1.propulsion.supply_voltage)
     assert [document["settings"][axis] for axis in AXES] == [list(gains) for gains in settings.gains]
-    told = "neuroflight tune-pid --aircraft nf1 --seed 3 --terms dissertation --budget 1 --max-idle 0.2"
+    told = "neuroflight pid tune --aircraft nf1 --seed 3 --terms dissertation --budget 1 --max-idle 0.2"
     assert told in document["command"]
     assert told in target.read_text()
     assert plot.read_bytes().startswith(b"\x89PNG")
@@ -180,7 +187,7 @@ def test_command_writes_a_pid_to_fly_when_it_is_told_nothing_but_the_aircraft(
     source = FOLDER / "nf1.toml"
     target = tmp_path / "mine.toml"
     target.write_text(source.read_text().split("# Found by")[0])  # no PID
-    words = ["tune-pid", "--aircraft", str(target), "--write", str(target)]
+    words = ["pid", "tune", "--aircraft", str(target), "--write", str(target)]
     status = main([*words, "--budget", "1", "--check", "1", "--json"])
     captured = capsys.readouterr()
     document = json.loads(captured.out)
@@ -193,7 +200,7 @@ def test_command_writes_a_pid_to_fly_when_it_is_told_nothing_but_the_aircraft(
     assert next(iter(dict(mine.pids))) == "flying"
     assert (settings.mix, settings.gyro_mean, settings.idle) == (Mix.CENTRED, True, IDLE)
     text = target.read_text()
-    assert "# Found by `neuroflight tune-pid --aircraft mine.toml --seed 1 --budget 1`." in text
+    assert "# Found by `neuroflight pid tune --aircraft mine.toml --seed 1 --budget 1`." in text
     assert (
         "1 unseen commands each, five in a flight and then a hover, at 0.36, 1, 2, 4 times the weight" in text
     )
@@ -222,7 +229,7 @@ def test_command_writes_a_pid_to_fly_when_it_is_told_nothing_but_the_aircraft(
 def test_command_rejects_an_invalid_argument_in_one_line(
     arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["tune-pid", *arguments]) == 1
+    assert main(["pid", "tune", *arguments]) == 1
     captured = capsys.readouterr()
     assert message in captured.err
     assert captured.err.count("\n") == 1

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from neuroflight.cli.main import main, parser
+from neuroflight.cli.main import main, parse
 from neuroflight.cli.training import reproduce
 from neuroflight.sim.aircraft.model import FOLDER
 from neuroflight.sim.identification.propeller import fit_propeller
@@ -45,11 +45,10 @@ def test_rows_cover_every_table_that_the_dissertation_measured() -> None:
 
 @pytest.mark.parametrize("budget", BUDGETS)
 def test_every_command_is_one_that_the_command_line_understands(budget: str) -> None:
-    top = parser()
     outputs = StepOutputs(ROOT, Path("out"), "quick" if budget == "quick" else "full")
     for step in experiments().steps.values():
         words = outputs.words(step)
-        top.parse_args([*words, *(() if words[0] in PICTURES else ("--json",))])
+        parse([*words, *(() if words[0] in PICTURES else ("--json",))])
 
 
 @pytest.mark.parametrize("budget", BUDGETS)
@@ -69,7 +68,7 @@ SIZES = ("steps", "episodes", "count", "seeds", "seconds")  # of a command, defa
 
 def sizes(words: list[str]) -> dict[str, float]:
     """The command's sizes by name; of a list how many it has."""
-    args = vars(parser().parse_args(words))
+    args = vars(parse(words))
     given = {name: args[name] for name in SIZES if args.get(name) is not None}
     return {name: len(value) if isinstance(value, list) else float(value) for name, value in given.items()}
 

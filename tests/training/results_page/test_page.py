@@ -1,4 +1,4 @@
-"""The page of results from stored figures, and `neuroflight results` as a user types it."""
+"""The page of results from stored figures, and `neuroflight report` as a user types it."""
 
 from __future__ import annotations
 
@@ -587,9 +587,9 @@ def test_command_writes_checks_and_notices_when_a_figure_changes(tmp_path: Path,
     folder, out = tmp_path / "results", tmp_path / "results.md"
     folder.mkdir()
     (folder / "a.json").write_text(json.dumps(evaluated("pid", pid="tuned")))
-    words = ["results", "--folder", str(folder), "--out", str(out)]
+    words = ["report", "--folder", str(folder), "--out", str(out)]
     assert main([*words, "--check"]) == 1
-    assert "run `neuroflight results`" in capsys.readouterr().err
+    assert "run `neuroflight report`" in capsys.readouterr().err
     assert not out.exists()
     assert main(words) == 0
     assert main([*words, "--check"]) == 0
@@ -599,7 +599,7 @@ def test_command_writes_checks_and_notices_when_a_figure_changes(tmp_path: Path,
 
 
 def test_command_rejects_in_one_line_when_there_is_nothing_to_show(tmp_path: Path, capsys: Capture) -> None:
-    assert main(["results", "--folder", str(tmp_path), "--out", str(tmp_path / "a.md")]) == 1
+    assert main(["report", "--folder", str(tmp_path), "--out", str(tmp_path / "a.md")]) == 1
     error = capsys.readouterr().err
     assert "0 .json files" in error
     assert error.count("\n") == 1
@@ -635,7 +635,7 @@ def test_page_is_made_from_the_output_of_the_commands(tmp_path: Path, capsys: Ca
 
 
 def test_shipped_page_is_what_the_stored_figures_give_when_checked(capsys: Capture) -> None:
-    assert main(["results", "--check"]) == 0
+    assert main(["report", "--check"]) == 0
     assert (ROOT / "docs" / "results.md").is_file()
     assert "up to date" in capsys.readouterr().out
 
@@ -650,7 +650,7 @@ def test_again_repeats_the_commands_of_the_folder(
     monkeypatch.setattr("neuroflight.cli.training.results.OUTPUTS", tmp_path / "outputs")
     fly = "neuroflight evaluate pid:published --task envelope --seed 3 --episodes"
     command_file(tmp_path, f"a.json {fly} 2", f"b.json {fly} 0")
-    words = ["results", "--folder", str(tmp_path), "--out", str(tmp_path / "a.md"), "--again"]
+    words = ["report", "--folder", str(tmp_path), "--out", str(tmp_path / "a.md"), "--again"]
     assert main([*words, "a.json"]) == 0
     stored = (tmp_path / "a.json").read_text()
     assert json.loads(stored)["episodes"] == 2
@@ -681,7 +681,7 @@ def test_again_rejects_invalid_commands_in_one_line(
     lines: list[str], names: list[str], message: str, tmp_path: Path, capsys: Capture
 ) -> None:
     command_file(tmp_path, *lines)
-    words = ["results", "--folder", str(tmp_path), "--out", str(tmp_path / "a.md"), "--again", *names]
+    words = ["report", "--folder", str(tmp_path), "--out", str(tmp_path / "a.md"), "--again", *names]
     assert main(words) == 1
     error = capsys.readouterr().err
     assert message in error
@@ -693,7 +693,7 @@ def test_shipped_files_hold_what_the_page_reads_and_no_more() -> None:
     folder = ROOT / "docs" / "results"
     for each in read_results(folder):
         text = compact(summary(each.name, dict(each.document))) + "\n"
-        assert (folder / each.name).read_text() == text, f"neuroflight results --again {each.name}"
+        assert (folder / each.name).read_text() == text, f"neuroflight report --again {each.name}"
 
 
 def test_every_shipped_file_can_be_made_again() -> None:

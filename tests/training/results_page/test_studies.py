@@ -120,7 +120,7 @@ def test_sizes_are_drawn_by_instructions_and_the_same_each_time() -> None:
 
 def test_results_draws_the_sizes_beside_their_file(tmp_path: Path) -> None:
     (tmp_path / "study-sizes.json").write_text(json.dumps(dict(FOUND.document)))
-    words = ["results", "--folder", str(tmp_path), "--out", str(tmp_path / "page.md")]
+    words = ["report", "--folder", str(tmp_path), "--out", str(tmp_path / "page.md")]
     assert main(words) == 0
     assert (tmp_path / "sizes.png").read_bytes().startswith(b"\x89PNG")
     assert main([*words, "--check"]) == 0

@@ -1,4 +1,4 @@
-"""Learning curves of runs whose rewards are known, and `neuroflight learning-curves` as a user types it."""
+"""Learning curves of runs whose rewards are known, and `neuroflight policy curves` as a user types it."""
 
 from __future__ import annotations
 
@@ -109,7 +109,7 @@ def test_the_command_prints_and_draws_a_panel_a_configuration(tmp_path: Path, ca
         run(tmp_path / "ppo" / f"seed-{seed}", seed, rising(-float(seed)))
     run(tmp_path / "ddpg", 1, rising(-1.0))
     plot = tmp_path / "curves.png"
-    words = ["learning-curves", str(tmp_path / "ppo"), str(tmp_path / "ddpg"), "--label", "PPO m=1", "DDPG"]
+    words = ["policy", "curves", str(tmp_path / "ppo"), str(tmp_path / "ddpg"), "--label", "PPO m=1", "DDPG"]
     assert main([*words, "--json", "--plot", str(plot)]) == 0
     document = json.loads(capsys.readouterr().out)
     first, second = document["curves"]
@@ -117,7 +117,7 @@ def test_the_command_prints_and_draws_a_panel_a_configuration(tmp_path: Path, ca
     assert first["final"]["value"] == pytest.approx(-1.5, abs=1e-3)
     assert first["final_episode"]["value"] == 1000 * first["final"]["value"]
     assert [each["final"] for each in first["runs"]] == pytest.approx([-1.0, -2.0], abs=1e-3)
-    assert document["command"] == "neuroflight learning-curves ppo ddpg --label 'PPO m=1' DDPG"
+    assert document["command"] == "neuroflight policy curves ppo ddpg --label 'PPO m=1' DDPG"
     assert plot.read_bytes().startswith(b"\x89PNG")
     assert main([*words, "--episodes", "--each-seed", "--plot", str(plot)]) == 0
     table = capsys.readouterr().out
@@ -139,6 +139,6 @@ def test_it_is_refused_in_one_line(words: list[str], message: str, tmp_path: Pat
     run(tmp_path / "SHORT", 1, rising(-1.0), points=3)
     (run(tmp_path / "OLD", 1, rising(-1.0)) / "rewards.csv").unlink()
     named = [str(tmp_path / word) if word.isupper() else word for word in words]
-    assert main(["learning-curves", *named]) == 1
+    assert main(["policy", "curves", *named]) == 1
     error = capsys.readouterr().err
     assert message in error and error.count("\n") == 1

@@ -1,4 +1,4 @@
-"""`neuroflight train` rejects invalid input before it trains: one line, exit status 1, nothing written."""
+"""`policy train` rejects invalid input before it trains: one line, exit status 1, nothing written."""
 
 from pathlib import Path
 
@@ -46,7 +46,7 @@ def test_a_bad_configuration_is_rejected_before_training_starts(
     )
     out = tmp_path / "out"
     config = [] if "--config" in words or "--algorithm" in words else ["--config", "ppo"]
-    assert main(["train", "--out", str(out), *config, *words]) == 1
+    assert main(["policy", "train", "--out", str(out), *config, *words]) == 1
     seen = capsys.readouterr()
     assert message in seen.err
     assert seen.err.count("\n") == 1
@@ -58,7 +58,7 @@ def test_a_bad_configuration_is_rejected_before_training_starts(
 def test_a_bad_file_is_rejected_with_its_name_and_key(tmp_path: Path, capsys: Capture) -> None:
     file, out = tmp_path / "mine.toml", tmp_path / "out"
     file.write_text(WEIGHTS)
-    assert main(["train", "--out", str(out), "--config", str(file)]) == 1
+    assert main(["policy", "train", "--out", str(out), "--config", str(file)]) == 1
     assert capsys.readouterr().err == (
         f"neuroflight: config {file}: reward: reward tracking: change -1.0, expected 0 to 1e+12\n"
     )

@@ -42,7 +42,7 @@ STOPPED_AT = 0.7  # of the run: within the sixth segment
 # The command in a process that sends itself a signal when it has come that far.
 SCRIPT = """
 import os, signal, sys
-from neuroflight.cli.training import train_display
+from neuroflight.cli.policy import train_display
 from neuroflight.cli.main import main
 
 class Stopped(train_display.Display):
@@ -61,7 +61,7 @@ if __name__ == "__main__":
 def train(algorithm: str, out: Path, *options: str) -> list[str]:
     """Arguments of the command."""
     settings = [word for key in (*SHORT, *RUNS[algorithm]) for word in ("--set", key)]
-    return ["train", "--out", str(out), *settings, *options]
+    return ["policy", "train", "--out", str(out), *settings, *options]
 
 
 @pytest.fixture(scope="module")
@@ -80,8 +80,8 @@ def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Pat
 @pytest.mark.parametrize(
     ("algorithm", "stop"),
     [
-        ("ppo", signal.SIGINT),
         ("pathwise", signal.SIGKILL),
+        pytest.param("ppo", signal.SIGINT, marks=pytest.mark.slow),
         pytest.param("ppo", signal.SIGKILL, marks=pytest.mark.slow),
         pytest.param("ppo1", signal.SIGINT, marks=pytest.mark.slow),
         pytest.param("ddpg1", signal.SIGINT, marks=pytest.mark.slow),

@@ -83,6 +83,7 @@ def test_an_interruption_saves_the_last_segment(tmp_path: Path) -> None:
     assert read_policy(tmp_path / "policy.onnx").observation_count == 6
 
 
+@pytest.mark.slow
 def test_learns_to_follow_within_22_rollouts(tmp_path: Path) -> None:
     """The default run cut short, exploration kept up: seeds 1, 2 and 3 all pass with room (6 to 11 deg/s)."""
     seen: list[Progress] = []

@@ -161,6 +161,7 @@ class Stopping(SweepCallback):
         request_stop(self._out)
 
 
+@pytest.mark.slow
 def test_a_study_that_was_stopped_goes_on_where_it_was(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -172,7 +173,7 @@ def test_a_study_that_was_stopped_goes_on_where_it_was(
     before = json.loads((out / "sweep.json").read_text())
     assert stopping.done == [1]
     assert [run["state"] for run in before["runs"]] == ["done", "open"]
-    words = ["sweep", str(path), "--out", str(out), "--cpus", "1", "--resume"]
+    words = ["policy", "sweep", str(path), "--out", str(out), "--cpus", "1", "--resume"]
     assert main([*words, "--json"]) == 0
     record: dict[str, Any] = json.loads(capsys.readouterr().out)
     assert record["complete"] is True

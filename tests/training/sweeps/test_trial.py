@@ -109,7 +109,7 @@ def test_finished_sweep_needs_no_worker_when_it_is_resumed(
 ) -> None:
     _, folder, outcome = done
     out = folder / "out"
-    arguments = ["sweep", str(folder / "study.toml"), "--out", str(out), "--cpus", "1"]
+    arguments = ["policy", "sweep", str(folder / "study.toml"), "--out", str(out), "--cpus", "1"]
     assert main([*arguments, "--resume", "--json"]) == 0
     record = json.loads(capsys.readouterr().out)
     assert record == json.loads((out / "sweep.json").read_text())
@@ -151,7 +151,7 @@ def test_invalid_options_are_rejected_in_one_line(
     file = tmp_path / "study.toml"
     file.write_text(FILE)
     given = [option.format(file=file) for option in options]
-    assert main(["sweep", str(file), "--out", str(tmp_path / "out"), *given]) == 1
+    assert main(["policy", "sweep", str(file), "--out", str(tmp_path / "out"), *given]) == 1
     captured = capsys.readouterr()
     assert message in captured.err
     assert captured.out == ""
@@ -163,6 +163,6 @@ def test_the_error_says_how_to_install_ray_when_it_is_missing(
 ) -> None:
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     (tmp_path / "study.toml").write_text(FILE)
-    words = ["sweep", str(tmp_path / "study.toml"), "--out", str(tmp_path / "out")]
+    words = ["policy", "sweep", str(tmp_path / "study.toml"), "--out", str(tmp_path / "out")]
     assert main([*words, "--address", "local"]) == 1
     assert "pip install 'neuroflight[sweep]'" in capsys.readouterr().err

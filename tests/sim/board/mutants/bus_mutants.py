@@ -52,6 +52,7 @@ BUS_MUTANTS = (
         new="#define SPI_ONLY_BY_I2C_IF { USER_CTRL, 0x10 }",
         message=r"register 0x6A of the ICM20602 = 0x10: the model knows bits 0x01",
         seconds=0.3,
+        slow=True,
     ),
     Mutant(
         name="gyro left to take its bus for I2C",
@@ -160,6 +161,7 @@ BUS_MUTANTS = (
         new="\t\tuncached_bss_end = .;\n\t} > SRAM1",
         message=r"DMA2 stream \d: 0x200[1-3]\w{4} lies in cached RAM while the data cache is on",
         seconds=0.4,
+        slow=True,
     ),
     Mutant(
         name="memory of DMA buffers left cached",
@@ -221,6 +223,7 @@ BUS_MUTANTS = (
         new="const unsigned checksum = ~(",
         message=r"motor 1: frame 0x000F has the checksum F, expected 0",
         seconds=0.4,
+        slow=True,
     ),
     Mutant(
         name="DShot inverted",

@@ -14,6 +14,7 @@ CLOCK_MUTANTS = (
         new="WAIT_STATES = 6",
         message=r"flash wait states too few: FLASH_ACR LATENCY is 6 at 216 MHz, expected 7",
         place="clock_start",
+        slow=True,
     ),
     Mutant(
         name="core above what the regulator carries without over-drive",
@@ -88,6 +89,7 @@ CLOCK_MUTANTS = (
         message=r"TIM8_\w+ is written without its clock: RCC_APB2ENR TIM8EN is 0",
         place="motors_start_bank",
         seconds=0.4,
+        slow=True,
     ),
     Mutant(
         name="forgotten clock of a DMA controller",
@@ -105,6 +107,7 @@ CLOCK_MUTANTS = (
         new="{{GPIOC, 6}, 2}",
         message=r"TIM8 makes pulses on channel 1: PC6 is alternate function 2, expected alternate function 3",
         seconds=0.4,
+        slow=True,
     ),
     Mutant(
         name="bus pin left analog",

@@ -19,6 +19,7 @@ CORE_MUTANTS = (
         new="\tDMA_SNDTR(s.controller, s.stream) = count;\n",
         message=r"DMA\d stream \d is enabled without a barrier after the program's last store: .* a DSB",
         seconds=0.4,
+        slow=True,
     ),
     Mutant(
         name="motors' frame stored behind the barrier",
@@ -41,6 +42,7 @@ CORE_MUTANTS = (
         new='\t__asm volatile("isb\\n\\t"\n\t\t       "msr',
         message=r"SCB_VTOR is changed without a DSB right after it",
         place="boot_reset",
+        slow=True,
     ),
     Mutant(
         name="no barrier when the vectors move to ITCM",
@@ -67,6 +69,7 @@ CORE_MUTANTS = (
         new="",
         message=r"a floating-point instruction while CPACR = 0x00000000 does not allow it",
         seconds=0.4,
+        slow=True,
     ),
     Mutant(
         name="stack overflow by a large local in the control task",
@@ -77,6 +80,7 @@ CORE_MUTANTS = (
         message=r"(write|read) of \d bytes at 0x1FFF\w{4}, below DTCM: the stack overflows",
         place="runtime_sample",
         seconds=0.4,
+        slow=True,
     ),
     Mutant(
         name="stack overflow by recursion in flight",
@@ -128,6 +132,7 @@ CORE_MUTANTS = (
         message=r"the handler of exception 25 has run 1000 times in a row and leaves its request up",
         place="gyro_edge_handler",
         seconds=0.4,
+        slow=True,
     ),
     Mutant(
         name="background masks the gyro's interrupt",
@@ -139,6 +144,7 @@ CORE_MUTANTS = (
         message=r"the gyro's data-ready edge \(EXTI3\) waited \d+\.\d\d us for its handler, at most 5\.00 us "
         r"are allowed: interrupts were masked",
         seconds=1.0,
+        slow=True,
     ),
     Mutant(
         name="handler that delays the gyro's interrupt",
@@ -176,6 +182,7 @@ CORE_MUTANTS = (
         new="\t\titcm_end = .;\n\t} > SRAM1 AT > BANK",
         message=r"execution at 0x200[1-3]\w{4}, in RAM; code runs from flash and ITCM",
         seconds=0.05,
+        slow=True,
     ),
     Mutant(
         name="write to code",
@@ -186,6 +193,7 @@ CORE_MUTANTS = (
         message=r"write of 4 bytes at 0x00000\w+, in ITCM after its copy",
         place="interrupt_enable|gyro_run",
         seconds=0.4,
+        slow=True,
     ),
     Mutant(
         name="unaligned words",
@@ -258,6 +266,7 @@ CORE_MUTANTS = (
         message=r"flash at 0x0800C\w{3} is 0x\w{8} and is to become 0x\w{8}: programming a 1 over a 0",
         seconds=0.4,
         boots=2,
+        slow=True,
     ),
     Mutant(
         name="flash driven by code in flash",

@@ -13,6 +13,7 @@ import pytest
 from neuroflight.sim.board.core.context import BoardError
 from neuroflight.toolchain.contract import DSHOT_MIN
 from tests.conftest import ROOT
+from tests.sampling import sampled
 from tests.sim.board.mutants.bus_mutants import BUS_MUTANTS
 from tests.sim.board.mutants.clock_mutants import CLOCK_MUTANTS
 from tests.sim.board.mutants.core_mutants import CORE_MUTANTS
@@ -51,7 +52,7 @@ def test_firmware_flies_when_it_is_built_and_flown_as_mutants_are(fly_mutant: Fl
     assert min(flight.values) >= DSHOT_MIN
 
 
-@pytest.mark.parametrize("controller", ["CONTROLLER_POLICY", "CONTROLLER_PID"])
+@pytest.mark.parametrize("controller", sampled(["CONTROLLER_POLICY", "CONTROLLER_PID"], "CONTROLLER_POLICY"))
 def test_firmware_does_not_arm_when_a_controller_takes_longer_than_a_sample(
     fly_mutant: Fly, controller: str
 ) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from neuroflight.cli.flash.policy_swap import candidate_of
+from neuroflight.cli.board.policy import candidate_of
 from neuroflight.flash.board.info import read_info
 from neuroflight.flash.link import requests
 from neuroflight.flash.link.client import Client

@@ -18,6 +18,7 @@ from neuroflight.sim.identification.dyno.headings import Quantity, known_unit, r
 from neuroflight.sim.identification.dyno.points import fit_points
 from neuroflight.sim.identification.dyno.stand import Choices, choices, read_logs
 from neuroflight.toolchain.errors import DynoError
+from tests.sampling import examples
 
 K_T, K_Q = 1.4e-6, 0.0123  # of the stand that is made up, N s^2/rad^2 and m
 NOTHING = Choices()
@@ -400,7 +401,9 @@ def number(value: float, decimal: str, thousands: str) -> str:
     return text.replace(",", "T").replace(".", decimal).replace("T", thousands)
 
 
-@settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(
+    max_examples=examples(300), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
 @given(data=st.data())
 def test_every_mix_of_units_marks_and_encodings_gives_the_same_rotor(
     tmp_path: Path, data: st.DataObject

@@ -62,7 +62,7 @@ def test_a_list_without_a_header_is_taken_and_the_last_line_of_a_name_counts(tmp
 def test_what_a_search_writes_is_read_back(tmp_path: Path) -> None:
     settings = {"p_roll": 51, "tpa_rate": 40}
     path = tmp_path / "nf1.betaflight.txt"
-    path.write_text(tune_text(settings, ["Found by `neuroflight tune-pid --of betaflight`."]))
+    path.write_text(tune_text(settings, ["Found by `neuroflight pid tune --of betaflight`."]))
     tune = read_tune(path)
     assert dict(tune.settings) == {name: str(value) for name, value in settings.items()}
     assert tune.name == "nf1"

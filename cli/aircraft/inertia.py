@@ -1,0 +1,164 @@
+"""`neuroflight aircraft inertia`: moments of inertia from logs of the aircraft swinging on wires."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from neuroflight.cli.aircraft.recordings import FORMS, add_choice, choice
+from neuroflight.toolchain.contract import AXES
+from neuroflight.toolchain.errors import NeuroflightError
+
+if TYPE_CHECKING:
+    from neuroflight.sim.aircraft.model import Aircraft
+    from neuroflight.sim.identification.swing import Moment, Swing
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the logs or tables, and the outputs."""
+    parser.description = f"{parser.description}, a log an axis: {FORMS}. See docs/guides/inertia.md."
+    parser.add_argument("logs", nargs="+", type=Path, metavar="LOG", help="one a hanging, up to three axes")
+    wires = parser.add_mutually_exclusive_group(required=True)
+    wires.add_argument(
+        "--bifilar",
+        type=float,
+        nargs=3,
+        metavar=("KG", "DISTANCE", "LENGTH"),
+        help="two parallel wires: mass that hangs on them, metres between them, metres of each",
+    )
+    wires.add_argument("--stiffness", type=float, metavar="N_M_RAD", help="of a torsion wire [N m/rad]")
+    wires.add_argument(
+        "--reference",
+        nargs=2,
+        metavar=("LOG", "KG_M2"),
+        help="a log of a body of known moment, the gyro's own included, on the same torsion wire",
+    )
+    parser.add_argument("--aircraft", metavar="NAME|FILE", help="compare with this aircraft's moments")
+    add_choice(parser)
+    parser.add_argument("--plot", type=Path, metavar="FILE.png", help="draw swings and fits")
+    parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Fit the logs, print the moments. Returns 0."""
+    from neuroflight.cli.output import check_output
+    from neuroflight.sim.aircraft.model import load_aircraft
+    from neuroflight.sim.identification.recording import read_recording
+    from neuroflight.sim.identification.swing import find_swing
+    from neuroflight.sim.identification.swing_plot import draw_swings
+    from neuroflight.sim.plotting import save_png
+
+    _check(args)
+    check_output(args.plot, ".png")
+    aircraft = load_aircraft(args.aircraft) if args.aircraft else None
+    chosen = choice(args)
+    swings: list[Swing] = []
+    notes: list[str] = []
+    for path in args.logs:
+        recording = read_recording(path, chosen)
+        swings.append(find_swing(recording, str(path)))
+        notes += recording.notes
+    found = sorted({swing.axis for swing in swings})
+    if len(found) < len(swings):
+        raise NeuroflightError(f"{len(swings)} logs swing about {len(found)} axes, expected an axis each")
+    moments = _moments(args, swings)
+    if args.plot:
+        save_png(args.plot, draw_swings(swings, "Swings on wires"))
+    if args.json:
+        print(json.dumps(_document(args, swings, moments, aircraft), indent=2))
+    else:
+        _print(args, swings, moments, aircraft)
+    for note in notes:
+        print(f"neuroflight: {note}", file=sys.stderr)
+    return 0
+
+
+def _check(args: argparse.Namespace) -> None:
+    """Raise NeuroflightError if a number is out of range, NaN included."""
+    known = [("--stiffness", args.stiffness)]
+    known += [("--bifilar", value) for value in args.bifilar or ()]
+    for option, value in known:
+        if value is not None and not (math.isfinite(value) and value > 0.0):
+            raise NeuroflightError(f"{option} {value}, expected a number above 0")
+    if len(args.logs) > len(AXES):
+        raise NeuroflightError(f"{len(args.logs)} logs, expected one an axis, at most {len(AXES)}")
+
+
+def _moments(args: argparse.Namespace, swings: list[Swing]) -> list[Moment]:
+    from neuroflight.sim.identification.recording import read_recording
+    from neuroflight.sim.identification.swing import (
+        Moment,
+        bifilar_stiffness,
+        find_swing,
+        moment,
+        reference_stiffness,
+    )
+
+    if args.bifilar:
+        return [moment(swing, bifilar_stiffness(*args.bifilar), bifilar=True) for swing in swings]
+    if args.stiffness:
+        return [moment(swing, args.stiffness) for swing in swings]
+    path, text = args.reference
+    try:
+        known = float(text)
+    except ValueError:
+        known = math.nan
+    if not (math.isfinite(known) and known > 0.0):
+        raise NeuroflightError(f"--reference {path} {text}: expected LOG KG_M2, a moment above 0")
+    body = find_swing(read_recording(Path(path), choice(args)), path)
+    stiffness, relative = reference_stiffness(body, known)
+    each = [moment(swing, stiffness) for swing in swings]
+    return [Moment(m.value, math.hypot(m.margin, relative * m.value)) for m in each]
+
+
+def _document(
+    args: argparse.Namespace, swings: list[Swing], moments: list[Moment], aircraft: Aircraft | None
+) -> dict[str, Any]:
+    rows = {}
+    for path, swing, found in zip(args.logs, swings, moments, strict=True):
+        filed = None if aircraft is None else float(aircraft.mass_properties.inertia[swing.axis, swing.axis])
+        rows[AXES[swing.axis]] = {
+            "log": str(path),
+            "inertia_kg_m2": found.value,
+            "margin_kg_m2": found.margin,
+            "period_s": swing.period_s,
+            "period_margin_s": swing.period_margin_s,
+            "damping": swing.damping,
+            "amplitude_deg": math.degrees(swing.amplitude),
+            "periods": swing.periods,
+            "explained": swing.explained,
+            "aircraft_kg_m2": filed,
+            "of_aircraft": None if filed is None else found.value / filed,
+        }
+    return {"axes": rows, "line": _line(swings, moments)}
+
+
+def _line(swings: list[Swing], moments: list[Moment]) -> str | None:
+    """Return the line of a part that stands for the whole aircraft, once all axes are known."""
+    if len(swings) < len(AXES):
+        return None
+    by_axis = {swing.axis: found.value for swing, found in zip(swings, moments, strict=True)}
+    return f"inertia_kg_m2 = [{', '.join(f'{by_axis[axis]:.4g}' for axis in range(len(AXES)))}]"
+
+
+def _print(
+    args: argparse.Namespace, swings: list[Swing], moments: list[Moment], aircraft: Aircraft | None
+) -> None:
+    for path, swing, found in zip(args.logs, swings, moments, strict=True):
+        words = ""
+        if aircraft is not None:
+            filed = float(aircraft.mass_properties.inertia[swing.axis, swing.axis])
+            words = f"; {aircraft.name}'s file says {filed:.4g}, {found.value / filed:.3f} times that"
+        print(
+            f"{path}: {AXES[swing.axis]} {found.value:.5g} ± {found.margin:.2g} kg m² (95 %), period "
+            f"{swing.period_s:.5f} ± {swing.period_margin_s:.2g} s, {swing.periods:.0f} of them{words}"
+        )
+    line = _line(swings, moments)
+    if line:
+        print(f"\nfor an aircraft file, of a part that stands for the whole aircraft:\n  {line}")
+    if args.bifilar:
+        print("Not in ±: the scale, the tape and the wires' distance; 1 % of the distance is 2 % of J.")

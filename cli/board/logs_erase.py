@@ -1,0 +1,56 @@
+"""`neuroflight board logs erase`: make all files for logs empty again, over the line."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+from neuroflight.cli.board.interrupts import one_interrupt
+from neuroflight.cli.board.logs import look, waiting
+from neuroflight.cli.board.state import OnPort, connect
+from neuroflight.cli.questions import confirm
+from neuroflight.cli.requests import Option
+from neuroflight.toolchain.errors import NeuroflightError
+
+
+@dataclass(frozen=True, kw_only=True)
+class Erase(OnPort):
+    """A request to empty all files for logs."""
+
+    yes: Annotated[bool, Option(None, "do not ask")] = False
+    copies: Annotated[Path, Option("DIR", "the folder that logs were fetched to (default: this one)")] = (
+        Path()
+    )
+    unfetched: Annotated[bool, Option(None, "erase logs as well that DIR does not hold")] = False
+
+    def run(self) -> int:
+        """Erase. Returns 0; raises NeuroflightError of one line where nothing was erased."""
+        from neuroflight.flash.logs.catalogue import erase
+        from neuroflight.flash.logs.copies import find_copy
+
+        with one_interrupt(), connect(self.port) as client:
+            _, logs = look(client)
+            if not logs:
+                print(f"{client.name}: no log is kept there")
+                return 0
+            kept = [log for log in logs if log.bytes]
+            if not self.unfetched:
+                lost = [log for log in kept if find_copy(client, log, self.copies, time.monotonic) is None]
+                if lost:
+                    numbers = ", ".join(str(log.number) for log in lost)
+                    raise NeuroflightError(
+                        f"{client.name}: log {numbers} is not in {self.copies.absolute()}, expected a copy; "
+                        "`neuroflight board logs fetch --all` gets them, --copies DIR names another folder, "
+                        "--unfetched erases them all the same; nothing was erased"
+                    )
+            confirm(self.yes, f"erase {len(logs)} logs on {client.name}", "nothing was erased")
+            erase(client, waiting())
+            info, left = look(client)
+        if left:
+            raise NeuroflightError(
+                f"{client.name}: {len(left)} logs are still there after erasing; erase again"
+            )
+        print(f"{len(logs)} logs erased; {info.empty} empty files")
+        return 0

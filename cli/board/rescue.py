@@ -1,0 +1,159 @@
+"""`neuroflight board rescue`: first installation, and a board out of reach, by its chip's ROM."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from neuroflight.cli.board.checked import Unchecked, checked_image
+from neuroflight.cli.options import find_port
+from neuroflight.cli.progress import step_bars
+from neuroflight.cli.requests import Argument, Option, Request
+from neuroflight.toolchain.contract import (
+    FLASH_BANK_A,
+    FLASH_BANK_B,
+    FLASH_BOOT,
+    FLASH_FAULT_RECORD,
+    FLASH_POLICY_SLOTS,
+    FLASH_SECTORS,
+    FLASH_SETTINGS,
+)
+from neuroflight.toolchain.errors import LinkError, PolicyError
+
+if TYPE_CHECKING:
+    from neuroflight.flash.rom.client import RomClient
+    from neuroflight.flash.rom.rescue import FlashPlan, Progress
+
+IMAGE = Path(__file__).resolve().parents[2] / "build" / "MATEKF722" / "neuroflight.hex"
+BAUD_MIN, BAUD_MAX = 1200, 115_200  # AN3155: what the ROM measures
+WORDS = {"erase": "erasing", "write": "writing", "verify": "comparing"}
+PURPOSES = (
+    *((FLASH_BOOT, "boot part"), (FLASH_BANK_A, "bank A"), (FLASH_BANK_B, "bank B")),
+    *((sector, "settings") for sector in FLASH_SETTINGS),
+    (FLASH_FAULT_RECORD, "fault log"),
+    *((slot, "policy slot") for slot in FLASH_POLICY_SLOTS),
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rescue(Request):
+    """A request to flash an image by the boot loader in the chip's ROM."""
+
+    port: Annotated[
+        str,
+        Option(
+            "PORT",
+            "the adapter on UART1, such as /dev/ttyUSB0 or serial:/dev/ttyUSB0:57600; tcp:HOST:PORT; "
+            "default: NEUROFLIGHT_PORT, or the only USB serial device",
+            find=find_port,
+        ),
+    ]
+    image: Annotated[
+        Path,
+        Argument(
+            "IMAGE", "a build's neuroflight.hex, .bin or .elf; default: build/MATEKF722/neuroflight.hex"
+        ),
+    ] = IMAGE
+    dry_run: Annotated[bool, Option(None, "find the chip, print the plan, write nothing")] = False
+    unchecked: Unchecked = False
+    all: Annotated[bool, Option(None, "erase bank B as well: no other image is left to fall back to")] = False
+    verify_only: Annotated[bool, Option(None, "compare flash with the image, write nothing")] = False
+
+    def run(self) -> int:
+        """Flash by the ROM. Returns 0; raises LinkError of one line that says what was not written."""
+        from neuroflight.flash.link.transport import open_transport
+        from neuroflight.flash.rom.client import RomClient
+        from neuroflight.flash.rom.image_check import check_image
+        from neuroflight.flash.rom.rescue import plan_flash, start, verify
+        from neuroflight.flash.rom.segments import read_segments
+
+        baud = _baud(self.port)
+        segments = read_segments(self.image)
+        try:
+            facts = check_image(segments)
+        except LinkError as error:
+            raise LinkError(f"{self.image}: {error}") from None
+        unchecked = self.unchecked or self.dry_run or self.verify_only
+        try:
+            check = checked_image(self.image, facts.policy.policy_sha256, unchecked=unchecked)
+        except PolicyError as error:
+            raise PolicyError(f"{error}; nothing was written") from error
+        plan = plan_flash(segments, erase_bank_b=self.all)
+        with RomClient(open_transport(self.port, "E")) as client:
+            chip = client.connect()
+            print(f"chip   0x{chip.product_id:03X}, boot loader in its ROM, on {client.name}")
+            _tell(f"{self.image}, {facts}", plan, baud, check)
+            if self.dry_run:
+                print("nothing was written")
+                return 0
+            if not self.verify_only:
+                print("safety propellers off: the image starts when it is written", flush=True)
+            with step_bars(WORDS) as progress:
+                if self.verify_only:
+                    verify(client, plan, progress)
+                else:
+                    _install(client, plan, progress)
+            if self.verify_only:
+                print(f"equal  {plan.bytes:,} bytes; nothing was written")
+                return 0
+            print(f"done   {plan.bytes:,} bytes written and read back equal", end="")
+            print(f", {client.repeated} commands repeated" if client.repeated else "")
+            _tell_start(start(client))
+            _offer_brown_out()
+        return 0
+
+
+def _install(client: RomClient, plan: FlashPlan, progress: Progress) -> None:
+    from neuroflight.flash.rom.rescue import install
+
+    try:
+        install(client, plan, progress)
+    except KeyboardInterrupt:
+        raise LinkError(
+            f"{client.name}: stopped by Ctrl-C before the image was whole: the board does not start before "
+            f"this is done again"
+        ) from None
+
+
+def _tell(image: str, plan: FlashPlan, baud: float, check: str) -> None:
+    print(f"image  {image}, {plan.bytes:,} bytes")
+    print(f"check  {check}")
+    print(f"erase  {'; '.join(f'sector {n} ({_purpose(n)})' for n in plan.sectors)}")
+    print(f"keep   {'; '.join(f'sector {n} ({_purpose(n)})' for n in plan.kept)}")
+    print(f"takes  about {plan.seconds(baud):.0f} s at {baud:.0f} baud", flush=True)
+
+
+def _tell_start(started: bool) -> None:
+    if started:
+        print("start  the image runs; let BOOT go, and plug the board out and in once")
+    else:
+        print("start  let BOOT go, and plug the board out and in: the image starts then")
+
+
+def _offer_brown_out() -> None:
+    """Print how to set the brown-out level, which this tool does not write: the same word can lock a chip."""
+    print(
+        "option brown-out detector: `board status` tells it; see docs/guides/board-bring-up.md,\n"
+        "       hold BOOT again, plug in by USB: STM32_Programmer_CLI -c port=usb1 -ob BOR_LEV=0 sets level 3"
+    )
+
+
+def _purpose(number: int) -> str:
+    """Return the purpose of a sector."""
+    sector = FLASH_SECTORS[number]
+    return next((what for place, what in PURPOSES if place.address == sector.address), "unused")
+
+
+def _baud(port: str) -> int:
+    """Return the speed that the user asks for. Raises LinkError for one that the ROM does not measure."""
+    from neuroflight.flash.link.transport import SerialPort, parse_port
+
+    parsed = parse_port(port)
+    baud = parsed.baud if isinstance(parsed, SerialPort) else BAUD_MAX
+    if not BAUD_MIN <= baud <= BAUD_MAX:
+        raise LinkError(
+            f"{port}: got {baud} baud, expected {BAUD_MIN} to {BAUD_MAX}, what the boot loader in the ROM "
+            f"measures; nothing was written"
+        )
+    return baud

@@ -1,0 +1,250 @@
+"""`neuroflight fly --on board`: its options, and its report."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from neuroflight.cli.fly.blackbox import FlightLog, blackbox_baud
+from neuroflight.cli.image.emulated import GYROS as CHIPS
+from neuroflight.cli.image.emulated import (
+    UARTS,
+    Interrupt,
+    add_card_argument,
+    add_gyro_argument,
+    check_gdb,
+    open_end,
+    parse_serials,
+)
+from neuroflight.toolchain.errors import NeuroflightError
+
+if TYPE_CHECKING:
+    from neuroflight.sim.board.board import Board
+    from neuroflight.sim.ports.emulator import EmulatedPort
+    from neuroflight.sim.ports.emulator_report import EmulatedReport
+
+STOPPED = 3  # exit code of a flight with faults in which the firmware stopped the motors before the end
+ESCS = {"dshot300": 300, "dshot600": 600}
+OPTIONS: dict[str, object] = {  # and their defaults
+    "gyro": CHIPS[0],
+    "card": None,
+    "esc": None,
+    "fault": [],
+    "serial": None,
+    "gdb": None,
+    "profile": None,
+}
+SLICE = 216_000  # cycles between two checks of serial line and Ctrl-C, at most: 1 ms
+
+
+def add_emulator_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options of the emulated board."""
+    group = parser.add_argument_group("with --on board", "see docs/explanation/emulated-board.md")
+    add_gyro_argument(group)
+    add_card_argument(group)
+    group.add_argument(
+        "--esc",
+        choices=ESCS,
+        help="the speed that the ESCs are set to; default: what the setting motor_protocol says",
+    )
+    group.add_argument(
+        "--fault",
+        action="append",
+        default=[],
+        metavar="NAME[=VALUE]@SECONDS",
+        help="let something go wrong: gyro-silent, spi-bit-errors, brown-out, reset, flash-cut, crystal, "
+        "hang, processor-fault, motors-stuck, overload or receiver-broken; with --card also card-stall, "
+        "card-removed, card-errors, card-worn or card-slow; @boot: from power on. "
+        f"Exit code {STOPPED} if the motors stop before the end",
+    )
+    group.add_argument(
+        "--serial",
+        action="append",
+        metavar="[uart3=]pty|tcp[:PORT]",
+        help="lead USART1, where MSP is spoken, to other programs; uart3=...: UART3, with --set "
+        "uart3_function=msp",
+    )
+    group.add_argument(
+        "--gdb", type=int, metavar="PORT", help="wait for gdb on this port, at the first instruction"
+    )
+    group.add_argument("--profile", type=Path, metavar="DIR", help="write what the image executed into DIR")
+
+
+def check_emulator(args: argparse.Namespace) -> None:
+    """Refuse impossible options before anything is opened."""
+    if args.on != "board":
+        for name, default in OPTIONS.items():
+            if getattr(args, name) != default:
+                raise NeuroflightError(f"--{name}: only on the emulated board; add --on board")
+        return
+    if "uart3" in parse_serials(args.serial or ()) and "uart3_function=msp" not in args.set:
+        raise NeuroflightError(
+            "--serial uart3: got a board whose UART3 is off, expected MSP there; add --set uart3_function=msp"
+        )
+    if args.card is None and (of_card := [text for text in args.fault if text.startswith("card-")]):
+        raise NeuroflightError(f"--fault {of_card[0]}: got no card that it could happen to; add --card IMG")
+    check_gdb(args.gdb)
+    if args.profile is not None and args.profile.exists() and not args.profile.is_dir():
+        raise NeuroflightError(f"--profile: {args.profile} is a file, expected a directory")
+
+
+def open_image(
+    args: argparse.Namespace,
+    image: Path,
+    settings: Mapping[str, float],
+    ends: ExitStack,
+    log: FlightLog | None,
+) -> EmulatedPort:
+    """Return the image on a board of its own, to be closed by `ends`. log: of UART3, if any."""
+    from neuroflight.sim.board.debug.fault_injection import parse_fault
+    from neuroflight.sim.board.devices.sd_card import SdCard
+    from neuroflight.sim.board.matekf722 import GYROS
+    from neuroflight.sim.ports.emulator import EmulatedPort
+
+    faults = [parse_fault(text) for text in args.fault]
+    card = None if args.card is None else SdCard(args.card)
+    if card is not None:
+        ends.callback(card.close)
+    return EmulatedPort(
+        image,
+        args.gyro_hz,
+        settings,
+        gyro=GYROS[args.gyro],
+        card=card,
+        dshot=None if args.esc is None else ESCS[args.esc],
+        faults=faults,
+        profile=args.profile is not None,
+        attach=lambda board: attached(args, board, image, ends, log),
+        on_failure=lambda board: keep_profile(args, board),
+    )
+
+
+def attached(
+    args: argparse.Namespace, board: Board, image: Path, ends: ExitStack, log: FlightLog | None = None
+) -> Callable[[int], None]:
+    """Return a function that runs `board` with the debugger and the serial lines asked for; wait for gdb."""
+    from neuroflight.flash.settings.values import parse_change
+    from neuroflight.sim.board.debug.gdb import GdbServer
+    from neuroflight.sim.board.peripherals.usart import Format
+    from neuroflight.sim.board.serial.bridge import Bridge, UartLine
+    from neuroflight.toolchain.contract import MSP_BAUD_DEFAULT
+
+    bauds = {"uart1": "msp_baud", "uart3": "uart3_baud"}  # the settings
+    if log is not None and log.path is not None:
+        log.source = UartLine(board, UARTS["uart3"], Format(blackbox_baud(args))).take
+    run_to: Callable[[int], None] = board.run_to
+    server = None
+    if args.gdb is not None:
+        server = GdbServer(board.engine, args.gdb)
+        ends.callback(server.close)
+        elf = image.with_suffix(".elf")
+        say(f"waiting for gdb: gdb-multiarch -d firmware -ex 'target remote :{server.port}' {elf}")
+        server.wait()
+        run_to = server.run_to
+    interrupt = ends.enter_context(Interrupt(server))
+    bridges = []
+    for name, serial in parse_serials(args.serial or ()).items():
+        end = open_end(serial)
+        baud = dict(parse_change(text) for text in args.set).get(bauds[name], MSP_BAUD_DEFAULT)
+        bridges.append(Bridge(UartLine(board, UARTS[name], Format(baud)), end))
+        ends.callback(bridges[-1].close)
+        say(f"{UARTS[name]} at {end.name}, {baud:.0f} baud")
+
+    def run(cycle: int) -> None:
+        while board.cycle < cycle:
+            until = min(cycle, board.cycle + SLICE)
+            for bridge in bridges:
+                bridge.exchange(until - board.cycle)
+            run_to(until)
+            interrupt.check()
+            if server is not None:
+                server.poll()
+
+    return run
+
+
+def emulator_document(report: EmulatedReport) -> dict[str, Any]:
+    """Return the report as JSON data."""
+    return {**asdict(report), "outcome": report.outcome}
+
+
+def exit_code(args: argparse.Namespace, report: EmulatedReport | None) -> int:
+    """Return STOPPED after faults that stopped the motors, else 0."""
+    return STOPPED if args.fault and report is not None and report.stopped_s is not None else 0
+
+
+def emulator_words(report: EmulatedReport | None) -> str:
+    """Return the report in words, for the line below a page's title."""
+    return "" if report is None else f"; {report.outcome}; image sha256 {report.sha256}"
+
+
+def emulator_rows(report: EmulatedReport) -> list[tuple[str, str]]:
+    """Return label and text of each line."""
+    waited = f"; {report.gyro_wait_place}" if report.gyro_wait_place else ""
+    margin = report.watchdog_margin_s
+    told = [
+        ("image", report.image),
+        ("sha256", report.sha256),
+        ("flight", report.outcome),
+        (
+            "board",
+            f"{report.board_s:.3f} s of its time, {report.real_time:.2f} of real time; "
+            f"{report.instructions:,} instructions",
+        ),
+        ("gyro edge", f"waited {report.gyro_wait_us:.2f} us at most for its handler{waited}"),
+        *([] if report.card_writes is None else [("card", f"{report.card_writes:,} blocks written")]),
+        ("watchdog", "never fed" if margin is None else f"{1e3 * margin:.0f} ms left at least"),
+    ]
+    told += [(f"{event.at_s:.4f} s", event.what) for event in report.events]
+    if not report.running:
+        told.append(("at the end", "the firmware has not come back from its last reset"))
+    if report.arming_reasons:
+        told.append(("held by", ", ".join(report.arming_reasons)))
+    told += [("never came", fault) for fault in report.waiting]
+    told += [("note", f"{note.message} ({note.times} times, first at {note.place})") for note in report.notes]
+    return told
+
+
+EMULATOR_HEADINGS = ("flight", "real time", "edge waits", "feed left")
+
+
+def emulator_cells(report: EmulatedReport) -> tuple[str, ...]:
+    """Return the cells under EMULATOR_HEADINGS."""
+    margin = report.watchdog_margin_s
+    return (
+        report.outcome,
+        f"{report.real_time:.2f}",
+        f"{report.gyro_wait_us:.2f} us",
+        "never fed" if margin is None else f"{1e3 * margin:.0f} ms",
+    )
+
+
+def save_profile(directory: Path, board: Board) -> None:
+    """Write the profile and say where."""
+    from neuroflight.sim.board.debug.profile_write import write_profile
+
+    names = write_profile(directory, board)
+    print(f"{directory}: {', '.join(names)}", file=sys.stderr)
+
+
+def keep_profile(args: argparse.Namespace, board: Board) -> None:
+    """Write the profile of a flight that ends in an error, if one was asked for."""
+    if args.profile is not None:
+        keep("profile", lambda: save_profile(args.profile, board))
+
+
+def keep(what: str, write: Callable[[], None]) -> None:
+    """Write the outputs of a flight that ends in an error; the user is told that error."""
+    try:
+        write()
+    except (NeuroflightError, OSError) as error:
+        say(f"the {what} of the flight up to its end is not kept: {error}")
+
+
+def say(words: str) -> None:
+    print(words, file=sys.stderr, flush=True)

@@ -1,0 +1,97 @@
+"""Options and ends that commands on the emulated board share: gyro chip, serial ports, gdb, Ctrl-C."""
+
+from __future__ import annotations
+
+import argparse
+import re
+import signal
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from neuroflight.toolchain.errors import NeuroflightError
+
+if TYPE_CHECKING:
+    from neuroflight.sim.board.debug.gdb import GdbServer
+    from neuroflight.sim.board.serial.bridge import End
+
+PORT_MAX = 65535
+GYROS = ("icm20602", "mpu6500", "icm20689", "icm20601", "icm20608g", "mpu9250")  # of sim.board.matekf722
+UARTS = {"uart1": "USART1", "uart3": "USART3"}  # that speak MSP, as users and the chip call them
+SIGNALS = (signal.SIGINT, signal.SIGTERM)
+
+
+def add_gyro_argument(parser: argparse._ActionsContainer) -> None:
+    """Declare which gyro chip is fitted."""
+    parser.add_argument(
+        "--gyro",
+        choices=GYROS,
+        default=GYROS[0],
+        help=f"the chip that is fitted; default {GYROS[0]}",
+    )
+
+
+def add_card_argument(parser: argparse._ActionsContainer) -> None:
+    """Declare the SD card in its slot."""
+    parser.add_argument(
+        "--card",
+        type=Path,
+        metavar="IMG",
+        help="an SD card is in the slot: this raw image, which is written to; default: none",
+    )
+
+
+def parse_serials(texts: Sequence[str]) -> dict[str, tuple[str, int]]:
+    """Return UART -> kind of end and TCP port, of each `--serial [uart3=]pty|tcp[:PORT]`."""
+    serials: dict[str, tuple[str, int]] = {}
+    for text in texts:
+        found = re.fullmatch(r"(?:(uart[13])=)?(?:(pty)|tcp(?::(\d{1,5}))?)", text)
+        if found is None or int(found[3] or 0) > PORT_MAX:
+            raise NeuroflightError(
+                f"--serial: got {text!r}, expected pty, tcp or tcp:PORT, for UART3 behind uart3="
+            )
+        name = found[1] or "uart1"
+        if name in serials:
+            raise NeuroflightError(f"--serial: got {name} twice, expected each UART once; leave one out")
+        serials[name] = ("pty", 0) if found[2] else ("tcp", int(found[3] or 0))
+    return serials
+
+
+def open_end(serial: tuple[str, int]) -> End:
+    """Open the end of a serial line that was asked for."""
+    from neuroflight.sim.board.serial.bridge import PtyEnd, TcpEnd
+
+    kind, port = serial
+    return PtyEnd() if kind == "pty" else TcpEnd(port)
+
+
+def check_gdb(port: int | None) -> None:
+    """Refuse a `--gdb PORT` that is none."""
+    if port is not None and not 0 <= port <= PORT_MAX:
+        raise NeuroflightError(f"--gdb: got {port}, expected a port of 0 to {PORT_MAX}, 0 for any")
+
+
+class Interrupt:
+    """The end of a run at Ctrl-C or SIGTERM, between two slices of the board's, where it is not lost."""
+
+    def __init__(self, debugger: GdbServer | None) -> None:
+        self._debugger = debugger
+        self._came = False
+
+    def __enter__(self) -> Interrupt:
+        self._before = {number: signal.signal(number, self._note) for number in SIGNALS}
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
+
+    def check(self) -> None:
+        """Raise KeyboardInterrupt if a signal has come."""
+        if self._came:
+            raise KeyboardInterrupt
+
+    def _note(self, number: int, frame: object) -> None:
+        self._came = True
+        if self._debugger is not None and self._debugger.holds:
+            raise KeyboardInterrupt  # no slice is run, and none will be

@@ -1,0 +1,340 @@
+"""neuroflight policy train: train a policy in the twin of an aircraft."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from contextlib import ExitStack
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from neuroflight.cli.plugins import add_plugin_argument, load_named, words
+
+if TYPE_CHECKING:
+    from neuroflight.sim.aircraft.model import Aircraft
+    from neuroflight.training.config.training_config import TrainingConfig
+    from neuroflight.training.fitness.ending import Ending
+    from neuroflight.training.fitness.references import References
+    from neuroflight.training.runs.seeds import Planned
+    from neuroflight.training.runs.train import Callback, Progress
+
+DEFAULT_RECIPE = "nf1"  # of every aircraft that has none of its own
+PLOT, BOARD = "monitor.png", "tensorboard"
+EPILOG = (
+    f"Without --config: the recipe named like a shipped aircraft, for all others {DEFAULT_RECIPE}; with "
+    "--algorithm alone, the recipe named like the algorithm, such as ppo, the dissertation's."
+)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    parser.epilog = EPILOG
+    parser.add_argument("--aircraft", default="nf1", metavar="NAME|FILE", help="shipped name or a .toml file")
+    parser.add_argument(
+        "--config", metavar="RECIPE|FILE", help="shipped recipe, a .toml, or the training.json of another run"
+    )
+    parser.add_argument(
+        "--set",
+        action="extend",
+        nargs="+",
+        default=[],
+        metavar="KEY=VALUE",
+        help="change the configuration, such as world.throttle_max=0.8",
+    )
+    add_plugin_argument(parser)
+    parser.add_argument("--algorithm", metavar="NAME", help="such as ppo")
+    parser.add_argument("--steps", type=int, metavar="N", help="control steps, all aircraft together")
+    parser.add_argument("--seed", type=int, metavar="S", help="of the run")
+    parser.add_argument(
+        "--seeds",
+        type=int,
+        default=1,
+        metavar="K",
+        help="train K seeds from S on and keep the best; default: 1",
+    )
+    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for the results")
+    kept = parser.add_mutually_exclusive_group()
+    kept.add_argument("--resume", action="store_true", help="continue the run in --out")
+    kept.add_argument("--force", action="store_true", help="replace existing results in --out")
+    parser.add_argument("--tensorboard", action="store_true", help=f"write event files into DIR/{BOARD}")
+    parser.add_argument("--json", action="store_true", help="print the record of the run as JSON")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Train with a progress display, then print the result."""
+    from neuroflight.sim.aircraft.model import load_aircraft
+    from neuroflight.toolchain.files import claimed
+
+    load_named(args)
+    aircraft = load_aircraft(args.aircraft)
+    config = _config(args, aircraft)
+    _check_folder(args.out)
+    with ExitStack() as claims:
+        claims.enter_context(claimed(args.out, "training"))
+        return _train_all(args, aircraft, config, claims)
+
+
+def _train_all(
+    args: argparse.Namespace, aircraft: Aircraft, config: TrainingConfig, claims: ExitStack
+) -> int:
+    """Train every seed in --out, which this process has claimed. claims: gets the folders of the seeds."""
+    from neuroflight.toolchain.files import claimed
+    from neuroflight.toolchain.policy.check_stamp import write_stamp
+    from neuroflight.training.runs.seeds import best_seed, keep, plan  # torch, which takes seconds
+    from neuroflight.training.runs.train import read_record
+
+    planned = plan(aircraft, config, args.out, args.seeds, resume=args.resume, force=args.force)
+    for item in planned:
+        if item.out != args.out:
+            claims.enter_context(claimed(item.out, "training"))
+    if args.force:
+        _remove_events(planned)
+    best = planned[0].config.seed
+    ending: Ending | None = None
+    with _Fitness(aircraft, args.aircraft, config) as fitness:
+        try:
+            ends = {item.config.seed: _train(args, aircraft, item) for item in planned}
+            chosen = {seed: end.chosen for seed, end in ends.items() if end.chosen}
+            best = best_seed(chosen, config.selection)
+            ending = fitness.choose(planned)
+            best = best if ending is None else ending.seed
+            if len(planned) > 1:
+                keep(args.out, best, chosen, _command(args, config, args.seeds))
+        except KeyboardInterrupt:
+            _draw(args.out, aircraft, planned, best)
+            raise
+    if ending is not None:
+        ends[best] = replace(ends[best], chosen=ending.chosen)
+        write_stamp(args.out / "policy.onnx", ending.verdict.document())
+    _draw(args.out, aircraft, planned, best)
+    if args.json:
+        record = read_record(args.out)
+        told = None if ending is None else ending.document()
+        print(json.dumps({"out": str(args.out), **record, "check": told}, indent=2))
+    else:
+        _print(args, planned, ends, best)
+        fitness.tell(args, ending)
+    return int(config.selection.fit and (ending is None or not ending.verdict.fit))
+
+
+class _Fitness:
+    """The check at the end of a training, where the recipe wants a policy that is fit to fly.
+
+    Its references fly while the policy is learned. Where nothing can be flown beside it, `why` says so.
+    """
+
+    def __init__(self, aircraft: Aircraft, named: str, config: TrainingConfig) -> None:
+        from neuroflight.cli.policy.check import find_betaflight
+        from neuroflight.toolchain.errors import AircraftError
+        from neuroflight.training.fitness.references import References
+
+        self._aircraft, self.why = aircraft, ""
+        self._references: References | None = None
+        if not config.selection.fit:
+            return
+        betaflight, missing = find_betaflight(aircraft, None, build=not aircraft.pids)
+        try:
+            self._references = References(aircraft, named, betaflight, missing)
+        except AircraftError as error:
+            self.why = str(error)
+
+    def __enter__(self) -> _Fitness:
+        if self._references is not None:
+            self._references.begin()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._references is not None:
+            self._references.close()
+
+    def choose(self, planned: tuple[Planned, ...]) -> Ending | None:
+        """Return the best checkpoint that is fit, see `choose_fit`; None: nothing was checked."""
+        from neuroflight.cli.policy.check import Checking
+        from neuroflight.toolchain.errors import NeuroflightError
+        from neuroflight.training.fitness.ending import choose_fit
+
+        if self._references is None:
+            return None
+        try:
+            with Checking() as bar:
+                return choose_fit(self._aircraft, planned, self._references, bar.of)
+        except NeuroflightError as error:  # what was learned is not lost by it
+            self.why = str(error)
+            return None
+
+    def tell(self, args: argparse.Namespace, ending: Ending | None) -> None:
+        """Print how the check ended, or the command that makes one."""
+        from rich.console import Console
+
+        from neuroflight.cli.policy.check import print_end
+        from neuroflight.toolchain.policy.check_stamp import check_command
+
+        console = Console(highlight=False, soft_wrap=True)
+        policy = args.out / "policy.onnx"
+        if ending is None:
+            why = f": {self.why}" if self.why else ""
+            console.print(f"not checked{why}; to fly it: {check_command(policy, args.aircraft)}")
+            return
+        for each in ending.rejected:
+            console.print(f"not fit to fly: {each.name}: {each.reasons[0]}")
+        if not ending.verdict.fit:
+            console.print(f"no checkpoint of {len(ending.rejected)} is fit to fly; train with another --seed")
+        elif ending.rejected:
+            console.print(f"went back to: {ending.name}")
+        print_end(ending.verdict, policy, console)
+
+
+def _config(args: argparse.Namespace, aircraft: Aircraft) -> TrainingConfig:
+    """Return the configuration of the arguments. Raises TrainingError if it is invalid."""
+    from neuroflight.training.config.config_file import load_config
+
+    overrides = [*args.set]
+    for key in ("algorithm", "steps", "seed"):
+        if (value := getattr(args, key)) is not None:
+            overrides.append(f"{key}={value}")
+    return load_config(_source(args, aircraft), overrides)
+
+
+def _source(args: argparse.Namespace, aircraft: Aircraft) -> str | None:
+    """Return the recipe or file that the run begins from; None: `TrainingConfig()`."""
+    from neuroflight.sim.aircraft.model import shipped
+    from neuroflight.training.config.config_file import recipes
+
+    if args.config is not None:
+        return str(args.config)
+    if args.algorithm:
+        return args.algorithm if args.algorithm in recipes() else None
+    return aircraft.name if aircraft.name in shipped() and aircraft.name in recipes() else DEFAULT_RECIPE
+
+
+def _check_folder(out: Path) -> None:
+    """Reject a folder that could not be written after the training."""
+    from neuroflight.cli.output import check_folder, check_output
+
+    check_folder(out, "--out")
+    check_output(out / "training.json", ".json")
+
+
+def _remove_events(planned: tuple[Planned, ...]) -> None:
+    """Remove event files of the replaced run: TensorBoard would draw both runs as one."""
+    for item in planned:
+        for path in (item.out / BOARD).glob("events.out.tfevents.*"):
+            path.unlink()
+
+
+def _train(args: argparse.Namespace, aircraft: Aircraft, item: Planned) -> Progress:
+    from neuroflight.cli.policy.train_display import Display
+    from neuroflight.training.checkpoints.monitor_process import Monitor
+    from neuroflight.training.runs.train import Callbacks, train
+
+    config = item.config
+    with ExitStack() as stack:
+        monitor = stack.enter_context(Monitor(aircraft, config, apart=config.steps > config.checkpoint_steps))
+        display = stack.enter_context(
+            Display(f"{aircraft.name}, seed {config.seed}", config.steps, item.done or 0)
+        )
+        callbacks: list[Callback] = [display]
+        if args.tensorboard:
+            from neuroflight.training.runs.tensorboard import TensorBoard
+
+            board = TensorBoard(item.out / BOARD, item.done)
+            stack.callback(board.close)
+            callbacks.append(board)
+        before = _written(item)
+        try:
+            return train(
+                aircraft,
+                config,
+                item.out,
+                Callbacks(callbacks),
+                resume=item.done is not None,
+                monitor=monitor,
+                command=_command(args, config),
+            )
+        except KeyboardInterrupt:
+            _print_saved_steps(item, before)
+            raise
+
+
+def _print_saved_steps(item: Planned, before: int | None) -> None:
+    """Print the steps that were saved. before: `_written` when the run began."""
+    from neuroflight.training.runs.train import read_record
+
+    if (now := _written(item)) is not None and (now != before or item.done is not None):
+        steps = read_record(item.out)["steps"]
+        print(
+            f"{steps:,} of {item.config.steps:,} steps are kept in {item.out}; the same command with "
+            "--resume goes on",
+            file=sys.stderr,
+        )
+
+
+def _written(item: Planned) -> int | None:
+    """Return when the record of a run was written [ns]; None if there is none."""
+    from neuroflight.training.runs.train import RECORD
+
+    path = item.out / RECORD
+    return path.stat().st_mtime_ns if path.exists() else None
+
+
+def _command(args: argparse.Namespace, config: TrainingConfig, seeds: int = 1) -> str:
+    """Return the command that repeats the run, without --out."""
+    from neuroflight.cli.output import command_line
+
+    return command_line(
+        "policy train",
+        *words(args),
+        aircraft=args.aircraft,
+        config=args.config,
+        algorithm=args.algorithm,
+        steps=args.steps,
+        seed=config.seed,
+        seeds=seeds if seeds > 1 else None,
+        set=args.set or None,
+    )
+
+
+def _draw(out: Path, aircraft: Aircraft, planned: tuple[Planned, ...], best: int) -> None:
+    """Write monitor.png, if there is anything to draw."""
+    from neuroflight.sim.plotting import save_png
+    from neuroflight.training.checkpoints.monitor import EPISODES, flown
+    from neuroflight.training.checkpoints.monitor_plot import draw_monitored, read_monitor
+    from neuroflight.training.runs.train import MONITOR
+
+    runs = [read_monitor(item.out / MONITOR) for item in planned if (item.out / MONITOR).exists()]
+    if any(run.history for run in runs):
+        task = flown(planned[0].config).task.name
+        title = f"{aircraft.name}: each checkpoint on {EPISODES} {task} episodes, mean and range"
+        save_png(out / PLOT, draw_monitored(runs, f"seed {best}", title))
+
+
+def _print(
+    args: argparse.Namespace, planned: tuple[Planned, ...], ends: dict[int, Progress], best: int
+) -> None:
+    from rich.console import Console
+
+    from neuroflight.cli.policy.train_display import figures
+    from neuroflight.training.checkpoints.selection import within
+
+    console = Console(highlight=False, soft_wrap=True)
+    for item in planned:
+        seed, end = item.config.seed, ends[item.config.seed]
+        name = f"seed {seed}: " if len(planned) > 1 else ""
+        if item.finished:
+            console.print(f"{name}was complete: {end.steps:,} steps; nothing was left to train")
+        else:
+            speed = f" ({end.steps / end.seconds:,.0f} a second)" if end.seconds else ""
+            console.print(f"{name}{end.steps:,} steps in {end.seconds:.0f} s{speed}")
+    chosen = ends[best].chosen
+    if chosen is not None:
+        limits = planned[0].config.selection
+        of = f"seed {best} " if len(planned) > 1 else ""
+        note = (
+            ""
+            if within(chosen, limits)
+            else (f"; no checkpoint kept the limits of ū, {limits.output:g}, and |Δu|, {limits.change:g}")
+        )
+        console.print(f"chosen: {of}at {chosen.steps:,} steps: {figures(chosen)}{note}")
+    console.print(f"{args.out / 'policy.onnx'}, with checkpoint.pt, training.json and {PLOT} beside it")
