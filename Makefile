@@ -12,7 +12,7 @@ POLICY   ?= $(if $(wildcard $(SHIPPED)),$(SHIPPED),$(OUT)/policy.onnx)
 SCENARIO ?= flight
 COUNT    ?= 10
 ON       ?= host
-JOBS     ?= auto
+JOBS     ?= $(shell expr $$(nproc) + 1)
 PORT     ?=
 ARGS     ?=
 BUILD    ?=
@@ -63,6 +63,9 @@ OF       := $(if $(call said,AIRCRAFT),--aircraft "$(AIRCRAFT)")
 OF       += $(if $(OF)$(call said,POLICY),--policy "$(POLICY)",$(if $(call asked,flash fly emulate),--again))
 TWIN     := $(if $(call said,AIRCRAFT),--aircraft "$(AIRCRAFT)")
 
+# Who did not ask for the build itself is told of it in one line.
+BRIEF    := $(if $(call asked,firmware host),,--brief)
+
 .PHONY: coverage help setup arm chromium clang cppcheck peers firmware flash host train fly view emulate test prove bench docs lint clean
 
 help: ## this list
@@ -77,13 +80,13 @@ arm: # the ARM compiler and llvm-mca, from the system's packages where that is a
 	$(call bring,arm-none-eabi-gcc,llvm-mca,$(ARM_PACKAGES))
 
 firmware: $(READY) arm ## the flash image: TARGET=MATEKF722 [AIRCRAFT=nf1|mine.toml] [POLICY=path.onnx] [BUILD="--no-pid"]
-	@$(RUN) image build --target $(TARGET) $(OF) $(BUILD)
+	@$(RUN) image build --target $(TARGET) $(OF) $(BRIEF) $(BUILD)
 
 flash: firmware ## the image, as built last, onto a board that runs Neuroflight: PORT=/dev/ttyUSB0 [ARGS="--dry-run"]
 	@$(RUN) board flash build/$(TARGET)/neuroflight.nfi --port "$(PORT)" $(ARGS)
 
 host: $(READY) ## the same firmware as a program of this machine
-	@$(RUN) image build --target HOST $(OF) $(BUILD)
+	@$(RUN) image build --target HOST $(OF) $(BRIEF) $(BUILD)
 
 train: $(READY) ## a policy from the twin: AIRCRAFT=nf1 [ALGORITHM=ppo] [CONFIG=] [STEPS=] [SEED=] [OUT=]
 	@$(RUN) policy train --aircraft "$(AIRCRAFT)" $(CONFIG:%=--config %) $(ALGORITHM:%=--algorithm %) $(STEPS:%=--steps %) \
@@ -91,6 +94,7 @@ train: $(READY) ## a policy from the twin: AIRCRAFT=nf1 [ALGORITHM=ppo] [CONFIG=
 
 fly: host ## a firmware against the twin: [ON=host] [SCENARIO=flight] [COUNT=10] [SEED=] [ARGS="--trace FILE.npz"]
 	@$(RUN) fly --on $(ON) $(TWIN) --scenario $(SCENARIO) --count $(COUNT) --seed $(SEED) $(ARGS)
+	@echo "next: make view"
 
 view: $(READY) ## a Split-S in 3D, as a page for the browser: [POLICY=path.onnx]
 	@$(RUN) view $(POLICY) $(TWIN) --scenario sim/scenarios/split_s.toml --mount free --seed $(SEED) --out build/flight.html $(ARGS)

@@ -56,7 +56,8 @@ def print_table(title: str, rows: Sequence[tuple[str, ...]], note: str = "", *, 
         for row in rows[1:]:
             shown.add_row(*(Text(row[number]) for number in (0, *part)))
         needed = widths[0] + sum(GAP + widths[number] for number in part)
-        console.print(shown, width=None if left else max(width, needed), crop=left)
+        console.width = width if left else max(width, needed)
+        console.print(shown, crop=left)
     if note:
         console.print(Text(note), style="dim")
 

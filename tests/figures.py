@@ -11,6 +11,7 @@ import io
 import json
 import re
 import tempfile
+import textwrap
 import tomllib
 from collections.abc import Callable
 from contextlib import redirect_stdout
@@ -61,9 +62,20 @@ def _cells(row: compiler.Row, step: int) -> str:
 
 def timing(_: str) -> str:
     """Return what `neuroflight policy time` prints of the shipped policy."""
+    return _printed("policy", "time", str(SHIPPED))
+
+
+def flight(_: str) -> str:
+    """Return what `make fly` prints of the shipped policy's flight."""
+    build_shipped("HOST", SHIPPED)
+    return _printed("fly", "--on", "host", "--scenario", "flight", "--count", "10", "--seed", "1")
+
+
+def _printed(*words: str) -> str:
     with redirect_stdout(io.StringIO()) as told:
-        neuroflight(["timing", str(SHIPPED)])
+        neuroflight(words)
     lines = (line.rstrip() for line in told.getvalue().splitlines())
+    lines = (textwrap.fill(line, 80) if len(line) > 80 else line for line in lines)
     return "\n```\n" + "\n".join(lines) + "\n```\n"
 
 
@@ -98,6 +110,7 @@ FIGURES: dict[str, Callable[[str], str]] = {
     **dict.fromkeys(NETWORKS, ours),
     **{f"{name} emx": theirs for name in NETWORKS},
     "timing": timing,
+    "flight": flight,
     **{f"trained {name}": trained for name in ("nf1", "hexa")},
     "swap": swap,
     "reproduce": reproduced,

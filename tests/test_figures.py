@@ -15,8 +15,9 @@ from tests.conftest import ROOT
 
 QUOTED = [(page, name, text) for page in figures.PAGES for name, text in figures.figures(page)]
 STORED = {figures.trained, figures.reproduced}
+LONG = {figures.theirs, figures.flight}
 COUNTED = [
-    pytest.param(name, marks=pytest.mark.slow) if make is figures.theirs else name
+    pytest.param(name, marks=pytest.mark.slow) if make in LONG else name
     for name, make in figures.FIGURES.items()
     if make not in STORED
 ]

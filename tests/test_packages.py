@@ -18,6 +18,7 @@ import pytest
 from packaging.requirements import Requirement
 
 from neuroflight.cli.extras import EXTRAS
+from tests.conftest import BUILD
 from tests.sampling import sampled
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -82,8 +83,8 @@ def neuroflight(*words: str) -> subprocess.CompletedProcess[str]:
 
 
 @pytest.mark.parametrize("target", sampled(["HOST", "MATEKF722"], "HOST"))
-def test_an_image_is_built_when_only_the_base_dependencies_are_installed(target: str, tmp_path: Path) -> None:
-    done = neuroflight("image", "build", "--target", target, "--out", str(tmp_path), "--json")
+def test_an_image_is_built_when_only_the_base_dependencies_are_installed(target: str) -> None:
+    done = neuroflight("image", "build", "--target", target, "--out", str(BUILD / "light"), "--json")
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout)["target"] == target
 

@@ -29,7 +29,7 @@ INTERRUPTED = 130
 
 
 @dataclass(frozen=True)
-class Desk:
+class Person:
     """The person before the bench: answers and time."""
 
     ask: Callable[[str], str]  # prints the question, returns the line that was typed; "" at the end of input
@@ -54,18 +54,18 @@ class OnBench(OnPort):
     def run(self) -> int:
         """Carry it out. Returns 0, 1 where a motor did not do as it should, 130 after an interrupt; raises
         NeuroflightError for what cannot be done. The motors stand in each case."""
-        return self.carry_out(Desk(_typed))
+        return self.carry_out(Person(_typed))
 
-    def carry_out(self, desk: Desk) -> int:
-        """Do the same as `run`, with the answers and the time of `desk`."""
+    def carry_out(self, person: Person) -> int:
+        """Do the same as `run`, with the answers and the time of `person`."""
         with one_interrupt():
             try:
-                return self.act(desk)
+                return self.act(person)
             except KeyboardInterrupt:
                 print(f"neuroflight: interrupted; {self.interrupted}", file=sys.stderr)
                 return INTERRUPTED
 
-    def act(self, desk: Desk) -> int:
+    def act(self, person: Person) -> int:
         """Do the work of the request; an interrupt raises KeyboardInterrupt."""
         raise NotImplementedError
 
@@ -104,18 +104,18 @@ class Test(Turning):
     aircraft: OnTheBench = None
     no_questions: Annotated[bool, Option(None, "only turn them, one after the other")] = False
 
-    def act(self, desk: Desk) -> int:
+    def act(self, person: Person) -> int:
         """Turn each motor and compare its answer with the aircraft file."""
         with connect(self.port) as client:
             bench, places = _prepare(client, self, "test turns each motor")
             wrong: list[str] = []
             for motor, place in enumerate(places):
                 print(f"motor {motor + 1}: {place}", flush=True)
-                if not self.no_questions and _heard(desk, "  Enter turns it, s skips it: ") == "s":
+                if not self.no_questions and _heard(person, "  Enter turns it, s skips it: ") == "s":
                     continue
-                _spin(client, [motor], bench, self, desk)
+                _spin(client, [motor], bench, self, person)
                 if not self.no_questions:
-                    wrong += _judged(desk, motor, place)
+                    wrong += _judged(person, motor, place)
         for line in wrong:
             print(line)
         if not wrong and not self.no_questions:
@@ -123,12 +123,12 @@ class Test(Turning):
         return 1 if wrong else 0
 
 
-def _judged(desk: Desk, motor: int, place: Place) -> list[str]:
+def _judged(person: Person, motor: int, place: Place) -> list[str]:
     """Return the faults of a motor, in words that say how to mend them."""
     wrong = []
-    if not _yes(desk, f"  did the {place.where} motor turn, and no other? yes or no: "):
+    if not _yes(person, f"  did the {place.where} motor turn, and no other? yes or no: "):
         wrong.append(f"motor {motor + 1}: another one turned, or none; see `neuroflight board motors order`")
-    elif place.turns and not _yes(desk, f"  did it turn {place.turns}, seen from above? yes or no: "):
+    elif place.turns and not _yes(person, f"  did it turn {place.turns}, seen from above? yes or no: "):
         wrong.append(
             f"motor {motor + 1}: it turns the wrong way; swap two of its wires, or `neuroflight board motors "
             f"direction {motor + 1} reversed --save`, or normal where it is reversed now"
@@ -143,14 +143,14 @@ class Spin(Turning):
 
     motor: Motor
 
-    def act(self, desk: Desk) -> int:
+    def act(self, person: Person) -> int:
         """Turn one motor, or all."""
         _motors(self.motor, MOTOR_COUNT_MAX)
         with connect(self.port) as client:
             what = "all motors" if self.motor == ALL else f"motor {self.motor}"
             told = f"spin turns {what} at {self.fraction:g} for {self.seconds:g} s"
             bench, _ = _prepare(client, self, told, self.motor)
-            _spin(client, _motors(self.motor, bench.motor_count), bench, self, desk)
+            _spin(client, _motors(self.motor, bench.motor_count), bench, self, person)
         print(f"{what} turned at {self.fraction:g} for {self.seconds:g} s and stopped")
         return 0
 
@@ -161,14 +161,14 @@ class Stop(OnBench):
 
     interrupted: ClassVar[str] = "whether the motors stand was not seen; ask again"  # others may turn them on
 
-    def act(self, desk: Desk) -> int:
+    def act(self, person: Person) -> int:
         """Stop all motors."""
         from neuroflight.flash.link.client import Client
         from neuroflight.flash.link.transport import open_transport
         from neuroflight.flash.motors.stop import stop as stop_motors
 
         with Client(open_transport(self.port)) as client:  # nothing is asked before
-            stop_motors(client, desk.clock, desk.sleep)
+            stop_motors(client, person.clock, person.sleep)
         print("all motors stand, no motor test is open")
         return 0
 
@@ -182,7 +182,7 @@ class Direction(OnBench):
     direction: Annotated[str, Argument(None, "", choices=("normal", "reversed"))]
     save: Annotated[bool, Option(None, "the ESC keeps it without power")] = False
 
-    def act(self, desk: Desk) -> int:
+    def act(self, person: Person) -> int:
         """Send the direction to one ESC, or all."""
         from neuroflight.flash.motors.direction import DIRECTIONS, set_direction
         from neuroflight.flash.motors.readiness import read_bench
@@ -196,8 +196,8 @@ class Direction(OnBench):
                 motors,
                 DIRECTIONS[self.direction],
                 save=self.save,
-                clock=desk.clock,
-                sleep=desk.sleep,
+                clock=person.clock,
+                sleep=person.sleep,
             )
         kept = "forgotten when the ESC loses power, unless told with --save"
         if self.save:
@@ -217,7 +217,7 @@ class Order(Turning):
     aircraft: OnTheBench = None
     yes: Annotated[bool, Option(None, "store what was found: do not ask")] = False
 
-    def act(self, desk: Desk) -> int:
+    def act(self, person: Person) -> int:
         """Ask which motor turned, for each output; show, set and store what follows."""
         from neuroflight.flash.motors.order import order_changes, outputs_of
         from neuroflight.flash.motors.readiness import await_standing
@@ -227,7 +227,7 @@ class Order(Turning):
             bench, places = _prepare(client, self, "order turns each motor")
             for motor, place in enumerate(places, 1):
                 print(f"motor {motor}: {place.where}")
-            turned = [_turned(client, motor, bench, self, desk) for motor in range(bench.motor_count)]
+            turned = [_turned(client, motor, bench, self, person) for motor in range(bench.motor_count)]
             found = outputs_of(bench.outputs, turned)
             for motor, (before, after) in enumerate(zip(bench.outputs, found, strict=True), 1):
                 note = "" if before == after else f", was {before}"
@@ -236,21 +236,23 @@ class Order(Turning):
             if not changes:
                 print("the order is right already; nothing is changed")
                 return 0
-            if not self.yes and not _yes(desk, "store that order? yes or no: "):
+            if not self.yes and not _yes(person, "store that order? yes or no: "):
                 raise LinkError("nothing is changed; answer yes or give --yes to store the order")
-            await_standing(client, desk.clock, desk.sleep)  # flash is not written beside a motor test
+            await_standing(client, person.clock, person.sleep)  # flash is not written beside a motor test
             Settings(client).change(changes, save=True)
         print("the order is stored; it holds from the next start on: `neuroflight board reboot`")
         return 0
 
 
-def _turned(client: Client, motor: int, bench: Bench, args: Turning, desk: Desk) -> int:
+def _turned(client: Client, motor: int, bench: Bench, args: Turning, person: Person) -> int:
     """Return the index of the motor that turned when `motor` was to."""
     output = bench.outputs[motor]
-    _heard(desk, f"output {output}: Enter turns what is wired to it: ")
+    _heard(person, f"output {output}: Enter turns what is wired to it: ")
     while True:
-        _spin(client, [motor], bench, args, desk)
-        answer = _heard(desk, f"  which motor turned? 1 to {bench.motor_count}, or Enter to turn it again: ")
+        _spin(client, [motor], bench, args, person)
+        answer = _heard(
+            person, f"  which motor turned? 1 to {bench.motor_count}, or Enter to turn it again: "
+        )
         if answer.isdecimal() and 1 <= int(answer) <= bench.motor_count:
             return int(answer) - 1
         if answer:
@@ -282,12 +284,12 @@ def _wanted(motors: Sequence[int], bench: Bench, args: Turning) -> SpinPlan:
     return SpinPlan(motors, bench.motor_count, args.fraction, args.seconds, args.ramp, args.limit)
 
 
-def _spin(client: Client, motors: Sequence[int], bench: Bench, args: Turning, desk: Desk) -> None:
+def _spin(client: Client, motors: Sequence[int], bench: Bench, args: Turning, person: Person) -> None:
     from neuroflight.flash.motors.readiness import check_ready
     from neuroflight.flash.motors.spin import spin as turn
 
     check_ready(client)  # minutes may have passed since the last look
-    turn(client, _wanted(motors, bench, args), desk.clock, desk.sleep)
+    turn(client, _wanted(motors, bench, args), person.clock, person.sleep)
 
 
 def _motors(text: str, count: int) -> list[int]:
@@ -299,16 +301,16 @@ def _motors(text: str, count: int) -> list[int]:
     return [int(text) - 1]
 
 
-def _heard(desk: Desk, question: str) -> str:
+def _heard(person: Person, question: str) -> str:
     """Return the answer in small letters. Raises LinkError at the end of input."""
-    line = desk.ask(question)
+    line = person.ask(question)
     if not line:
         raise LinkError("nobody answers any more, expected a line on stdin; the motors stand")
     return line.strip().lower()
 
 
-def _yes(desk: Desk, question: str) -> bool:
+def _yes(person: Person, question: str) -> bool:
     while True:
-        answer = _heard(desk, question)
+        answer = _heard(person, question)
         if answer in ("yes", "y", "no", "n"):
             return answer.startswith("y")

@@ -30,7 +30,7 @@ OldUnchecked = Annotated[bool, Option(None, None)]  # `flash --list` and `flash 
 
 
 @dataclass(frozen=True, kw_only=True)
-class Plan(OnPort):
+class PolicyChange(OnPort):
     """A request that changes which policy is flown, with its options."""
 
     dry_run: Annotated[bool, Option(None, "ask the board, print the plan, write nothing")] = False
@@ -173,7 +173,7 @@ def candidate_of(path: Path) -> Candidate:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Swap(Plan):
+class Swap(PolicyChange):
     """A request to fly another policy of the same architecture."""
 
     policy: Annotated[Path, Argument("POLICY.onnx", "to fly")]
@@ -327,7 +327,7 @@ def _bar(args: Swap) -> Iterator[Progress]:
         yield lambda done, total: bar.update(task, completed=done, total=total)
 
 
-def _told(args: Plan, document: dict[str, Any], text: str) -> int:
+def _told(args: PolicyChange, document: dict[str, Any], text: str) -> int:
     if args.json:
         print_json(document)
     else:
@@ -337,7 +337,7 @@ def _told(args: Plan, document: dict[str, Any], text: str) -> int:
 
 # --- revert ------------------------------------------------------------------------------------------
 @dataclass(frozen=True, kw_only=True)
-class Revert(Plan):
+class Revert(PolicyChange):
     """A request to fly the policy that was flown before."""
 
     unchecked: OldUnchecked = False

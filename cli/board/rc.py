@@ -7,7 +7,6 @@ import sys
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -25,14 +24,6 @@ if TYPE_CHECKING:
 
 RATE_DEFAULT, RATE_MIN, RATE_MAX = 50, 20, 150  # Hz; below, the failsafe would hold between two frames
 LEAD_S, ARMED_S = 0.5, 0.5  # of a scenario: at rest, then armed with the throttle low
-
-
-@dataclass(frozen=True)
-class Desk:
-    """The time, and the place for warnings."""
-
-    clock: Callable[[], float] = time.monotonic
-    sleep: Callable[[float], None] = time.sleep
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -80,11 +71,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Send until the source ends, or Ctrl-C. Returns 0 when the board said that it is disarmed, else 1;
     raises NeuroflightError."""
-    return carry_out(args, Desk())
+    return carry_out(args, time.monotonic, time.sleep)
 
 
-def carry_out(args: argparse.Namespace, desk: Desk) -> int:
-    """Do the same as `run`, with the time and the warnings of `desk`."""
+def carry_out(args: argparse.Namespace, clock: Callable[[], float], sleep: Callable[[float], None]) -> int:
+    """Do the same as `run`, with the time of `clock` [s] and `sleep`."""
     from neuroflight.flash.channels.sender import Sender
 
     if not RATE_MIN <= args.rate <= RATE_MAX:
@@ -105,8 +96,8 @@ def carry_out(args: argparse.Namespace, desk: Desk) -> int:
             may_arm=args.allow_arm,
             rate_hz=args.rate,
             tell=_warn,
-            clock=desk.clock,
-            sleep=desk.sleep,
+            clock=clock,
+            sleep=sleep,
         )
         try:
             with sender:

@@ -51,7 +51,7 @@ On = Annotated[
 
 
 @dataclass(frozen=True)
-class Flown:
+class SuiteResult:
     """The result of a suite."""
 
     request: Suite  # with what was left open filled in, as the printed command has it
@@ -85,7 +85,7 @@ class Suite(Request):
 
     words: ClassVar[str] = "compare"  # type: ignore[misc]
 
-    def fly(self, bar: Bar, ends: ExitStack) -> Flown:
+    def fly(self, bar: Bar, ends: ExitStack) -> SuiteResult:
         """Fly all controllers. Resources to close afterwards go to `ends`. Raises NeuroflightError."""
         raise NotImplementedError
 

@@ -153,6 +153,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_telemetry_arguments(parser)
     parser.add_argument("--report", type=Path, metavar="FILE.html", help="plot and figures on one page")
     add_blackbox_argument(parser)
+    parser.add_argument("--all", action="store_true", help="print every figure, not the five of most use")
     parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
     parser.add_argument(
         "--jobs",
@@ -200,7 +201,7 @@ def run(args: argparse.Namespace) -> int:
         if args.json:
             print(json.dumps(document(args, aircraft, scenario, thrust, flown), indent=2))
         else:
-            print_flight(title, note, flown, verdict)
+            print_flight(title, note, flown, verdict, every=args.all)
     return exit_code(args, flown[0].report)
 
 

@@ -28,6 +28,10 @@ STICK_ROWS = (  # of a flight by eye: heading, figure, digits
     ("touchdown, m/s down", "touchdown_m_s", 2),
     ("  and level", "touchdown_level_m_s", 2),
 )
+# First words of the rows that are printed without --all.
+HEADLINES = ("MAE, deg/s", "  mean of the axes", "mean |Δu| in 1 ms")
+HOLDING = ("rest late", "drift")  # of a flight with centred sticks for long
+COMMANDED = ("rise", "peak")  # of another
 
 
 @dataclass(frozen=True)
@@ -166,12 +170,21 @@ def _stick_rows(flown: list[Flown]) -> list[tuple[str, ...]]:
     return [*rows, ("stands at the end", *("yes" if each.landed else "no" for each in all_figures))]
 
 
-def print_flight(title: str, note: str, flown: list[Flown], verdict: str) -> None:
+def headlines(rows: list[tuple[str, ...]]) -> list[tuple[str, ...]]:
+    """Return the heading and some five rows of a table of flights; `armed` where one was not to its end."""
+    held = HOLDING if any(row[0].startswith(HOLDING) for row in rows) else COMMANDED
+    kept = [row for row in rows[1:] if row[0].startswith((*HEADLINES, *held))]
+    armed = [row for row in rows if row[0] == "armed" and set(row[1:]) != {"100.0 %"}]
+    return [rows[0], *kept, *armed]
+
+
+def print_flight(title: str, note: str, flown: list[Flown], verdict: str, *, every: bool) -> None:
     """Print a column for each flight, the emulated board's report of the first, and the verdict on it."""
     from neuroflight.sim.analysis.flight_report import table
 
     report = flown[0].report
-    print_table(title, table([one.flight for one in flown]), note)
+    rows = table([one.flight for one in flown])
+    print_table(title, rows if every else headlines(rows), note if every else f"{note}; more by --all")
     if by_eye := _stick_rows(flown):
         print_table("", by_eye)
     if rows := [*log_rows(flown[0].log), *([] if report is None else emulator_rows(report))]:

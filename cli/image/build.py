@@ -49,7 +49,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_argument(parser)
     parser.add_argument("--out", type=Path, metavar="DIR", help="instead of build/ and firmware/generated/")
-    parser.add_argument("--json", action="store_true", help="print the report as JSON")
+    told = parser.add_mutually_exclusive_group()
+    told.add_argument("--json", action="store_true", help="print the report as JSON")
+    told.add_argument("--brief", action="store_true", help="print one line instead of the report")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -60,7 +62,7 @@ def run(args: argparse.Namespace) -> int:
     from neuroflight.sim.control.pid_table import beside
     from neuroflight.toolchain.errors import PolicyError
     from neuroflight.toolchain.image.build import MakeError, build, find_target
-    from neuroflight.toolchain.image.report import print_report
+    from neuroflight.toolchain.image.report import print_report, summary
     from neuroflight.toolchain.policy.model import read_policy
 
     target = find_target(args.target)
@@ -87,6 +89,8 @@ def run(args: argparse.Namespace) -> int:
         raise
     if args.json:
         print(json.dumps(report.document(), indent=2))
+    elif args.brief:
+        print(summary(report))
     else:
         print_report(report, Console())
     return 0

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from neuroflight.cli import tree
+from neuroflight.cli.options import OLD_ON
 from neuroflight.toolchain.errors import NeuroflightError
 from neuroflight.training.reproduction.steps import Done, Watcher
 
@@ -41,6 +45,12 @@ class Lines(Watcher):
     def _end(self, line: str, style: str = "") -> None:
         self._ended += 1
         self._console.print(f"[{self._ended} of {self._count}] {line}", markup=False, style=style)
+
+
+def renewed(words: Sequence[str]) -> list[str]:
+    """Return today's words for those of before, so that what they gave is still known."""
+    now, _ = tree.rewritten(words)
+    return [OLD_ON.get(word, word) if before == "--on" else word for before, word in pairwise(["", *now])]
 
 
 def check_page(page: Path, text: str, stored: Path, command: str, told: str = "") -> None:

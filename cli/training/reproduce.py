@@ -10,8 +10,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
     from neuroflight.training.reproduction.experiments import ExperimentRow, Experiments
     from neuroflight.training.reproduction.steps import Done
     from neuroflight.training.reproduction.stored import Kept, RowResult
@@ -74,8 +72,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the steps of the rows, then print them; or list them, or check the page."""
-    from rich.console import Console
-
     from neuroflight.cli.training.pages import check_page
     from neuroflight.toolchain.errors import NeuroflightError
     from neuroflight.training.reproduction.experiments import experiments
@@ -98,7 +94,7 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         print(json.dumps([_document(each, known) for each in results], indent=2))
     else:
-        _print(Console(), results)
+        _print(results)
     return 1 if failed else 0
 
 
@@ -108,12 +104,12 @@ def _run(
     """Run the steps of rows; return their stored parts, and the reasons why others failed."""
     from rich.console import Console
 
-    from neuroflight.cli.training.pages import Lines
+    from neuroflight.cli.training.pages import Lines, renewed
     from neuroflight.training.reproduction.ray_steps import on_ray
     from neuroflight.training.reproduction.steps import StepOutputs, run_steps
     from neuroflight.training.reproduction.stored import keep
 
-    outputs = StepOutputs(ROOT, args.out.resolve(), args.budget)
+    outputs = StepOutputs(ROOT, args.out.resolve(), args.budget, renewed)
     watcher = Lines(Console(stderr=True, highlight=False), len(known.plan(rows)))
     with nullcontext(None) if args.address is None else on_ray(args.address, args.jobs) as execute:
         done = run_steps(
@@ -179,29 +175,27 @@ def _list(args: argparse.Namespace, known: Experiments, results: Sequence[RowRes
     console.print(f"{len(results)} rows", style="dim")
 
 
-def _print(console: Console, results: Sequence[RowResult]) -> None:
-    from rich.markup import escape
-    from rich.table import Table
-
-    from neuroflight.training.reproduction.page import barred, judged, measured, quoted
+def _print(results: Sequence[RowResult]) -> None:
+    """Print each row with its figures."""
+    from neuroflight.cli.report import print_table
+    from neuroflight.training.reproduction.page import barred, judged, measured, quoted, used_columns
+    from neuroflight.training.reproduction.verdict import Verdict
 
     for each in results:
-        row = each.row
-        if each.results:
-            title = escape(f"{row.place}: {row.title}")
-            table = Table(title=title, title_justify="left", box=None, pad_edge=False)
-            table.add_column("")
-            for heading in ("dissertation", "bar", "ours"):
-                table.add_column(heading, justify="right")
-            table.add_column("")
-            for result in each.results:
-                theirs, bar = quoted(result.figure), barred(result)
-                table.add_row(escape(result.figure.what), theirs, bar, measured(result), judged(result))
-            console.print(table)
-        else:
-            console.print(f"{row.place}: {row.title}: a picture", markup=False)
-        if row.why:
-            console.print(f"  {row.why}", markup=False, style="dim")
+        title = f"{each.row.place}: {each.row.title}"
+        if not each.results:
+            print(f"{title}: a picture")
+            continue
+        body, notes = [], [each.row.why]
+        for result in each.results:
+            verdict = judged(result)
+            if result.figure.unlike:
+                notes.append(verdict)
+                verdict = Verdict.UNLIKE.value
+            shown = (quoted(result.figure), barred(result), measured(result))
+            body.append((result.figure.what, *shown, verdict))
+        headings, rows = used_columns(("", "dissertation", "bar", "ours", "verdict"), body)
+        print_table(title, list(map(tuple, [headings, *rows])), "\n".join(filter(None, dict.fromkeys(notes))))
 
 
 def _document(each: RowResult, known: Experiments) -> dict[str, Any]:

@@ -26,7 +26,7 @@ WINDOW_S = 1.0  # the most that is shown of a held command
 PERCENTILES = (5, 25, 50, 75, 95)
 
 
-def draw(held: Hold, figures: ResponseFigures, line: Line, title: str) -> Figure:
+def draw_response(held: Hold, figures: ResponseFigures, line: Line, title: str) -> Figure:
     """Draw a panel for each axis with median, percentiles, rise and peak; below, the share of commands in the
     band over time, and the spectrum of the motors."""
     figure = titled_figure((12, 8), title)

@@ -194,6 +194,10 @@ def test_what_was_built_last_is_built_again_and_told(
     told = capsys.readouterr()
     assert f"as HOST was built last: policy {policy}, aircraft {own}" in told.err
     assert json.loads((tmp_path / "HOST" / "report.json").read_text())["aircraft"] == report["aircraft"]
+    assert main([*words, "--again", "--brief"]) == 0
+    (line,) = capsys.readouterr().out.splitlines()
+    assert line.startswith(f"{tmp_path}/HOST/neuroflight: policy {policy}, UNCHECKED: ")
+    assert line.endswith(", PID flying beside it")
 
     own.write_text(own.read_text().replace("mass_kg = 0.254", "mass_kg = 0.264"))
     assert main([*words, "--again"]) == 1  # no consent is left from before

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from neuroflight.cli.fly import ports as command
+from neuroflight.cli.fly.output import headlines
 from neuroflight.cli.main import main
 from neuroflight.sim.aircraft.model import FOLDER, load_aircraft
 from neuroflight.sim.control.pid_table import pid_table
@@ -56,6 +57,27 @@ def test_it_prints_both_figures_and_writes_the_files_when_all_is_well(
 
 
 @pytest.mark.usefixtures("built")
+def test_it_prints_every_figure_when_asked(short: str, capsys: pytest.CaptureFixture[str]) -> None:
+    fly = ["fly", "--on", "host", "--scenario", short, "--gyro-hz", "2000"]
+    assert main(fly) == 0
+    few = capsys.readouterr().out
+    assert main([*fly, "--all"]) == 0
+    every = capsys.readouterr().out
+    assert "MAE, deg/s" in few and "ITSE" not in few and "--all" in few
+    assert "ITSE" in every and "--all" not in every and every.splitlines()[-1] == few.splitlines()[-1]
+
+
+def test_headlines_are_five_rows_and_whether_it_was_armed_to_the_end() -> None:
+    labels = ["", "MAE, deg/s", "  mean of the axes", "IAE", "rest early, deg/s", "rest late, deg/s"]
+    labels += ["drift in 10 s, deg", "mean |Δu| in 1 ms", "rise, ms", "armed"]
+    rows: list[tuple[str, ...]] = [(label, "1", "100.0 %") for label in labels]
+    kept = [row[0] for row in headlines(rows)]
+    assert kept == [*labels[:3], "rest late, deg/s", "drift in 10 s, deg", "mean |Δu| in 1 ms", "armed"]
+    commanded = headlines([row for row in rows if not row[0].startswith(("rest", "drift"))][:-1])
+    assert [row[0] for row in commanded] == [*labels[:3], "mean |Δu| in 1 ms", "rise, ms"]
+
+
+@pytest.mark.usefixtures("built")
 def test_it_says_when_the_policy_or_the_pid_is_another_aircrafts(
     short: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -84,8 +106,7 @@ def test_it_flies_the_aircraft_of_the_build_and_says_that_its_policy_was_refused
         told = " ".join(capsys.readouterr().out.split())
         assert "mine: story" in told
         assert "its policy until that was REFUSED (wrong way), then its PID" in told
-        assert "policy modelled, then PID MAE, deg/s" in told  # a column, too wide to stand beside the other
-        assert "PID flying MAE, deg/s" in told
+        assert ", then PID PID flying MAE, deg/s" in told  # the columns
         assert ", but it was REFUSED in flight (wrong way), and the PID flew on" in told
     own.unlink()
     assert main(["fly", "--on", "reference", "--scenario", str(story)]) == 1

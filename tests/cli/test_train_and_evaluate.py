@@ -40,23 +40,6 @@ def test_train_writes_its_results_and_does_not_replace_them_without_force(
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == made
 
 
-@pytest.mark.parametrize("controller", ["pid", "policy"])
-def test_evaluate_prints_figures_as_table_and_as_json(
-    controller: str, shipped_policy: Path, capsys: Capture
-) -> None:
-    name = "pid" if controller == "pid" else str(shipped_policy)
-    arguments = ["evaluate", name, "--task", "pulse", "--episodes", "3", "--seed", "8"]
-    assert main([*arguments, "--json"]) == 0
-    document = json.loads(capsys.readouterr().out)
-    assert document["episodes"] == 3
-    assert all(0.0 < value < 20.0 for value in document["mae"])
-    assert 0.0 < document["change"] < 0.1
-    assert main(arguments) == 0
-    table = capsys.readouterr().out
-    assert f"{document['mae'][0]:.2f}" in table
-    assert "true rate" in table
-
-
 @pytest.mark.parametrize("task", ["pulse", "episodic", "envelope"])
 def test_evaluate_json_names_the_conditions(task: str, tmp_path: Path, capsys: Capture) -> None:
     plot = tmp_path / "plot.png"
@@ -83,27 +66,6 @@ def test_evaluate_flies_better_when_nothing_delays_the_rotors(capsys: Capture) -
         assert main([*words, "--delay", delay, "--json"]) == 0
         figures.append(json.loads(capsys.readouterr().out))
     assert sum(figures[0]["mse"]) < 0.8 * sum(figures[1]["mse"])
-
-
-def test_evaluate_adds_the_idle_it_is_given(capsys: Capture) -> None:
-    errors = []
-    for idle in ("0", "0.2"):
-        words = [
-            "evaluate",
-            "pid:published",
-            "--task",
-            "episodic",
-            "--episodes",
-            "5",
-            "--idle",
-            idle,
-            "--json",
-        ]
-        assert main(words) == 0
-        document = json.loads(capsys.readouterr().out)
-        assert document["idle"] == float(idle)
-        errors.append(document["mse"])
-    assert errors[0] != errors[1]
 
 
 def test_evaluate_rejects_a_policy_for_another_number_of_motors(

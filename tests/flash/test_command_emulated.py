@@ -37,7 +37,7 @@ from neuroflight.toolchain.image.elf import read_flashable
 READY_S = 1.5  # after boot: grace and calibration are over
 
 
-class Desk:
+class HeardBoard:
     """An idle board, a line to it, and what each ESC was told where it differs from before."""
 
     def __init__(self, image: Path, elf: Path) -> None:
@@ -67,75 +67,77 @@ class Desk:
 
 
 @pytest.fixture
-def desk(board_image: Path) -> Iterator[Desk]:
-    one = Desk(board_image.with_suffix(".bin"), board_image)
+def board(board_image: Path) -> Iterator[HeardBoard]:
+    one = HeardBoard(board_image.with_suffix(".bin"), board_image)
     yield one
     one.idle.close()
 
 
-def test_escs_hear_what_the_commands_ask_for(desk: Desk) -> None:
-    with Client(desk.transport(), desk.clock) as client:
+def test_escs_hear_what_the_commands_ask_for(board: HeardBoard) -> None:
+    with Client(board.transport(), board.clock) as client:
         assert read_bench(client).outputs == (1, 2, 3, 4)
-        spin(client, Spin([1], 4, 0.1, seconds=0.3, ramp_s=0.1), desk.clock, desk.sleep)
-        desk.sleep(0.01)
-        turned = [frame for frame in desk.told if frame.value >= DSHOT_MIN]
+        spin(client, Spin([1], 4, 0.1, seconds=0.3, ramp_s=0.1), board.clock, board.sleep)
+        board.sleep(0.01)
+        turned = [frame for frame in board.told if frame.value >= DSHOT_MIN]
         assert {frame.motor for frame in turned} == {2}
         assert max(frame.value for frame in turned) == DSHOT_MIN + int(DSHOT_SPAN * 0.1 + 0.5)
-        assert set(desk.last.values()) == {0}
-        stop(client, desk.clock, desk.sleep)
+        assert set(board.last.values()) == {0}
+        stop(client, board.clock, board.sleep)
 
-        desk.told.clear()
+        board.told.clear()
         set_direction(
-            client, [0, 2], DshotCommand.DIRECTION_REVERSED, save=True, clock=desk.clock, sleep=desk.sleep
+            client, [0, 2], DshotCommand.DIRECTION_REVERSED, save=True, clock=board.clock, sleep=board.sleep
         )
-        desk.sleep(0.1)
-        heard = [(frame.motor, frame.value) for frame in desk.told if frame.value]
+        board.sleep(0.1)
+        heard = [(frame.motor, frame.value) for frame in board.told if frame.value]
         assert heard == [(1, 21), (1, 12), (3, 21), (3, 12)]
 
 
-def test_motors_stop_by_the_boards_own_time_when_the_cable_is_pulled(desk: Desk) -> None:
-    with Client(desk.transport(), desk.clock) as client:
+def test_motors_stop_by_the_boards_own_time_when_the_cable_is_pulled(board: HeardBoard) -> None:
+    with Client(board.transport(), board.clock) as client:
         test = MotorTest(client, 4)
         test.__enter__()
         test.turn([0.1, 0, 0, 0])
-        given = desk.clock()
-        desk.sleep(0.05)
-        assert desk.last[1] > DSHOT_MIN
-    desk.sleep(MOTOR_TEST_TIMEOUT_MS / 1000)
+        given = board.clock()
+        board.sleep(0.05)
+        assert board.last[1] > DSHOT_MIN
+    board.sleep(MOTOR_TEST_TIMEOUT_MS / 1000)
     (stopped,) = [
-        frame for frame in desk.told if frame.motor == 1 and not frame.value and frame.cycle / TIME_HZ > given
+        frame
+        for frame in board.told
+        if frame.motor == 1 and not frame.value and frame.cycle / TIME_HZ > given
     ]
     assert stopped.cycle / TIME_HZ - given == pytest.approx(MOTOR_TEST_TIMEOUT_MS / 1000, abs=0.01)
 
 
-def test_channels_arm_the_board_and_disarm_it_over_its_uart(desk: Desk) -> None:
-    with Client(desk.transport(), desk.clock) as client:
+def test_channels_arm_the_board_and_disarm_it_over_its_uart(board: HeardBoard) -> None:
+    with Client(board.transport(), board.clock) as client:
         Settings(client).change({"receiver_protocol": 2.0}, save=True)
         client.request(Msp.REBOOT)
-    desk.sleep(0.1)
-    desk.idle.boot()
-    desk.sleep(ARMING_DELAY_MS / 1000)
+    board.sleep(0.1)
+    board.idle.boot()
+    board.sleep(ARMING_DELAY_MS / 1000)
     script = parse_script(b"t_s,throttle,aux1\n0,1000,1000\n0.3,1000,2000\n0.5,1100,\n0.8,,\n", "it", ".csv")
-    with Client(desk.transport(), desk.clock) as client:
+    with Client(board.transport(), board.clock) as client:
         layout = read_layout(Settings(client).get)
-        one = Sender(client, layout, may_arm=True, rate_hz=100, clock=desk.clock, sleep=desk.sleep)
+        one = Sender(client, layout, may_arm=True, rate_hz=100, clock=board.clock, sleep=board.sleep)
         with one:
             one.begin()
-            desk.told.clear()
+            board.told.clear()
             one.run(script)
-            assert all(desk.last[motor] > DSHOT_MIN for motor in (1, 2, 3, 4))
+            assert all(board.last[motor] > DSHOT_MIN for motor in (1, 2, 3, 4))
         told = safety(client.request(Msp.SAFETY))
     assert one.disarmed and told.stop_cause is StopCause.SWITCH
-    assert set(desk.last.values()) == {0}
+    assert set(board.last.values()) == {0}
     assert (one.count.late, one.count.unanswered) == (0, 0)
 
 
-def test_the_monitor_sees_a_restart_and_goes_on(desk: Desk) -> None:
-    with Watch(desk.transport, desk.clock) as watch:
+def test_the_monitor_sees_a_restart_and_goes_on(board: HeardBoard) -> None:
+    with Watch(board.transport, board.clock) as watch:
         first = watch.look()
         assert first.problem == "" and first.info is not None
         assert first.info.board.target == "MATEKF722" and first.answer_ms < 200
-        with Client(desk.transport(), desk.clock) as other:
+        with Client(board.transport(), board.clock) as other:
             other.request(Msp.REBOOT)
         sights = [watch.look() for _ in range(4)]
     assert sights[-1].problem == "" and sights[-1].restarts == 1

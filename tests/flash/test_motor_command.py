@@ -41,8 +41,8 @@ class Person:
 
     def run(self, *words: str) -> int:
         args = parse(["board", "motors", *words, "--port", self.bench.port])
-        desk = motors.Desk(self.ask, self.bench.clock, self.bench.sleep)
-        return int(args._target.of(args).carry_out(desk))
+        person = motors.Person(self.ask, self.bench.clock, self.bench.sleep)
+        return int(args._target.of(args).carry_out(person))
 
 
 # --- Confirmation ----------------------------------------------------------------------------------
@@ -174,7 +174,7 @@ def test_a_battery_that_fell_between_two_motors_ends_it(booted: Lockstep) -> Non
 
     args = parse(["board", "motors", "test", "--props-off", "--seconds", "0.1", "--port", booted.port])
     with pytest.raises(LinkError, match="the battery is low"):
-        args._target.of(args).carry_out(motors.Desk(ask, booted.clock, booted.sleep))
+        args._target.of(args).carry_out(motors.Person(ask, booted.clock, booted.sleep))
     assert booted.most[1:] == (0, 0, 0)
 
 
@@ -278,7 +278,7 @@ def test_an_interrupted_stop_does_not_say_that_motors_stand(
         other.request(Msp.ARMING_DISABLE, b"\0\1")
         booted.run(5)
         args = parse(["board", "motors", "stop", "--port", booted.port])
-        assert args._target.of(args).carry_out(motors.Desk(lambda question: "", booted.clock, sleep)) == 130
+        assert args._target.of(args).carry_out(motors.Person(lambda question: "", booted.clock, sleep)) == 130
     assert capsys.readouterr().err == (
         "neuroflight: interrupted; whether the motors stand was not seen; ask again\n"
     )

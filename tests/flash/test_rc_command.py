@@ -41,7 +41,7 @@ def script(tmp_path: Path) -> str:
 
 def run(flown: Lockstep, *words: str) -> int:
     args = parse(["board", "rc", "--port", flown.port, *words])
-    return rc.carry_out(args, rc.Desk(flown.clock, flown.sleep))
+    return rc.carry_out(args, flown.clock, flown.sleep)
 
 
 def test_a_script_is_flown_and_ends_disarmed(
@@ -151,7 +151,7 @@ def test_a_gamepad_flies_and_its_unplugging_disarms(
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("neuroflight.flash.channels.gamepad.Gamepad", Held)
         with pytest.raises(NeuroflightError, match=r"the gamepad 'Virtual .*' is gone"):
-            rc.carry_out(parse(words), rc.Desk(flown.clock, sleep))
+            rc.carry_out(parse(words), flown.clock, sleep)
     assert capsys.readouterr().out.endswith("the board is disarmed\n")
     assert max(flown.most) > 0.2 and flown.run(1) == (0, 0, 0, 0)
     with flown.client() as client:

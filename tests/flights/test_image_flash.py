@@ -29,8 +29,8 @@ BAUD = 921_600
 LOOP = b"\xfe\xe7"  # b .
 
 
-class Desk:
-    """A board on the desk whose line runs at BAUD, and what is flashed onto it."""
+class FlashedBoard:
+    """A board at rest whose line runs at BAUD, and what is flashed onto it."""
 
     def __init__(self, idle: IdleBoard) -> None:
         self.idle = idle
@@ -54,11 +54,11 @@ class Desk:
 
 
 @pytest.fixture
-def desk(board_image: Path) -> Iterator[Desk]:
+def board(board_image: Path) -> Iterator[FlashedBoard]:
     flash = configured(board_image.with_suffix(".bin").read_bytes(), board_image, {"msp_baud": BAUD})
     idle = IdleBoard(flash, watchdog_resets=True)
     idle.boot()
-    yield Desk(idle)
+    yield FlashedBoard(idle)
     idle.close()
 
 
@@ -74,28 +74,28 @@ def build_of(images: list[bytes], policy: Policy, build: bytes) -> ImageFile:
 
 
 def test_a_second_image_runs_within_30_s_and_a_third_goes_back_into_bank_a(
-    desk: Desk, board_images: list[bytes], board_policy: Policy
+    board: FlashedBoard, board_images: list[bytes], board_policy: Policy
 ) -> None:
     for build, bank in ((b"second__", 1), (b"third___", 0)):
         file = build_of(board_images, board_policy, build)
-        done, seconds = desk.flash(file)
+        done, seconds = board.flash(file)
         assert done.trial.ending is Ending.KEPT, done.trial.why
         assert done.kept is not None and done.kept.lines == [] and done.restarts == 1
         assert seconds < 30.0
-        assert desk.plan is not None and desk.plan.bank == bank
-        assert 0.5 * desk.plan.seconds(BAUD) < seconds < 1.2 * desk.plan.seconds(BAUD)
+        assert board.plan is not None and board.plan.bank == bank
+        assert 0.5 * board.plan.seconds(BAUD) < seconds < 1.2 * board.plan.seconds(BAUD)
 
 
 def test_the_tool_says_so_when_an_image_never_starts_and_the_board_has_gone_back(
-    desk: Desk, board_images: list[bytes], board_policy: Policy
+    board: FlashedBoard, board_images: list[bytes], board_policy: Policy
 ) -> None:
     (reset,) = struct.unpack_from("<I", board_images[1], 4)
     at = (reset & ~1) - FLASH_BANK_B.address
     stuck = board_images[1][:at] + LOOP + board_images[1][at + 2 :]
-    done, _ = desk.flash(build_of([board_images[0], stuck], board_policy, b"stuck___"))
+    done, _ = board.flash(build_of([board_images[0], stuck], board_policy, b"stuck___"))
     assert done.trial.ending is Ending.WENT_BACK
     assert (
         "the board went back to bank A, version 0.1.0: the new image was started 2 time(s)" in done.trial.why
     )
-    good, _ = desk.flash(build_of(board_images, board_policy, b"good____"))
+    good, _ = board.flash(build_of(board_images, board_policy, b"good____"))
     assert good.trial.ending is Ending.KEPT

@@ -251,6 +251,16 @@ def built_motors(product: Path, *, pid: bool = False) -> MotorFacts:
     return found.pid_motors
 
 
+def summary(report: BuildReport) -> str:
+    """Return one sentence: what was built, of which policy, whether that may fly, what it falls back to."""
+    policy, pid, aircraft = report.policy, report.pid, report.aircraft
+    said = [UNCHECKED if report.check is None else report.check.text]
+    if aircraft is not None and not aircraft.own:
+        said.append(f"for aircraft {aircraft.name}, NOT the one that it was trained on")
+    said.append(f"PID {NO_PID}" if pid is None else f"PID {pid.name} beside it")
+    return f"{report.files[0].path}: policy {policy.file}, {', '.join(said)}"
+
+
 def print_report(report: BuildReport, console: Console) -> None:
     """Print the table: stages, policy, memory, files."""
     from rich.table import Table

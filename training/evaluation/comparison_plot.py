@@ -21,7 +21,7 @@ EXAMPLES_MAX = 3  # entries whose first command is drawn
 EXAMPLE_S = (0.4, 1.2)  # of the episode; pulses begin at 0.5 s
 
 
-def draw(entries: Sequence[Entry], title: str, rests: Sequence[Transparency] = ()) -> Figure:
+def draw_comparison(entries: Sequence[Entry], title: str, rests: Sequence[Transparency] = ()) -> Figure:
     """Draw median and 90 % of the commands of each entry; the first in front.
 
     rests: of the same controllers, drawn as thrust and motor fraction against the throttle.

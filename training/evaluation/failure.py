@@ -44,7 +44,7 @@ class Case:
 
 
 @dataclass(frozen=True)
-class Plan:
+class FailurePlan:
     """The flights of every controller and case."""
 
     cases: tuple[Case, ...]
@@ -118,7 +118,7 @@ def payload_shifted(aircraft: Aircraft, payload: Payload, to: Payload) -> Case:
 
 
 def examine(
-    controller: AnyController, plan: Plan, progress: Callable[[int, int], None] | None = None
+    controller: AnyController, plan: FailurePlan, progress: Callable[[int, int], None] | None = None
 ) -> Failure:
     """Fly all cases; progress: called with steps done and to do, of all flights together."""
     results = []

@@ -16,7 +16,7 @@ STRIDE_S = 0.01  # between points: the traces are averaged over twice that
 BEFORE_S = 0.3  # shown before the change
 
 
-def draw(results: Sequence[Failure], at_s: float, title: str) -> Figure:
+def draw_failures(results: Sequence[Failure], at_s: float, title: str) -> Figure:
     """Draw error of roll, pitch and yaw against time, all controllers in each panel."""
     cases = [each.case for each in results[0].cases]
     figure = titled_figure((10, 0.8 + 1.5 * len(cases)), title)

@@ -102,79 +102,54 @@ def _port(spec: ControllerSpec, aircraft: Aircraft) -> ControllerPort:
     )
 
 
-def thrust_curve(
-    controller: PortController, aircraft: Aircraft, air: Air, seed: int, progress: Progress | None = None
-) -> ThrustCurve:
-    """Fly the stairs and return thrust at rest against throttle."""
-    _, motion, rate_hz = _flight(controller, aircraft, air, stairs(), seed, progress)
-    return ThrustCurve.of_steps(motion.thrust.tolist(), rate_hz)
+@dataclass(frozen=True)
+class Pilot:
+    """A controller that flies an aircraft alone, behind its port from its boot."""
 
+    controller: PortController
+    aircraft: Aircraft
+    air: Air
 
-def fly_manoeuvre(
-    controller: PortController,
-    aircraft: Aircraft,
-    air: Air,
-    manoeuvre: Manoeuvre,
-    curve: ThrustCurve,
-    seed: int,
-    progress: Progress | None = None,
-) -> ManoeuvreFigures:
-    """Fly a manoeuvre and a hover; the seed draws noise, bias and gusts."""
-    scenario = manoeuvre.then_hover().scenario(curve.throttle_of)
-    trace, motion, _ = _flight(controller, aircraft, air, scenario, seed, progress)
-    return manoeuvre_figures(trace, motion.thrust, manoeuvre.commanded, SETTLE_S, HOVER_S)
+    def curve(self, seed: int, progress: Progress | None = None) -> ThrustCurve:
+        """Fly the stairs and return thrust at rest against throttle."""
+        _, motion, rate_hz = self._fly(stairs(), seed, progress)
+        return ThrustCurve.of_steps(motion.thrust.tolist(), rate_hz)
 
+    def manoeuvre(
+        self, manoeuvre: Manoeuvre, curve: ThrustCurve, seed: int, progress: Progress | None = None
+    ) -> ManoeuvreFigures:
+        """Fly a manoeuvre and a hover; the seed draws noise, bias and gusts."""
+        scenario = manoeuvre.then_hover().scenario(curve.throttle_of)
+        trace, motion, _ = self._fly(scenario, seed, progress)
+        return manoeuvre_figures(trace, motion.thrust, manoeuvre.commanded, SETTLE_S, HOVER_S)
 
-def trace_manoeuvre(
-    controller: PortController,
-    aircraft: Aircraft,
-    air: Air,
-    manoeuvre: Manoeuvre,
-    curve: ThrustCurve,
-    seed: int,
-    progress: Progress | None = None,
-) -> Trace:
-    """Fly the manoeuvre and return it as it was flown."""
-    return _flight(controller, aircraft, air, manoeuvre.scenario(curve.throttle_of), seed, progress)[0]
+    def trace(
+        self, manoeuvre: Manoeuvre, curve: ThrustCurve, seed: int, progress: Progress | None = None
+    ) -> Trace:
+        """Fly the manoeuvre and return it as it was flown."""
+        return self._fly(manoeuvre.scenario(curve.throttle_of), seed, progress)[0]
 
+    def descent(self, curve: ThrustCurve, seed: int, progress: Progress | None = None) -> DescentFigures:
+        """Fly the descent of a seed: from the hover, level, the throttle closed."""
+        _, motion, rate_hz = self._fly(DESCENT.scenario(curve.throttle_of), seed, progress)
+        return descent_figures(motion, round(SETTLE_S * rate_hz), rate_hz)
 
-def fly_descent(
-    controller: PortController,
-    aircraft: Aircraft,
-    air: Air,
-    curve: ThrustCurve,
-    seed: int,
-    progress: Progress | None = None,
-) -> DescentFigures:
-    """Fly the descent of a seed: from the hover, level, the throttle closed."""
-    scenario = DESCENT.scenario(curve.throttle_of)
-    _, motion, rate_hz = _flight(controller, aircraft, air, scenario, seed, progress)
-    return descent_figures(motion, round(SETTLE_S * rate_hz), rate_hz)
-
-
-def _flight(
-    controller: PortController,
-    aircraft: Aircraft,
-    air: Air,
-    scenario: Scenario,
-    seed: int,
-    progress: Progress | None,
-) -> tuple[Trace, Motion, int]:
-    """Fly in a fresh twin; noise and gusts are those of the seed, for every controller."""
-    port = controller.open()
-    with closing(port):
-        twin = Twin(
-            aircraft,
-            rate_hz=port.gyro_rate_hz,
-            mount=scenario.mount,
-            charge=air.charge,
-            gust=air.gust if scenario.mount is Mount.FREE else 0.0,
-            rng=np.random.default_rng((seed, 1)),
-        )
-        with closing(twin):
-            motion = Motion(twin)
-            trace = fly(twin, port, scenario, progress=progress, watch=motion)
-            return trace, motion, port.control_rate_hz
+    def _fly(self, scenario: Scenario, seed: int, progress: Progress | None) -> tuple[Trace, Motion, int]:
+        """Fly in a fresh twin; noise and gusts are those of the seed, whoever flies."""
+        port = self.controller.open()
+        with closing(port):
+            twin = Twin(
+                self.aircraft,
+                rate_hz=port.gyro_rate_hz,
+                mount=scenario.mount,
+                charge=self.air.charge,
+                gust=self.air.gust if scenario.mount is Mount.FREE else 0.0,
+                rng=np.random.default_rng((seed, 1)),
+            )
+            with closing(twin):
+                motion = Motion(twin)
+                trace = fly(twin, port, scenario, progress=progress, watch=motion)
+                return trace, motion, port.control_rate_hz
 
 
 # --- Means over seeds ------------------------------------------------------------------------

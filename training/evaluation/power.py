@@ -44,7 +44,7 @@ class Draw:
 
 
 @dataclass(frozen=True)
-class Flown:
+class PowerAtThrust:
     """A controller at one thrust."""
 
     trim: Trim
@@ -59,7 +59,7 @@ class Drawn:
 
     controller: AnyController
     idling: Draw  # on the ground, throttle closed
-    flown: tuple[Flown, ...]  # by thrust, as asked
+    flown: tuple[PowerAtThrust, ...]  # by thrust, as asked
 
 
 def disarmed(battery: Battery, charge: float) -> Draw:
@@ -92,7 +92,7 @@ def power(
         rest = settled(resting.fly(controller, throttle, bar(f"{controller.label}, throttle {throttle:.3f}")))
         flights = conditions.fly(controller, throttle, bar(f"{controller.label}, commands"))
         errors = values(scores(flights))["mae"].mean(axis=1)
-        flown.append(Flown(trim, rest, _of(flights, 0), mean_over(errors)))
+        flown.append(PowerAtThrust(trim, rest, _of(flights, 0), mean_over(errors)))
     return Drawn(controller, idling, tuple(flown))
 
 

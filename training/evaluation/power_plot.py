@@ -13,7 +13,7 @@ from neuroflight.sim.plotting import INK, MUTED, dress, line_colour, titled_figu
 from neuroflight.training.evaluation.power import Draw, Drawn
 
 
-def draw(still: Draw, drawn: Sequence[Drawn], title: str) -> Figure:
+def draw_power(still: Draw, drawn: Sequence[Drawn], title: str) -> Figure:
     """Draw bars of current on the ground; of flights, the errors against the current beside them."""
     flew = any(each.flown for each in drawn)
     figure = titled_figure((12.0 if flew else 6.5, 4.8), title)

@@ -88,7 +88,7 @@ class Case:
 
 
 @dataclass(frozen=True)
-class Plan:
+class RobustnessPlan:
     """The flights of every controller."""
 
     aircraft: Aircraft
@@ -184,7 +184,7 @@ class Robustness:
     joint: JointResult | None  # None without draws
 
 
-def examine(controller: AnyController, plan: Plan, progress: Progress | None = None) -> Robustness:
+def examine(controller: AnyController, plan: RobustnessPlan, progress: Progress | None = None) -> Robustness:
     """Fly every case and every draw; progress: called with steps done and to do, of all flights together."""
     cases = plan.cases()
     flights = len(cases) + (2 if plan.draws else 0)
@@ -261,7 +261,7 @@ def episode_figures(flights: Flights) -> EpisodeFigures:
 
 def _fly(
     controller: AnyController,
-    plan: Plan,
+    plan: RobustnessPlan,
     seed: int,
     count: int,
     variation: Variation | None,

@@ -26,7 +26,7 @@ LEGEND_COLUMNS = 4
 SPREAD = 0.5  # part of a row's height with the dots of all controllers
 
 
-def draw(results: Sequence[Robustness], title: str) -> Figure:
+def draw_robustness(results: Sequence[Robustness], title: str) -> Figure:
     """Draw ratios of the cases, their |delta u| beside them, and below the distribution of the draws."""
     drawn = any(result.joint for result in results)
     rows = len(results[0].cases)

@@ -12,19 +12,20 @@ from neuroflight.sim.flight.scenario import load_scenario
 from neuroflight.training.config.config_file import load_config
 from neuroflight.training.config.training_config import TrainingConfig
 from neuroflight.training.dissertation.conditions import conditions
-from neuroflight.training.reproduction.experiments import FOLDER, Budget, Experiments, Figure, Step
+from neuroflight.training.reproduction.experiments import FOLDER, Budget, Experiments, Figure, Step, command
 from neuroflight.training.tasks.registry import TASKS
 
 TERMS_SHOWN = 3
 ROOT = Path(__file__).resolve().parents[2]
-FLOWN = ("compare", "evaluate")  # commands that fly controllers on a task
-WITH_CONTROLLERS = (*FLOWN, "power", "learning-curves")
+FLOWN = ("compare", "compare --one --all")  # commands that fly controllers on a task
+WITH_CONTROLLERS = (*FLOWN, "compare --suite power", "policy curves")
 SHIPPED = "training/policies/nf1/policy.onnx"
 MACHINES = {  # what takes the place of the dissertation's, by command
-    "timing": "the emulated board",
-    "power": "the twin's model of power",
-    "build": "an image for a MATEKF722",
-    "stability": "Bullet",
+    "image time": "the emulated board",
+    "policy time": "the emulated board",
+    "compare --suite power": "the twin's model of power",
+    "image build": "an image for a MATEKF722",
+    "aircraft stability": "Bullet",
 }
 CHOSEN = re.compile(r"(?:comparison|controllers)\[(?:best )?(-?\d+)")  # the controller that a path is of
 COLUMNS = {  # of the page's table, with the terms that each is of
@@ -56,9 +57,10 @@ def ours(figure: Figure, known: Experiments, budget: Budget) -> Mapping[str, str
     """Return the conditions of a figure of ours, by term."""
     words = known.steps[figure.ours.step].words(budget)
     found: dict[str, str | float] = {}
-    if words[0] in MACHINES:
-        found["machine"] = MACHINES[words[0]]
-    if words[0] in FLOWN:
+    name, _ = command(words)
+    if name in MACHINES:
+        found["machine"] = MACHINES[name]
+    if name in FLOWN:
         found |= _task(words, known, budget)
         found["mount"] = _option(words, "--mount") or "centre"
     aircraft = _option(words, "--aircraft")
@@ -80,13 +82,14 @@ def ours(figure: Figure, known: Experiments, budget: Budget) -> Mapping[str, str
 
 def _policy(figure: Figure, words: Sequence[str], known: Experiments, budget: Budget) -> str:
     """Return the path of the policy that a figure is of; empty if it is of none."""
-    if words[0] == "build":
+    name, rest = command(words)
+    if name == "image build":
         return _option(words, "--policy") or SHIPPED
-    if words[0] == "timing" and (image := FOLDER.match(words[1])):
+    if name.endswith(" time") and (image := FOLDER.match(rest[0])):
         return _policy(figure, known.steps[image[1]].words(budget), known, budget)
-    if words[0] not in WITH_CONTROLLERS:
+    if name not in WITH_CONTROLLERS:
         return ""
-    controllers = words[1 : next((i for i, word in enumerate(words) if word.startswith("--")), None)]
+    controllers = rest[: next((i for i, word in enumerate(rest) if word.startswith("--")), None)]
     chosen = CHOSEN.search(figure.ours.path)
     controller = controllers[int(chosen[1]) if chosen else 0]
     return controller if FOLDER.match(controller) or controller.endswith(".onnx") else ""

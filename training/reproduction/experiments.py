@@ -26,6 +26,8 @@ from neuroflight.training.reproduction.quoted import Quoted, quoted
 FILE = Path(__file__).with_name("experiments.toml")
 Budget = Literal["quick", "full"]
 BUDGETS: tuple[Budget, ...] = ("quick", "full")
+NOUNS = ("aircraft", "dyno", "image", "log", "policy")  # first words of commands that have two
+LEADING = {"--suite": 2, "--one": 1, "--all": 1}  # options that make another command of it, with their values
 OUT, PLOT = "out", "plot"  # in braces in a command: the step's own folder, and its picture
 FOLDER = re.compile(r"\{([\w.-]+)\}")
 POLICIES = re.compile(r"\{([\w.-]+)/\*\}")  # of all seeds that a step trains
@@ -36,6 +38,14 @@ YES = {"yes": True, "no": False}
 OF_A_ROW = ("title", "picture", "input", "unlike", "hardware", "why")  # keys; all others are figures
 OF_AN_INTERVAL = ("value", "mean")  # keys that have one beside them
 TARGET = re.compile(r"to (-?\d+(?:\.\d+)?)")
+
+
+def command(words: Sequence[str]) -> tuple[str, Sequence[str]]:
+    """Split words into the command, with the options right behind it, and the words behind these."""
+    count = 2 if words[0] in NOUNS else 1
+    while count < len(words) and words[count] in LEADING:
+        count += LEADING[words[count]]
+    return " ".join(words[:count]), words[count:]
 
 
 class ReproduceError(NeuroflightError):

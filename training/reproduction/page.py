@@ -130,7 +130,7 @@ def _place(place: str, group: Sequence[RowResult], experiments: Experiments, pic
             ours = measured(each) + budget
             body.append((name, quoted(each.figure), barred(each), ours, judged(each), differs))
     if body:
-        parts.append(table(*_used(HEADINGS, body)))
+        parts.append(table(*used_columns(HEADINGS, body)))
     for result in group:
         if result.row.why:
             head = f"{result.row.title.rpartition(': ')[2]}: " if len(group) > 1 else ""
@@ -142,7 +142,7 @@ def _place(place: str, group: Sequence[RowResult], experiments: Experiments, pic
     return parts
 
 
-def _used(headings: Sequence[str], body: Sequence[Sequence[str]]) -> tuple[list[str], list[list[str]]]:
+def used_columns(headings: Sequence[str], body: Sequence[Sequence[str]]) -> tuple[list[str], list[list[str]]]:
     """Return a table without its empty columns."""
     kept = [i for i in range(len(headings)) if i == 0 or any(row[i] for row in body)]
     return [headings[i] for i in kept], [[row[i] for i in kept] for row in body]

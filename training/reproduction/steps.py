@@ -22,12 +22,20 @@ from threading import Event
 from typing import Any
 
 from neuroflight.toolchain.files import file_size, write_text
-from neuroflight.training.reproduction.experiments import FOLDER, OUT, PLOT, Budget, ReproduceError, Step
+from neuroflight.training.reproduction.experiments import (
+    FOLDER,
+    OUT,
+    PLOT,
+    Budget,
+    ReproduceError,
+    Step,
+    command,
+)
 from neuroflight.training.reproduction.inputs import changed, inputs
 
 OUTPUT_BYTES_MAX = 64 << 20
 PICTURES = ("view",)  # commands that draw and print no JSON
-RESUMED = ("train", "sweep")  # commands that go on with what their --out holds
+RESUMED = ("policy train", "policy sweep")  # commands that go on with what their --out holds
 LAST_SAID = 300  # characters of a failed command's last line
 POLL_S = 0.2  # between looks at a process and at the wish to stop
 
@@ -51,6 +59,7 @@ class StepOutputs:
     root: Path  # the project's folder, in which commands run
     out: Path
     budget: Budget
+    renewed: Callable[[Sequence[str]], list[str]] = list  # today's words for those that a kept result has
 
     def folder(self, name: str) -> Path:
         """Return the folder that the step's command writes into."""
@@ -165,7 +174,7 @@ def kept_result(step: Step, outputs: StepOutputs, watcher: Watcher) -> Done | No
         return None
     try:
         record = json.loads(path.read_text())
-        if record["words"] != outputs.words(step):
+        if outputs.renewed(record["words"]) != outputs.words(step):
             return None
         if other := changed(record["inputs"], outputs.inputs(step)):
             watcher.outdated(step, other)
@@ -185,18 +194,17 @@ def _run(step: Step, outputs: StepOutputs, execute: Execute, stop: Event) -> Don
     read = outputs.inputs(step)
     folder = outputs.folder(step.name)
     started = folder.with_suffix(".started")
-    before = json.dumps({"words": words, "inputs": read})
+    now = {"words": words, "inputs": read}
     folder.parent.mkdir(parents=True, exist_ok=True)
     more: list[str] = []
-    if words[0] not in RESUMED:
+    if command(words)[0] not in RESUMED:
         folder.mkdir(parents=True, exist_ok=True)
     elif folder.exists():
-        same = started.is_file() and started.read_text() == before
-        if same and _begun(folder):
+        if _started(started, outputs) == now and _begun(folder):
             more = ["--resume"]
         else:
             shutil.rmtree(folder)
-    write_text(started, before)
+    write_text(started, json.dumps(now))
     began = time.monotonic()
     plain = words[0] in PICTURES
     text = execute([*words, *more, *(() if plain else ("--json",))], outputs.root, stop.is_set)
@@ -209,6 +217,15 @@ def _run(step: Step, outputs: StepOutputs, execute: Execute, stop: Event) -> Don
     write_text(outputs.output(step.name), json.dumps(record, indent=1) + "\n")
     picture = outputs.picture(step.name) if step.draws else None
     return Done(step, outputs.budget, _typed(words), seconds, output, picture)
+
+
+def _started(path: Path, outputs: StepOutputs) -> object:
+    """Return the words and inputs of the command that began last; None if that is unknown."""
+    try:
+        before = json.loads(path.read_text())
+        return {**before, "words": outputs.renewed(before["words"])}
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
 
 
 def _begun(folder: Path) -> bool:

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import json
-import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from PIL import Image
 
-from neuroflight.toolchain.files import file_size, replacing, write_text
+from neuroflight.toolchain.files import replacing, write_text
 from neuroflight.training.reproduction.experiments import (
     BUDGETS,
     Budget,
@@ -23,9 +20,8 @@ from neuroflight.training.reproduction.experiments import (
 from neuroflight.training.reproduction.lookup import Value, find, ours, scaled
 from neuroflight.training.reproduction.steps import Done
 from neuroflight.training.reproduction.verdict import Judged, Verdict, judge
-from neuroflight.training.results_page.stored_results import compact
+from neuroflight.training.results_page.stored_results import Stored, compact, read_results
 
-FILE_BYTES_MAX = 1 << 20
 WORST_FIRST = (Verdict.NOT_REACHED, Verdict.REACHED, Verdict.SURPASSED, Verdict.UNLIKE, Verdict.INPUT)
 WIDTH_MAX, COLOURS = 1200, 200  # pixels and colours of a stored picture
 
@@ -153,24 +149,22 @@ def _small(picture: Path) -> Image.Image:
 
 
 def read_stored(folder: Path) -> dict[str, Kept]:
-    """Return the stored figures of `folder`, by step. Raises ReproduceError naming a file that is damaged."""
-    return {kept.step: kept for kept in (_read(path) for path in sorted(folder.glob("*.json")))}
+    """Return the stored figures of `folder`, by step. Raises ResultsError naming a file that is damaged."""
+    return {kept.step: kept for kept in map(_kept, read_results(folder, 0))}
 
 
-def _read(path: Path) -> Kept:
-    if file_size(path) > FILE_BYTES_MAX:
-        raise ReproduceError(f"{path}: {file_size(path)} bytes, expected at most {FILE_BYTES_MAX}")
-    try:
-        document = json.loads(path.read_text())
-        figures = {str(key): _given(value) for key, value in document["figures"].items()}
-        budget = document["budget"]
-        if budget not in BUDGETS or document["step"] != path.stem:
-            raise ValueError(f"budget {budget!r}, step {document['step']!r}")
-        return Kept(path.stem, budget, str(document["command"]), float(document["seconds"]), figures)
-    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
-        raise ReproduceError(
-            f"{path}: not the stored figures of a step ({error}); make it anew with reproduce --store"
-        ) from error
+def _kept(stored: Stored) -> Kept:
+    budget, name = stored.text("budget"), stored.text("step")
+    if budget not in BUDGETS or f"{name}.json" != stored.name:
+        raise stored.error("budget, step", f"{budget}, {name}", "a budget, and the file's name")
+    figures = stored.get("figures")
+    if not isinstance(figures, dict):
+        raise stored.error("figures", figures, "an object")
+    found: dict[str, Value] = {}
+    for path, value in figures.items():
+        many = isinstance(value, list)
+        found[path] = tuple(stored.numbers("figures", path)) if many else stored.number("figures", path)
+    return Kept(name, budget, stored.text("command"), stored.number("seconds"), found)
 
 
 def _plain(value: Value) -> float | list[float]:
@@ -178,11 +172,3 @@ def _plain(value: Value) -> float | list[float]:
     if isinstance(value, tuple):
         return [float(f"{each:.7g}") for each in value]
     return float(f"{value:.7g}")
-
-
-def _given(value: Any) -> Value:  # noqa: ANN401 - any JSON value
-    values = value if isinstance(value, list) else [value]
-    for each in values:
-        if isinstance(each, bool) or not isinstance(each, int | float) or not math.isfinite(each):
-            raise ValueError(f"figure {str(value)[:40]}")
-    return tuple(float(each) for each in values) if isinstance(value, list) else float(value)

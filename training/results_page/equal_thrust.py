@@ -55,16 +55,16 @@ def transparency_section(stored: Stored) -> str:
 def transparency_table(stored: Stored) -> str:
     """Return a table of thrust and motors at rest of each controller, a column for each throttle."""
     entries = stored.entries("transparency")
-    throttles = _numbers(entries[0], "throttle")
-    low, high = _numbers(entries[0], "deviation", "throttles")
+    throttles = entries[0].numbers("throttle")
+    low, high = entries[0].numbers("deviation", "throttles")
     body = []
     for each in entries:
-        found = (_numbers(each, name) for name in ("thrust", "motor", "ideal"))
+        found = (each.numbers(name) for name in ("thrust", "motor", "ideal"))
         cells = [
             f"{thrust:.2f} ({motor:.3f} / {ideal:.3f})" for thrust, motor, ideal in zip(*found, strict=True)
         ]
         off = f"{each.number('deviation', 'value'):+.3f} at {each.number('deviation', 'throttle'):g}"
-        rises = "yes" if each.get("falls") is None else "no: {:g} to {:g}".format(*_numbers(each, "falls"))
+        rises = "yes" if each.get("falls") is None else "no: {:g} to {:g}".format(*each.numbers("falls"))
         body.append((controller_label(each), *cells, off, rises))
     headings = (*(f"{throttle:g}" for throttle in throttles), f"deviation, {low:g} to {high:g}", "rises")
     return f"{ABOUT_REST}\n\n{table(('throttle', *headings), body)}"
@@ -121,14 +121,6 @@ def _less(each: Stored, name: str, digits: int) -> str:
     value, low, high = (each.number("difference", name, part) for part in ("value", "low", "high"))
     mark = "" if low > 0 or high < 0 else "≈ "
     return f"{mark}{value:+,.{digits}f} ± {(high - low) / 2:,.{digits}f}"
-
-
-def _numbers(stored: Stored, *path: str) -> list[float]:
-    """Return the numbers of the list at a path. Raises ResultsError if there is none."""
-    values = stored.get(*path)
-    if not isinstance(values, list) or not values or not all(isinstance(v, int | float) for v in values):
-        raise stored.error(".".join(path), values, "a list of numbers")
-    return [float(value) for value in values]
 
 
 ABOUT_PULSES = "Pulses as above, "

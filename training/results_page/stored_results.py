@@ -67,9 +67,16 @@ class Stored:
     def number(self, *path: str) -> float:
         """Return the finite number at a path."""
         value = self.get(*path)
-        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        if not _finite(value):
             raise self.error(".".join(path), value, "a finite number")
         return float(value)
+
+    def numbers(self, *path: str) -> list[float]:
+        """Return the list of finite numbers at a path, at least one."""
+        value = self.get(*path)
+        if not isinstance(value, list) or not value or not all(map(_finite, value)):
+            raise self.error(".".join(path), value, "a list of numbers")
+        return [float(each) for each in value]
 
     def text(self, *path: str) -> str:
         """Return the line of text at a path."""
@@ -81,20 +88,23 @@ class Stored:
     def axes(self, *path: str) -> Axes:
         """Return the three finite numbers at a path."""
         value = self.get(*path)
-        good = isinstance(value, list) and len(value) == 3
-        if not good or not all(isinstance(v, int | float) and math.isfinite(v) for v in value):
+        if not isinstance(value, list) or len(value) != 3 or not all(map(_finite, value)):
             raise self.error(".".join(path), value, "three finite numbers")
         roll, pitch, yaw = value
         return (float(roll), float(pitch), float(yaw))
 
 
-def read_results(folder: Path) -> list[Stored]:
+def _finite(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+
+
+def read_results(folder: Path, fewest: int = 1) -> list[Stored]:
     """Read the stored results of a folder, by name. Raises ResultsError naming a file that is none."""
     paths = sorted(folder.glob("*.json"))
-    if not 1 <= len(paths) <= FILES_MAX:
+    if not fewest <= len(paths) <= FILES_MAX:
         raise ResultsError(
-            f"{folder}: {len(paths)} .json files, expected 1 to {FILES_MAX}; "
-            f"`neuroflight evaluate ... --json > {folder}/NAME.json` makes one"
+            f"{folder}: {len(paths)} .json files, expected {fewest} to {FILES_MAX}; "
+            f"`neuroflight compare --one ... --json > {folder}/NAME.json` makes one"
         )
     results = []
     for path in paths:

@@ -8,14 +8,14 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any
 
 from neuroflight.cli.compare.controllers import check_ranges, is_betaflight
-from neuroflight.cli.compare.suite import Bar, Flown, NoNoise, Seed, Suite
+from neuroflight.cli.compare.suite import Bar, NoNoise, Seed, Suite, SuiteResult
 from neuroflight.cli.report import Table
 from neuroflight.cli.requests import Option
 from neuroflight.toolchain.errors import TrainingError
 
 if TYPE_CHECKING:
     from neuroflight.sim.aircraft.model import Aircraft
-    from neuroflight.training.evaluation.failure import Case, Failure, Plan
+    from neuroflight.training.evaluation.failure import Case, Failure, FailurePlan
 
 CASES_MAX = 12
 MOTOR_CASES = (0.25, 0.5, 1.0)  # of motor 1, unless cases are given
@@ -54,18 +54,18 @@ class Failures(Suite):
     ] = False
     no_noise: NoNoise = False
 
-    def fly(self, bar: Bar, ends: ExitStack) -> Flown:
+    def fly(self, bar: Bar, ends: ExitStack) -> SuiteResult:
         """Fly all cases with each controller."""
         from neuroflight.sim.aircraft.model import load_aircraft
         from neuroflight.sim.physics.world import COUNT_MAX
-        from neuroflight.training.evaluation.failure import Plan, examine
-        from neuroflight.training.evaluation.failure_plot import draw
+        from neuroflight.training.evaluation.failure import FailurePlan, examine
+        from neuroflight.training.evaluation.failure_plot import draw_failures
 
         check_ranges(("--episodes", self.episodes, 1, COUNT_MAX))
         if self.give_up_yaw and any(map(is_betaflight, self.controllers)):
             raise TrainingError("--give-up-yaw: Betaflight cannot be told to; fly policies and PIDs")
         aircraft = load_aircraft(self.aircraft)
-        plan = Plan(
+        plan = FailurePlan(
             cases=_cases(self, aircraft),
             episodes=self.episodes,
             seed=self.seed,
@@ -78,12 +78,12 @@ class Failures(Suite):
         )
         results = [examine(each, plan, bar(each.label)) for each in self.opened(aircraft, ends)]
         title = f"A change in flight, {aircraft.name}: {plan.episodes} commands, throttle {plan.throttle:g}"
-        return Flown(
+        return SuiteResult(
             request=self,
             aircraft=aircraft,
             document=lambda: {"failure": _document(plan, results)},
             tables=lambda: [Table(title, list(_rows(plan, results)), _note())],
-            pictures={"plot": lambda: draw(results, plan.at_s, title)},
+            pictures={"plot": lambda: draw_failures(results, plan.at_s, title)},
         )
 
 
@@ -129,7 +129,7 @@ def _loss(text: str, aircraft: Aircraft) -> tuple[int, float]:
     return found
 
 
-def _document(plan: Plan, results: Sequence[Failure]) -> dict[str, Any]:
+def _document(plan: FailurePlan, results: Sequence[Failure]) -> dict[str, Any]:
     from neuroflight.training.evaluation.failure import DIVERGENCE, RECOVERY, document
 
     return {
@@ -147,7 +147,7 @@ def _document(plan: Plan, results: Sequence[Failure]) -> dict[str, Any]:
     }
 
 
-def _rows(plan: Plan, results: Sequence[Failure]) -> Iterator[tuple[str, ...]]:
+def _rows(plan: FailurePlan, results: Sequence[Failure]) -> Iterator[tuple[str, ...]]:
     """Yield the heading, then each case with a row for each controller."""
     heading = ("before", "after", "at the end", "back in s", "of episodes", "diverged")
     yield ("", *heading)

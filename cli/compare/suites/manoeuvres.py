@@ -9,8 +9,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Annotated, TypeVar
 
 from neuroflight.cli.compare.controllers import betaflight_tune, is_betaflight, say_foreign
-from neuroflight.cli.compare.suite import Bar, Suite
-from neuroflight.cli.compare.suite import Flown as Result
+from neuroflight.cli.compare.suite import Bar, Suite, SuiteResult
 from neuroflight.cli.report import Table, interval
 from neuroflight.cli.requests import Option
 from neuroflight.toolchain.workers import Crew, Show, usable_cores
@@ -20,7 +19,7 @@ if TYPE_CHECKING:
 
     from neuroflight.sim.aircraft.model import Aircraft
     from neuroflight.sim.analysis.manoeuvre import ManoeuvreFigures
-    from neuroflight.training.evaluation.manoeuvres import Air, Flown, PortController
+    from neuroflight.training.evaluation.manoeuvres import Flown, Pilot, PortController
 
 T = TypeVar("T")
 SEEDS_MAX, DESCENTS = 100, 3
@@ -69,44 +68,32 @@ class Manoeuvres(Suite):
         Option("N", "flights at a time; default: the cores", low=1, high=1024, recorded=False),
     ] = None
 
-    def fly(self, bar: Bar, ends: ExitStack) -> Result:
+    def fly(self, bar: Bar, ends: ExitStack) -> SuiteResult:
         """Fly the curves of all, then all flights, in processes of their own."""
         from neuroflight.sim.aircraft.model import load_aircraft
         from neuroflight.sim.flight.manoeuvres import MANOEUVRES, SETTLE_S
-        from neuroflight.training.evaluation.manoeuvres import (
-            Air,
-            Flown,
-            document,
-            fly_descent,
-            fly_manoeuvre,
-            thrust_curve,
-        )
+        from neuroflight.training.evaluation.manoeuvres import Air, Flown, Pilot, document
 
-        aircraft, air = load_aircraft(self.aircraft), Air(self.battery, self.gust)
-        controllers = self._ports(aircraft)
+        aircraft = load_aircraft(self.aircraft)
+        air = Air(self.battery, self.gust)
+        pilots = [Pilot(one, aircraft, air) for one in self._ports(aircraft)]
         seeds = range(self.seed, self.seed + self.seeds)
         sunk = seeds[:DESCENTS]
-        tasks = [partial(thrust_curve, one, aircraft, air, self.seed) for one in controllers]
-        pairs = list(zip(controllers, self._all(bar, "thrust at rest", tasks), strict=True))
-        flights = self._all(
-            bar,
-            "manoeuvres",
-            [
-                partial(fly_manoeuvre, one, aircraft, air, manoeuvre, curve, seed)
-                for one, curve in pairs
-                for manoeuvre in MANOEUVRES
-                for seed in seeds
-            ],
-        )
-        descents = self._all(
-            bar,
-            "descents",
-            [partial(fly_descent, one, aircraft, air, curve, seed) for one, curve in pairs for seed in sunk],
-        )
+        curves = self._all(bar, "thrust at rest", [partial(one.curve, self.seed) for one in pilots])
+        pairs = list(zip(pilots, curves, strict=True))
+        tasks = [
+            partial(one.manoeuvre, each, curve, seed)
+            for one, curve in pairs
+            for each in MANOEUVRES
+            for seed in seeds
+        ]
+        flights = self._all(bar, "manoeuvres", tasks)
+        falls = [partial(one.descent, curve, seed) for one, curve in pairs for seed in sunk]
+        descents = self._all(bar, "descents", falls)
         flight, descent = iter(flights), iter(descents)
         flown = [
             Flown(
-                one,
+                one.controller,
                 curve,
                 {each.name: tuple(next(flight) for _ in seeds) for each in MANOEUVRES},
                 tuple(next(descent) for _ in sunk),
@@ -118,7 +105,7 @@ class Manoeuvres(Suite):
             f"{100 * self.battery:g} %, gusts of a wind of {self.gust:g} m/s"
         )
         closed = "Level, the throttle closed for ten seconds from the hover."
-        return Result(
+        return SuiteResult(
             request=self,
             aircraft=aircraft,
             document=lambda: {
@@ -133,7 +120,7 @@ class Manoeuvres(Suite):
                 }
             },
             tables=lambda: [Table(title, _rows(flown), NOTE), Table("", _descent_rows(flown), closed)],
-            pictures={"plot": lambda: self._drawn(aircraft, air, flown, bar)},
+            pictures={"plot": lambda: self._drawn(pilots, flown, bar)},
         )
 
     def _ports(self, aircraft: Aircraft) -> list[PortController]:
@@ -151,19 +138,20 @@ class Manoeuvres(Suite):
         say_foreign(found)
         return found
 
-    def _drawn(self, aircraft: Aircraft, air: Air, flown: Sequence[Flown], bar: Bar) -> Figure:
+    def _drawn(self, pilots: Sequence[Pilot], flown: Sequence[Flown], bar: Bar) -> Figure:
         """Fly the first seed of some manoeuvres again, and draw it as it was flown."""
         import numpy as np
 
         from neuroflight.sim.flight.manoeuvres import MANOEUVRES
-        from neuroflight.training.evaluation.manoeuvres import trace_manoeuvre
         from neuroflight.training.evaluation.manoeuvres_plot import Shown, draw
 
-        pairs = [(each, one) for each in MANOEUVRES if each.name in DRAWN for one in flown]
-        tasks = [
-            partial(trace_manoeuvre, one.controller, aircraft, air, each, one.curve, self.seed)
-            for each, one in pairs
+        pairs = [
+            (each, pilot, one)
+            for each in MANOEUVRES
+            if each.name in DRAWN
+            for pilot, one in zip(pilots, flown, strict=True)
         ]
+        tasks = [partial(pilot.trace, each, one.curve, self.seed) for each, pilot, one in pairs]
         shown = [
             Shown(
                 each.name,
@@ -172,9 +160,9 @@ class Manoeuvres(Suite):
                 np.rad2deg(trace.setpoint.astype(np.float64)),
                 np.rad2deg(trace.rate.astype(np.float64)),
             )
-            for (each, one), trace in zip(pairs, self._all(bar, "pictures", tasks), strict=True)
+            for (each, _, one), trace in zip(pairs, self._all(bar, "pictures", tasks), strict=True)
         ]
-        return draw(shown, f"{aircraft.name}: manoeuvres at equal thrust, seed {self.seed}")
+        return draw(shown, f"{pilots[0].aircraft.name}: manoeuvres at equal thrust, seed {self.seed}")
 
     def _all(self, bar: Bar, title: str, tasks: Sequence[Callable[[Show], T]]) -> list[T]:
         """Return the results of all tasks, in their order."""

@@ -7,7 +7,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated
 
-from neuroflight.cli.compare.suite import THROTTLES_MAX, THRUST_MAX, Bar, Flown, Idle, On, Seed, Suite
+from neuroflight.cli.compare.suite import THROTTLES_MAX, THRUST_MAX, Bar, Idle, On, Seed, Suite, SuiteResult
 from neuroflight.cli.report import Table, interval
 from neuroflight.cli.requests import Option
 
@@ -49,13 +49,13 @@ class Power(Suite):
         float, Option("CHARGE", "its charge at the start, 0..1; default: 1", low=0.0, high=1.0)
     ] = 1.0
 
-    def fly(self, bar: Bar, ends: ExitStack) -> Flown:
+    def fly(self, bar: Bar, ends: ExitStack) -> SuiteResult:
         """Let all controllers idle and fly."""
         from neuroflight.sim.aircraft.model import load_aircraft
         from neuroflight.toolchain.errors import AircraftError
         from neuroflight.training.evaluation.controllers import Conditions, at_gyro_rate
         from neuroflight.training.evaluation.power import disarmed, document, power
-        from neuroflight.training.evaluation.power_plot import draw
+        from neuroflight.training.evaluation.power_plot import draw_power
         from neuroflight.training.tasks.task import PulseTask
 
         aircraft = load_aircraft(self.aircraft)
@@ -69,7 +69,7 @@ class Power(Suite):
         drawn = [power(each, flown, self.thrust, self.seconds, bar) for each in controllers]
         still = disarmed(battery, self.battery)
         title = f"{aircraft.name}: power from the battery, {self.episodes} aircraft, seed {self.seed}"
-        return Flown(
+        return SuiteResult(
             request=self,
             aircraft=aircraft,
             document=lambda: {
@@ -84,7 +84,7 @@ class Power(Suite):
                 "controllers": [document(each) for each in drawn],
             },
             tables=lambda: [Table(title, _rows(still, drawn), NOTE)],
-            pictures={"plot": lambda: draw(still, drawn, title)},
+            pictures={"plot": lambda: draw_power(still, drawn, title)},
         )
 
 

@@ -8,12 +8,12 @@ from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Annotated, Any
 
 from neuroflight.cli.compare.controllers import check_ranges
-from neuroflight.cli.compare.suite import Bar, Flown, Mounted, NoNoise, Suite
+from neuroflight.cli.compare.suite import Bar, Mounted, NoNoise, Suite, SuiteResult
 from neuroflight.cli.report import Table, with_margin
 from neuroflight.cli.requests import Option
 
 if TYPE_CHECKING:
-    from neuroflight.training.evaluation.robustness import CaseResult, JointResult, Plan, Robustness
+    from neuroflight.training.evaluation.robustness import CaseResult, JointResult, Robustness, RobustnessPlan
 
 EPISODES = {"flight": 50, "pulse": 200}  # commands of a case by task, the first unless the user says
 DRAWS = {"flight": 100, "pulse": 200}
@@ -44,10 +44,10 @@ class RobustnessSuite(Suite):
     mount: Mounted = None
     no_noise: NoNoise = False
 
-    def fly(self, bar: Bar, ends: ExitStack) -> Flown:
+    def fly(self, bar: Bar, ends: ExitStack) -> SuiteResult:
         """Fly the plan with each controller."""
         from neuroflight.training.evaluation.robustness import examine
-        from neuroflight.training.evaluation.robustness_plot import draw
+        from neuroflight.training.evaluation.robustness_plot import draw_robustness
 
         plan = self._plan()
         controllers = self.opened(plan.aircraft, ends)
@@ -57,19 +57,19 @@ class RobustnessSuite(Suite):
             f"Robustness on {plan.aircraft.name}: {plan.episodes} {each} a case, throttle 0 to "
             f"{plan.throttle_max:g}, seed {plan.seed}"
         )
-        return Flown(
+        return SuiteResult(
             request=replace(self, episodes=plan.episodes * plan.commands, draws=plan.draws),
             aircraft=plan.aircraft,
             document=lambda: {"robustness": _document(plan, results)},
             tables=lambda: [Table(title, list(_rows(plan, results)), _note(plan))],
-            pictures={"plot": lambda: draw(results, title)},
+            pictures={"plot": lambda: draw_robustness(results, title)},
         )
 
-    def _plan(self) -> Plan:
+    def _plan(self) -> RobustnessPlan:
         """Return the cases to fly. Raises TrainingError on values outside the range that the task allows."""
         from neuroflight.sim.aircraft.model import load_aircraft
         from neuroflight.sim.physics.world import COUNT_MAX, Mount
-        from neuroflight.training.evaluation.robustness import COMMANDS_PER_DRAW, FLIGHT, Plan
+        from neuroflight.training.evaluation.robustness import COMMANDS_PER_DRAW, FLIGHT, RobustnessPlan
         from neuroflight.training.tasks.task import PulseTask
 
         commands = EPISODES[self.task] if self.episodes is None else self.episodes
@@ -79,7 +79,7 @@ class RobustnessSuite(Suite):
             ("--episodes", commands, 2, FLIGHTS_MAX * FLIGHT.pulses if flights else COUNT_MAX),
             ("--draws", draws, 0, FLIGHTS_MAX if flights else COUNT_MAX // COMMANDS_PER_DRAW),
         )
-        return Plan(
+        return RobustnessPlan(
             aircraft=load_aircraft(self.aircraft),
             task=FLIGHT if flights else PulseTask(),
             episodes=max(2, -(-commands // FLIGHT.pulses)) if flights else commands,
@@ -91,7 +91,7 @@ class RobustnessSuite(Suite):
         )
 
 
-def _document(plan: Plan, results: Sequence[Robustness]) -> dict[str, Any]:
+def _document(plan: RobustnessPlan, results: Sequence[Robustness]) -> dict[str, Any]:
     from neuroflight.training.evaluation.robustness import (
         CASE_RATIO_MAX,
         COMMANDS_PER_DRAW,
@@ -119,7 +119,7 @@ def _document(plan: Plan, results: Sequence[Robustness]) -> dict[str, Any]:
     }
 
 
-def _rows(plan: Plan, results: Sequence[Robustness]) -> Iterator[tuple[str, ...]]:
+def _rows(plan: RobustnessPlan, results: Sequence[Robustness]) -> Iterator[tuple[str, ...]]:
     """Yield the heading, the nominal aircraft, each case and the draws; two or three columns a controller."""
     from neuroflight.training.evaluation.robustness import CASE_RATIO_MAX, HIGH_RATIO_MAX, MEDIAN_RATIO_MAX
 
@@ -152,7 +152,7 @@ def _rows(plan: Plan, results: Sequence[Robustness]) -> Iterator[tuple[str, ...]
     yield ("diverged of the draws", "0", *(text for cell in shares for text in (cell, *("" for _ in beside))))
 
 
-def _note(plan: Plan) -> str:
+def _note(plan: RobustnessPlan) -> str:
     from neuroflight.sim.physics.world import Mount
 
     drift = " Drift: in degrees in the hover about the worst axis, mean of the flights."

@@ -23,12 +23,12 @@ from neuroflight.cli.compare.suite import (
     THROTTLES_MAX,
     THRUST_MAX,
     Bar,
-    Flown,
     Idle,
     Mounted,
     NoNoise,
     On,
     Seed,
+    SuiteResult,
 )
 from neuroflight.cli.output import check_output, plain
 from neuroflight.cli.requests import Option
@@ -96,7 +96,7 @@ class Tracking(Commanded):
         Path | None, Option("FILE.png", "draw errors over the commands of --suite envelope", recorded=False)
     ] = None
 
-    def fly(self, bar: Bar, ends: ExitStack) -> Flown:
+    def fly(self, bar: Bar, ends: ExitStack) -> SuiteResult:
         """Fly all controllers at each throttle, or at each thrust."""
         self._check()
         given = self._conditions()
@@ -182,7 +182,7 @@ class Tracking(Commanded):
         controllers: Sequence[AnyController],
         throttles: Sequence[Number],
         bar: Bar,
-    ) -> Flown:
+    ) -> SuiteResult:
         from neuroflight.cli.compare.figures import entry_documents, entry_tables
         from neuroflight.cli.compare.thrust import rest_documents, transparency_table
         from neuroflight.training.evaluation.comparison import average, enter
@@ -202,7 +202,7 @@ class Tracking(Commanded):
             averages.append(
                 {"throttle": _told(throttle), **{name: plain(each) for name, each in found.items()}}
             )
-        return Flown(
+        return SuiteResult(
             request=request,
             aircraft=flown.aircraft,
             document=lambda: {
@@ -228,9 +228,9 @@ class Tracking(Commanded):
         controllers: Sequence[AnyController],
         throttles: Sequence[Number],
         bar: Bar,
-    ) -> Flown:
+    ) -> SuiteResult:
         from neuroflight.cli.compare.figures import alone_tables, flight_document
-        from neuroflight.sim.analysis.response_plot import draw
+        from neuroflight.sim.analysis.response_plot import draw_response
         from neuroflight.sim.analysis.spectrum_plot import Line
         from neuroflight.training.evaluation.comparison import entered
 
@@ -245,9 +245,9 @@ class Tracking(Commanded):
             if drawn_as_flown(flown):
                 return _drawn(flown, [entry], title, ())
             line = Line(controller.label, result.spectrum, result.smoothness)
-            return draw(held, result.response, line, title) if held and result.response else None
+            return draw_response(held, result.response, line, title) if held and result.response else None
 
-        return Flown(
+        return SuiteResult(
             request=request,
             aircraft=flown.aircraft,
             document=lambda: {**self._document(flown), **flight_document(entry)},
@@ -262,7 +262,7 @@ class Tracking(Commanded):
         controllers: Sequence[AnyController],
         _: Sequence[Number],
         bar: Bar,
-    ) -> Flown:
+    ) -> SuiteResult:
         from neuroflight.cli.compare.thrust import documents, equal_thrust_tables
         from neuroflight.training.evaluation.equal_thrust import equal_thrust
 
@@ -271,7 +271,7 @@ class Tracking(Commanded):
         title = f"{flown.aircraft.name}: {flown_words(flown)}"
         first = found.levels[0]
         drawn = f"{title}, thrust {first.wanted:g}"
-        return Flown(
+        return SuiteResult(
             request=request,
             aircraft=flown.aircraft,
             document=lambda: {**self._document(flown), **documents(found)},
@@ -294,11 +294,11 @@ def _throttle_words(throttle: Number) -> str:
 
 def _drawn(flown: Conditions, entries: Sequence[Entry], title: str, rests: Sequence[Transparency]) -> Figure:
     """Draw one episode as all flew it where that says more than percentiles do; else all commands."""
-    from neuroflight.training.evaluation.comparison_plot import draw
+    from neuroflight.training.evaluation.comparison_plot import draw_comparison
     from neuroflight.training.evaluation.tracking_plot import Tracked, draw_long, draw_step
 
     if not drawn_as_flown(flown):
-        return draw(entries, title, rests)
+        return draw_comparison(entries, title, rests)
     tracked = [Tracked(entry.controller.label, entry.curves.t, entry.curves.example) for entry in entries]
     held = all(entry.evaluation.response is not None for entry in entries)
     return draw_step(tracked, title) if held else draw_long(tracked, title)

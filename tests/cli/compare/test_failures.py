@@ -46,14 +46,6 @@ def test_a_dead_motor_shows_after_the_change_and_not_before(capsys: Capture) -> 
     )
 
 
-def test_a_seed_gives_its_figures_again_and_another_one_others(capsys: Capture) -> None:
-    arguments = ["--fail", "3=0.5"]
-    first, again = told(capsys, *arguments), told(capsys, *arguments)
-    other = told(capsys, *arguments, "--seed", "1")
-    assert first == again
-    assert cases(first)["nothing"]["before"] != cases(other)["nothing"]["before"]
-
-
 def test_a_payload_is_on_board_before_it_goes_and_not_before_it_comes(capsys: Capture) -> None:
     there, back = LOAD, LOAD.split("@")[1].replace("0.04", "-0.04")
     document = told(capsys, "--payload", there, "--drop", there, "--shift", f"{there}:{back}")
@@ -68,22 +60,8 @@ def test_a_payload_is_on_board_before_it_goes_and_not_before_it_comes(capsys: Ca
 
 def test_without_a_case_motor_1_fails_and_it_is_told_and_drawn(tmp_path: Path, capsys: Capture) -> None:
     plot = tmp_path / "errors.png"
-    assert (
-        main(
-            [
-                "failure",
-                PID,
-                "--episodes",
-                "2",
-                *SHORT[2:],
-                "--no-noise",
-                "--give-up-yaw",
-                "--plot",
-                str(plot),
-            ]
-        )
-        == 0
-    )
+    words = ["failure", PID, "--episodes", "2", *SHORT[2:], "--no-noise", "--give-up-yaw"]
+    assert main([*words, "--plot", str(plot)]) == 0
     out = capsys.readouterr().out
     for share in (25, 50, 100):
         assert f"motor 1 loses {share} %" in out

@@ -15,8 +15,8 @@ from neuroflight.cli.main import main
 from neuroflight.sim.analysis.manoeuvre import ManoeuvreFigures
 from neuroflight.sim.analysis.stick_flight import DescentFigures
 from neuroflight.sim.flight.manoeuvres import MANOEUVRES, Manoeuvre, ThrustCurve
-from neuroflight.training.evaluation import manoeuvres, manoeuvres_plot
-from neuroflight.training.evaluation.manoeuvres import Air, PortController
+from neuroflight.training.evaluation import manoeuvres_plot
+from neuroflight.training.evaluation.manoeuvres import Pilot
 from neuroflight.training.results_page.page import render
 from neuroflight.training.results_page.stored_results import Stored
 
@@ -24,22 +24,14 @@ Capture = pytest.CaptureFixture[str]
 TUNED, PUBLISHED = "pid:tuned", "pid:published"
 
 
-def flown(
-    controller: PortController,
-    aircraft: object,
-    air: Air,
-    manoeuvre: Manoeuvre,
-    curve: ThrustCurve,
-    seed: int,
-    *_: Any,
-) -> ManoeuvreFigures:
+def flown(pilot: Pilot, manoeuvre: Manoeuvre, curve: ThrustCurve, seed: int, *_: Any) -> ManoeuvreFigures:
     """The tuned one has the smaller error but in the flip; in the roll it is chance."""
-    better = (controller.name == TUNED) != (manoeuvre.name == "flip")
+    better = (pilot.controller.name == TUNED) != (manoeuvre.name == "flip")
     error = 10.0 + seed + (0.0 if better else 1.0)
     if manoeuvre.name == "roll":
         error = 10.0 + (0.0 if better else 0.1) + (seed % 2 if better else 0)
     return ManoeuvreFigures(
-        error, error**2, curve.throttle_of(1.0), air.gust, 4.0, 1.5, 0.004, 0.5, 0.9, 3.25, 2.5
+        error, error**2, curve.throttle_of(1.0), pilot.air.gust, 4.0, 1.5, 0.004, 0.5, 0.9, 3.25, 2.5
     )
 
 
@@ -47,9 +39,9 @@ def flown(
 def in_no_time(monkeypatch: pytest.MonkeyPatch) -> None:
     """Flights that are over at once."""
     curve = ThrustCurve((0.0, 0.15, 0.3, 0.6, 1.0), (0.25, 0.5, 1.0, 3.0, 6.0))
-    monkeypatch.setattr(manoeuvres, "thrust_curve", lambda *_: curve)
-    monkeypatch.setattr(manoeuvres, "fly_manoeuvre", flown)
-    monkeypatch.setattr(manoeuvres, "fly_descent", lambda *_: DescentFigures(17.5, 100.0, 2.0))
+    monkeypatch.setattr(Pilot, "curve", lambda *_: curve)
+    monkeypatch.setattr(Pilot, "manoeuvre", flown)
+    monkeypatch.setattr(Pilot, "descent", lambda *_: DescentFigures(17.5, 100.0, 2.0))
 
 
 @pytest.mark.usefixtures("in_no_time")
@@ -94,19 +86,11 @@ def test_the_plot_shows_the_first_flights_of_roll_and_split_s(
 ) -> None:
     drawn = []
 
-    def traced(
-        controller: PortController,
-        aircraft: object,
-        air: Air,
-        manoeuvre: Manoeuvre,
-        curve: object,
-        seed: int,
-        *_: Any,
-    ) -> SimpleNamespace:
+    def traced(pilot: Pilot, *_: Any) -> SimpleNamespace:
         t = np.arange(0.0, 3.0, 0.01)
         setpoint = np.zeros((len(t), 3))
         setpoint[120:150, 0] = np.deg2rad(720.0)
-        off = np.deg2rad(5.0 if controller.name == TUNED else 8.0)
+        off = np.deg2rad(5.0 if pilot.controller.name == TUNED else 8.0)
         return SimpleNamespace(t=t, setpoint=setpoint, rate=setpoint + off)
 
     def drawing(flights: list[manoeuvres_plot.Shown], title: str) -> Figure:
@@ -114,7 +98,7 @@ def test_the_plot_shows_the_first_flights_of_roll_and_split_s(
         return draw(flights, title)
 
     draw = manoeuvres_plot.draw
-    monkeypatch.setattr(manoeuvres, "trace_manoeuvre", traced)
+    monkeypatch.setattr(Pilot, "trace", traced)
     monkeypatch.setattr(manoeuvres_plot, "draw", drawing)
     plot = tmp_path / "manoeuvres.png"
     assert main(["manoeuvres", TUNED, PUBLISHED, "--seeds", "1", "--plot", str(plot), "--json"]) == 0

@@ -11,7 +11,7 @@ from typing import Annotated
 import pytest
 
 from neuroflight.cli.compare import compare
-from neuroflight.cli.compare.suite import Bar, Flown, Seed, Suite
+from neuroflight.cli.compare.suite import Bar, Seed, Suite, SuiteResult
 from neuroflight.cli.main import main
 from neuroflight.cli.report import Table, print_table
 from neuroflight.cli.requests import Option
@@ -27,7 +27,7 @@ class Resting(Suite):
     seconds: Annotated[float, Option("S", "of rest", low=0.1, high=1.0)] = 0.2
     seed: Seed = 3
 
-    def fly(self, bar: Bar, ends: ExitStack) -> Flown:
+    def fly(self, bar: Bar, ends: ExitStack) -> SuiteResult:
         """Let everybody rest, two aircraft each."""
         import numpy as np
         from matplotlib.figure import Figure
@@ -44,7 +44,7 @@ class Resting(Suite):
             for each in self.opened(aircraft, ends)
         }
         rows = [("", "deg/s"), *((label, f"{rate:.3f}") for label, rate in rates.items())]
-        return Flown(
+        return SuiteResult(
             request=self,
             aircraft=aircraft,
             document=lambda: {"rates": rates},

@@ -22,8 +22,8 @@ PIECE = 96  # bytes that come at once, as over TCP
 CAPACITY = 4096
 
 
-class Desk:
-    """A firmware that stands level on a desk."""
+class IdleFirmware:
+    """An idle firmware, which stands level."""
 
     def __init__(self, core: Any, *settings: str) -> None:
         self.core, self.lib, ffi = core, core.lib, core.ffi
@@ -94,7 +94,7 @@ class Desk:
     unasked = b""  # what port 0 said meanwhile
     served = True  # it can send
 
-    def boot(self) -> Desk:
+    def boot(self) -> IdleFirmware:
         self.run(1400)
         assert self.reasons() == ()
         return self
@@ -164,15 +164,15 @@ class Desk:
 
 
 @pytest.fixture
-def desk(scripted: Any) -> Desk:
-    """One that nothing forbids to arm."""
-    return Desk(scripted).boot()
+def idle(scripted: Any) -> IdleFirmware:
+    """An idle firmware that nothing forbids to arm."""
+    return IdleFirmware(scripted).boot()
 
 
 @pytest.fixture
-def desks(scripted: Any) -> Callable[..., Desk]:
-    """Makes others, which have not booted yet."""
-    return lambda *settings: Desk(scripted, *settings)
+def make_idle(scripted: Any) -> Callable[..., IdleFirmware]:
+    """What makes others, which have not booted yet."""
+    return lambda *settings: IdleFirmware(scripted, *settings)
 
 
 def lines_of(said: str) -> Sequence[str]:

@@ -18,9 +18,9 @@ from neuroflight.toolchain.contract import (
     ModeRange,
     Setting,
 )
-from tests.firmware.command_line.conftest import Desk
+from tests.firmware.command_line.conftest import IdleFirmware
 
-Desks = Callable[..., Desk]
+MakeIdle = Callable[..., IdleFirmware]
 PRINTABLE = [chr(code) for code in range(ord(" "), ord("~") + 1)]
 SAVE_REFUSED = "###ERROR save: nothing written, for there were errors"
 
@@ -42,26 +42,26 @@ def legal(setting: Setting, rng: random.Random, betaflight: bool) -> float | str
     return float(struct.unpack("<f", struct.pack("<f", value))[0])
 
 
-def shuffle(desk: Desk, seed: int, count: int = 40) -> None:
+def shuffle(idle: IdleFirmware, seed: int, count: int = 40) -> None:
     """So many settings to legal values."""
     rng = random.Random(seed)
     chosen = rng.sample([setting for setting in SETTINGS if setting.name != "rates_style"], count)
     betaflight = rng.random() < 0.5
-    desk.set("rates_style", int(betaflight), "uint32_t")
+    idle.set("rates_style", int(betaflight), "uint32_t")
     for setting in chosen:
-        desk.set(setting.name, legal(setting, rng, betaflight), setting.kind)
+        idle.set(setting.name, legal(setting, rng, betaflight), setting.kind)
 
 
 @pytest.mark.parametrize("listing", ["diff all", "dump"])
 @pytest.mark.parametrize("seed", range(6))
 def test_a_listing_restores_the_settings_exactly_when_it_is_pasted(
-    desks: Desks, desk: Desk, seed: int, listing: str
+    make_idle: MakeIdle, idle: IdleFirmware, seed: int, listing: str
 ) -> None:
-    shuffle(desk, seed)
-    wanted = desk.settings()
-    desk.open()
-    text = "\r\n".join(desk.tell(listing)) + "\r\n"
-    other = desks()
+    shuffle(idle, seed)
+    wanted = idle.settings()
+    idle.open()
+    text = "\r\n".join(idle.tell(listing)) + "\r\n"
+    other = make_idle()
     shuffle(other, seed + 100, count=60)  # whatever it had
     assert other.settings() != wanted
     other.open()
@@ -71,22 +71,22 @@ def test_a_listing_restores_the_settings_exactly_when_it_is_pasted(
     assert "\r\n".join(other.tell(listing)) + "\r\n" == text
 
 
-def test_diff_names_what_differs_and_nothing_else(desk: Desk) -> None:
-    desk.open()
-    assert desk.tell("diff") == []
-    desk.type("set motor_protocol = dshot300\r\nset craft_name = A b\r\nset roll_expo=0.25")
-    assert desk.tell("diff") == [
+def test_diff_names_what_differs_and_nothing_else(idle: IdleFirmware) -> None:
+    idle.open()
+    assert idle.tell("diff") == []
+    idle.type("set motor_protocol = dshot300\r\nset craft_name = A b\r\nset roll_expo=0.25")
+    assert idle.tell("diff") == [
         "set roll_expo = 0.25",
         "set motor_protocol = dshot300",
         "set craft_name = A b",
     ]
-    desk.type("set rates_style = betaflight")
-    assert desk.tell("diff") == [
+    idle.type("set rates_style = betaflight")
+    assert idle.tell("diff") == [
         "set rates_style = betaflight",
         "set motor_protocol = dshot300",
         "set craft_name = A b",
     ], "rates stand at the defaults of their style"
-    all_ = desk.tell("diff all")
+    all_ = idle.tell("diff all")
     assert all_[:3] == [
         "# Neuroflight 0.1.0 on HOST",
         "# policy scripted 00112233, craft A b",
@@ -95,19 +95,19 @@ def test_diff_names_what_differs_and_nothing_else(desk: Desk) -> None:
     assert all_[-1].startswith("#")
 
 
-def test_a_setting_changes_when_it_is_set_in_any_spelling(desk: Desk) -> None:
-    desk.open()
+def test_a_setting_changes_when_it_is_set_in_any_spelling(idle: IdleFirmware) -> None:
+    idle.open()
     for line in (
         "set motor_protocol=DSHOT300",
         "set  failsafe_throttle   =   0.3",
         "  set mode5 = PID aux7 1300 1700 and  ",
         "set craft_name = x = y",
     ):
-        assert desk.type(line).count("\r\n") == 1, line
+        assert idle.type(line).count("\r\n") == 1, line
     told = [
         line.split(" (")[0]
         for name in ("motor_pro", "e_throttle", "mode5", "craft")
-        for line in desk.tell(f"get {name}")
+        for line in idle.tell(f"get {name}")
     ]
     assert told == [
         "motor_protocol = dshot300",
@@ -117,21 +117,21 @@ def test_a_setting_changes_when_it_is_set_in_any_spelling(desk: Desk) -> None:
     ]
 
 
-def test_get_tells_value_limits_and_default(desk: Desk) -> None:
-    desk.open()
-    assert desk.tell("get gyro_rate") == ["gyro_rate_hz = 4000 (1000 to 8000 Hz; default 4000)"]
-    assert desk.tell("get motor_protocol") == [
+def test_get_tells_value_limits_and_default(idle: IdleFirmware) -> None:
+    idle.open()
+    assert idle.tell("get gyro_rate") == ["gyro_rate_hz = 4000 (1000 to 8000 Hz; default 4000)"]
+    assert idle.tell("get motor_protocol") == [
         "motor_protocol = dshot600 (one of dshot300,dshot600; default dshot600)"
     ]
-    assert desk.tell("get pilot_name") == ["pilot_name = - (at most 16 characters, - for none)"]
-    names = [line.split(" = ")[0] for line in desk.tell("get")]
+    assert idle.tell("get pilot_name") == ["pilot_name = - (at most 16 characters, - for none)"]
+    names = [line.split(" = ")[0] for line in idle.tell("get")]
     assert names[-len(SETTINGS) :] == [setting.name for setting in SETTINGS]
     assert names[: -len(SETTINGS)] == [
         *("version", "board", "uid", "policy", "policy_idle", "policy_mix", "control_rate_hz")
     ]
-    assert desk.tell("set") == desk.tell("get")
-    desk.type("set rates_style = betaflight")
-    assert desk.tell("get roll_max") == ["roll_max = 0.7 (0 to 1.0; default 0.7)"]
+    assert idle.tell("set") == idle.tell("get")
+    idle.type("set rates_style = betaflight")
+    assert idle.tell("get roll_max") == ["roll_max = 0.7 (0 to 1.0; default 0.7)"]
 
 
 @pytest.mark.parametrize(
@@ -168,15 +168,17 @@ def test_get_tells_value_limits_and_default(desk: Desk) -> None:
         ("faults forget", "faults: got 'forget', expected nothing or 'ack'"),
     ],
 )
-def test_an_error_says_what_was_got_and_expected_in_one_line(desk: Desk, line: str, words: str) -> None:
-    desk.open()
-    before = desk.settings()
-    (said,) = desk.tell(line)
+def test_an_error_says_what_was_got_and_expected_in_one_line(
+    idle: IdleFirmware, line: str, words: str
+) -> None:
+    idle.open()
+    before = idle.settings()
+    (said,) = idle.tell(line)
     assert said.startswith("###ERROR ")
     assert words in said
-    assert desk.settings() == before
-    assert SAVE_REFUSED in desk.type("save")
-    assert desk.stored() == []
+    assert idle.settings() == before
+    assert SAVE_REFUSED in idle.type("save")
+    assert idle.stored() == []
 
 
 @pytest.mark.parametrize(
@@ -187,83 +189,83 @@ def test_an_error_says_what_was_got_and_expected_in_one_line(desk: Desk, line: s
         *("beeper -ON_USB", "name EXAMPLE", "rxfail 4 h", "set roll_srate = 70", "set roll_expo = 1"),
     ],
 )
-def test_a_line_of_betaflights_diff_is_told_who_takes_it(desk: Desk, line: str) -> None:
-    desk.open()
-    before = desk.settings()
-    (said,) = desk.tell(line)
+def test_a_line_of_betaflights_diff_is_told_who_takes_it(idle: IdleFirmware, line: str) -> None:
+    idle.open()
+    before = idle.settings()
+    (said,) = idle.tell(line)
     assert said.startswith("###ERROR ")
     assert said.endswith("; a diff of Betaflight's: neuroflight board settings import")
-    assert desk.settings() == before
-    assert SAVE_REFUSED in desk.type("save")
+    assert idle.settings() == before
+    assert SAVE_REFUSED in idle.type("save")
 
 
-def test_a_pasted_diff_of_betaflights_stores_nothing(desk: Desk) -> None:
+def test_a_pasted_diff_of_betaflights_stores_nothing(idle: IdleFirmware) -> None:
     """Paste settings that have the same names here: the `save` at their end is refused."""
-    desk.open()
-    said = desk.type(
+    idle.open()
+    said = idle.type(
         "# version\r\n# Betaflight / MATEKF722 (MKF7) 4.0.0 Mar  8 2019 / 11:37:03 (52c4e96c8)\r\n"
         "batch start\r\ndefaults nosave\r\nset failsafe_throttle = 1100\r\nset blackbox_mode = ALWAYS\r\n"
         "rateprofile 0\r\nset roll_expo = 1\r\nset yaw_expo = 0\r\nbatch end\r\nsave"
     )
     assert SAVE_REFUSED in said
-    assert desk.stored() == []
-    assert "set roll_expo" not in "".join(desk.tell("diff"))
+    assert idle.stored() == []
+    assert "set roll_expo" not in "".join(idle.tell("diff"))
 
 
-def test_the_whole_of_a_ratio_is_listed_with_its_point_and_read_back(desk: Desk) -> None:
-    desk.open()
-    assert desk.tell("set roll_expo = 1.0") == []
-    assert desk.tell("diff") == ["set roll_expo = 1.0"]
-    assert desk.tell("get motor_limit") == ["motor_limit = 1.0 (0.45 to 1.0; default 1.0)"]
+def test_the_whole_of_a_ratio_is_listed_with_its_point_and_read_back(idle: IdleFirmware) -> None:
+    idle.open()
+    assert idle.tell("set roll_expo = 1.0") == []
+    assert idle.tell("diff") == ["set roll_expo = 1.0"]
+    assert idle.tell("get motor_limit") == ["motor_limit = 1.0 (0.45 to 1.0; default 1.0)"]
 
 
-def test_nothing_is_saved_after_an_error_unless_it_is_forced(desk: Desk) -> None:
-    desk.open()
-    said = desk.type("set craft_name = A\r\nset craft_nam = B\r\nset pilot_name = C\r\nsave")
+def test_nothing_is_saved_after_an_error_unless_it_is_forced(idle: IdleFirmware) -> None:
+    idle.open()
+    said = idle.type("set craft_name = A\r\nset craft_nam = B\r\nset pilot_name = C\r\nsave")
     assert said.count("###ERROR") == 2
     assert SAVE_REFUSED in said
     assert "Rebooting" not in said
-    assert desk.stored() == []
-    assert "saved\r\nRebooting\r\n" in desk.type("save force")
-    assert desk.stored() == ["craft_name", "pilot_name"]
+    assert idle.stored() == []
+    assert "saved\r\nRebooting\r\n" in idle.type("save force")
+    assert idle.stored() == ["craft_name", "pilot_name"]
 
 
-def test_defaults_begins_anew(desk: Desk) -> None:
-    desk.open()
-    desk.type("set craft_name = A\r\nset craft_nam = B")
-    (said,) = desk.tell("defaults")
+def test_defaults_begins_anew(idle: IdleFirmware) -> None:
+    idle.open()
+    idle.type("set craft_name = A\r\nset craft_nam = B")
+    (said,) = idle.tell("defaults")
     assert "not saved" in said
     assert "'save'" in said
-    assert desk.tell("diff") == []
-    assert "saved" in desk.type("save")
+    assert idle.tell("diff") == []
+    assert "saved" in idle.type("save")
 
 
-def test_settings_that_do_not_go_together_are_not_saved(desk: Desk) -> None:
-    desk.open()
-    desk.type("set map_pitch = 0")
-    said = desk.type("save")
+def test_settings_that_do_not_go_together_are_not_saved(idle: IdleFirmware) -> None:
+    idle.open()
+    idle.type("set map_pitch = 0")
+    said = idle.type("save")
     assert "###ERROR save: nothing written, map_" in said
-    assert desk.stored() == []
-    desk.type("set map_pitch = 1")
-    assert "saved" in desk.type("save"), "an error of save is mended by what it names"
+    assert idle.stored() == []
+    idle.type("set map_pitch = 1")
+    assert "saved" in idle.type("save"), "an error of save is mended by what it names"
 
 
-def test_save_stores_restarts_and_ends_the_session(desk: Desk) -> None:
-    desk.open()
-    said = desk.type("set craft_name = A\r\nsave")
+def test_save_stores_restarts_and_ends_the_session(idle: IdleFirmware) -> None:
+    idle.open()
+    said = idle.type("set craft_name = A\r\nsave")
     assert said.endswith("saved\r\nRebooting\r\n")
-    assert desk.send(b"version\r") == b""
-    assert desk.stored() == ["craft_name"]
+    assert idle.send(b"version\r") == b""
+    assert idle.stored() == ["craft_name"]
 
 
-def test_exit_drops_what_is_not_saved(desk: Desk) -> None:
-    desk.open()
-    before = desk.settings()
-    assert desk.type("set craft_name = A\r\nexit").endswith("Rebooting\r\n")
-    assert desk.settings() == before
+def test_exit_drops_what_is_not_saved(idle: IdleFirmware) -> None:
+    idle.open()
+    before = idle.settings()
+    assert idle.type("set craft_name = A\r\nexit").endswith("Rebooting\r\n")
+    assert idle.settings() == before
 
 
-def test_nothing_is_saved_when_flash_fails(desk: Desk) -> None:
-    desk.open()
-    desk.break_flash()
-    assert "###ERROR save: nothing written, flash did not take it" in desk.type("set craft_name = A\r\nsave")
+def test_nothing_is_saved_when_flash_fails(idle: IdleFirmware) -> None:
+    idle.open()
+    idle.break_flash()
+    assert "###ERROR save: nothing written, flash did not take it" in idle.type("set craft_name = A\r\nsave")

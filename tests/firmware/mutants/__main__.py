@@ -17,9 +17,9 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
 
-from tests.firmware.mutants.mutant import Mutant
+from tests.firmware.mutants.mutant import Mutant, MutantError
 from tests.firmware.mutants.table import MUTANTS
-from tests.firmware.mutants.workshop import MutantError, Verdict, Workshop
+from tests.firmware.mutants.workshop import ROOT, Verdict, Workshop
 
 SURVIVORS_MAX = 0.05  # of all mutants
 
@@ -41,7 +41,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 1
     if args.list:
         for mutant in chosen:
-            print(f"{mutant.file}: {mutant.name}{' (argued)' if mutant.argued else ''}")
+            print(f"{where(mutant)}: {mutant.name}{' (argued)' if mutant.argued else ''}")
         return 0
     missing = [tool for tool in ("gcc", "make") if shutil.which(tool) is None]
     if missing:
@@ -79,7 +79,7 @@ def try_out(mutants: Sequence[Mutant], jobs: int) -> int:
             verdicts.append(said)
             how = f"caught by {said.caught_by}" if said.caught_by else "SURVIVED"
             argued = f" (argued: {mutant.argued})" if mutant.argued else ""
-            print(f"{mutant.file}: {mutant.name}: {how}{argued}", flush=True)
+            print(f"{where(mutant)}: {mutant.name}: {how}{argued}", flush=True)
     survived = [verdict for verdict in verdicts if not verdict.caught_by]
     untold = [verdict for verdict in verdicts if not verdict.as_told]
     print(
@@ -87,6 +87,11 @@ def try_out(mutants: Sequence[Mutant], jobs: int) -> int:
         f"{len(untold)} otherwise than told, {errors} without a verdict"
     )
     return int(bool(errors or untold or len(survived) > SURVIVORS_MAX * len(MUTANTS)))
+
+
+def where(mutant: Mutant) -> str:
+    """Return the path of its file below firmware/."""
+    return str(mutant.source(ROOT / "firmware").relative_to(ROOT / "firmware"))
 
 
 @contextmanager

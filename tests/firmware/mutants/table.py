@@ -1,32 +1,31 @@
-"""All mutants of the core."""
+"""All mutants of the core and the chip: the text files beside this one.
+
+A paragraph is a mutant: its name, lines of C behind `-`, what stands there instead behind `+`; `in: FILE` if
+they are found in several files, `argued: WHY` if no test can catch it. `tests: ...` holds for all below it.
+"""
 
 from __future__ import annotations
 
-from tests.firmware.mutants.app_mutants import APP_MUTANTS
-from tests.firmware.mutants.blackbox_mutants import BLACKBOX_MUTANTS
-from tests.firmware.mutants.card_mutants import CARD_MUTANTS
-from tests.firmware.mutants.command_line_mutants import COMMAND_LINE_MUTANTS
-from tests.firmware.mutants.control_mutants import CONTROL_MUTANTS
-from tests.firmware.mutants.hal_mutants import HAL_MUTANTS
-from tests.firmware.mutants.image_mutants import IMAGE_MUTANTS
-from tests.firmware.mutants.joined_mutants import JOINED_MUTANTS
-from tests.firmware.mutants.mutant import Mutant
-from tests.firmware.mutants.receiver_mutants import RECEIVER_MUTANTS
-from tests.firmware.mutants.safety_mutants import SAFETY_MUTANTS
-from tests.firmware.mutants.sensing_mutants import SENSING_MUTANTS
-from tests.firmware.mutants.storage_mutants import STORAGE_MUTANTS
+from pathlib import Path
 
-MUTANTS: tuple[Mutant, ...] = (
-    *SENSING_MUTANTS,
-    *RECEIVER_MUTANTS,
-    *CONTROL_MUTANTS,
-    *SAFETY_MUTANTS,
-    *STORAGE_MUTANTS,
-    *CARD_MUTANTS,
-    *IMAGE_MUTANTS,
-    *BLACKBOX_MUTANTS,
-    *JOINED_MUTANTS,
-    *COMMAND_LINE_MUTANTS,
-    *APP_MUTANTS,
-    *HAL_MUTANTS,
+from tests.firmware.mutants.mutant import Mutant
+
+
+def read(text: str) -> list[Mutant]:
+    """Return the mutants of a file."""
+    found: list[Mutant] = []
+    tests: tuple[str, ...] = ()
+    for paragraph in text.split("\n\n"):
+        name, *lines = [line for line in paragraph.strip().splitlines() if not line.startswith("#")] or [""]
+        if name.startswith("tests: "):
+            tests = tuple(name.split()[1:])
+        elif name:
+            old, new = ("\n".join(line[2:] for line in lines if line.startswith(mark)) for mark in "-+")
+            told = dict(line.split(": ", 1) for line in lines if line[0] not in "-+")
+            found.append(Mutant(name, old, new, tests, told.get("in", ""), told.get("argued", "")))
+    return found
+
+
+MUTANTS = tuple(
+    mutant for path in sorted(Path(__file__).parent.glob("*.txt")) for mutant in read(path.read_text())
 )

@@ -15,7 +15,7 @@ from pathlib import Path
 
 from neuroflight.toolchain.errors import BuildError
 from tests.firmware.conftest import SCRIPTED_BUILD, make_scripted
-from tests.firmware.mutants.mutant import Mutant
+from tests.firmware.mutants.mutant import Mutant, MutantError
 
 ROOT = Path(__file__).resolve().parents[3]
 COPIED = (
@@ -33,10 +33,6 @@ COPIED = (
 LEFT_OUT = shutil.ignore_patterns("generated", ".*")
 LIMIT_S = 120.0  # an endless loop is a mistake that is caught
 PASSED, FAILED = 0, 1  # exit codes of pytest
-
-
-class MutantError(Exception):
-    """A mutant that says nothing of the tests: it has no place, does not compile, or they do not run."""
 
 
 @dataclass(frozen=True)
@@ -122,15 +118,9 @@ class Workshop:
 
 @contextmanager
 def mutated(source: Path, mutant: Mutant) -> Iterator[None]:
-    """The mistake stands in `source` for a while. Raises MutantError when there is no one place for it."""
+    """Let the mistake stand in `source` for a while."""
     text = source.read_text()
-    found = text.count(mutant.old)
-    if found != 1:
-        raise MutantError(
-            f"{mutant.file} has {found} times {mutant.old!r}, expected once: "
-            f"the source has changed, choose another place for the mistake"
-        )
-    source.write_text(text.replace(mutant.old, mutant.new))
+    source.write_text(mutant.made(text))
     try:
         yield
     finally:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from neuroflight.sim.analysis.response import Hold, hold, response_figures
-from neuroflight.sim.analysis.response_plot import draw
+from neuroflight.sim.analysis.response_plot import draw_response
 from neuroflight.sim.analysis.spectrum import Spectrum
 from neuroflight.sim.analysis.spectrum_plot import Line
 from neuroflight.sim.plotting import png
@@ -27,7 +27,7 @@ def lags(command: np.ndarray, tau: float = 0.05) -> Hold:
 
 def test_plot_shows_median_and_figures_of_each_axis_when_drawn() -> None:
     held = lags(np.random.default_rng(1).uniform(20, 200, (50, 3)))
-    figure = draw(held, response_figures(held), LINE, "title")
+    figure = draw_response(held, response_figures(held), LINE, "title")
     *axes, band, spectrum = figure.axes
     assert [panel.get_title(loc="left") for panel in axes] == ["roll", "pitch", "yaw"]
     for panel in axes:
@@ -46,6 +46,6 @@ def test_plot_shows_median_and_figures_of_each_axis_when_drawn() -> None:
 
 def test_plot_says_so_when_no_command_is_above_the_floor() -> None:
     held = lags(np.array([[100.0, 50.0, 1.0]]))
-    figure = draw(held, response_figures(held), LINE, "title")
+    figure = draw_response(held, response_figures(held), LINE, "title")
     assert "no command above the floor" in figure.axes[2].texts[0].get_text()
     assert matplotlib.image.imread(io.BytesIO(png(figure))).std() > 0.02

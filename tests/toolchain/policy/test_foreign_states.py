@@ -242,7 +242,7 @@ ACTORS: dict[str, tuple[Callable[[], Actor], str]] = {
 }
 
 
-BY_DYNAMO = ("GRU", "LSTM of two layers", "GRUCell")  # the others are its slow part
+BY_DYNAMO = ("LSTM of two layers",)  # the others are its slow part
 RARE = [pytest.param(n, True, marks=pytest.mark.slow) for n in ACTORS if n not in BY_DYNAMO]
 
 

@@ -242,9 +242,13 @@ def test_activation_is_refused_by_name_when_no_kernel_computes_it(kit: Kit) -> N
 @pytest.mark.parametrize(
     ("name", "dynamo", "opset"),
     [
-        (name, dynamo, opset)
+        pytest.param(name, dynamo, opset, marks=() if ordinary else pytest.mark.slow)
         for name in SMOOTH
-        for dynamo, opset in ((False, 17), (True, 18), (True, 20))
+        for dynamo, opset, ordinary in (
+            (False, 17, True),
+            (True, 18, False),
+            (True, 20, name in NEW_EXPORTER_ONLY),
+        )
         if dynamo or name not in NEW_EXPORTER_ONLY
     ],
 )

@@ -24,7 +24,7 @@ from neuroflight.training.evaluation.comparison import (
     percent,
     significant,
 )
-from neuroflight.training.evaluation.comparison_plot import draw
+from neuroflight.training.evaluation.comparison_plot import draw_comparison
 from neuroflight.training.evaluation.controllers import Conditions, ControllerSpec, load_controller
 from neuroflight.training.evaluation.evaluation import Flights, Scores, scores
 from neuroflight.training.tasks.task import EnvelopeTask, PulseTask
@@ -146,7 +146,7 @@ def test_curves_are_percentiles_over_the_commands() -> None:
 def test_plot_has_a_line_for_each_in_every_panel() -> None:
     flown = Conditions(NF1, EnvelopeTask(), episodes=3, seed=2)
     entries = [enter(load_controller(name, NF1), flown, 0.0) for name in ("pid:tuned", "pid:published")]
-    panels = draw(entries, "title").axes
+    panels = draw_comparison(entries, "title").axes
     assert [panel.get_title(loc="left").split(",")[0] for panel in panels] == [
         *("roll", "pitch", "yaw"),
         *("error", "spectrum of the motors"),
@@ -170,7 +170,7 @@ def test_plot_has_a_line_for_each_in_every_panel() -> None:
 
 def test_plot_has_no_responses_when_no_command_is_held() -> None:
     flown = Conditions(NF1, PulseTask(idle_s=0.0, command_s=0.1, rest_s=0.0), episodes=2, seed=2)
-    panels = draw([enter(constant(0.1), flown, 0.0)], "title").axes
+    panels = draw_comparison([enter(constant(0.1), flown, 0.0)], "title").axes
     assert len(panels) == 2 + 6  # error, spectrum, and the first command of up to three
 
 

@@ -91,23 +91,6 @@ def test_the_pid_tracks_an_order_better_than_standing_still() -> None:
     assert pid.tracking.mae.mean() < 0.2 * still.tracking.mae.mean()
 
 
-def test_progress_counts_every_step() -> None:
-    task = PulseTask(idle_s=0.01, command_s=0.01, rest_s=0.01)
-    calls: list[tuple[int, int]] = []
-    figures(
-        record(
-            Still(2),
-            NF1,
-            task,
-            episodes=2,
-            seed=1,
-            control_rate_hz=1000,
-            progress=lambda done, total: calls.append((done, total)),
-        )
-    )
-    assert calls == [(k, 30) for k in range(1, 31)]
-
-
 def test_success_is_complete_when_the_pid_flies_and_rare_when_nothing_turns() -> None:
     task = EpisodicTask()
     controller, idle = aircraft_pid(NF1, 12, name="tuned"), pid_settings(NF1, "tuned").idle

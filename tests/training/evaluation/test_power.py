@@ -15,7 +15,7 @@ from neuroflight.sim.physics.rotor import target_speed, thrust_and_torque
 from neuroflight.training.evaluation.controllers import Conditions, ControllerSpec
 from neuroflight.training.evaluation.evaluation import drawn as drawn_streams
 from neuroflight.training.evaluation.power import Draw, disarmed, document, power
-from neuroflight.training.evaluation.power_plot import draw
+from neuroflight.training.evaluation.power_plot import draw_power
 from neuroflight.training.tasks.task import PulseTask
 from tests.conftest import ROOT
 from tests.training.evaluation.constant import Constant
@@ -73,8 +73,8 @@ def test_in_flight_more_thrust_takes_more_current_and_the_error_is_told() -> Non
     assert isinstance(told["flights"], list) and len(told["flights"]) == 2
     assert NF1.battery is not None
     still = disarmed(NF1.battery, 1.0)
-    assert len(draw(still, [drawn], "title").axes) == 2
-    assert len(draw(still, [replace(drawn, flown=())], "title").axes) == 1
+    assert len(draw_power(still, [drawn], "title").axes) == 2
+    assert len(draw_power(still, [replace(drawn, flown=())], "title").axes) == 1
 
 
 def test_an_aircraft_without_a_battery_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -15,7 +15,7 @@ from neuroflight.toolchain.contract import GRAVITY, Mix
 from neuroflight.training.evaluation import comparison
 from neuroflight.training.evaluation import equal_thrust as module
 from neuroflight.training.evaluation.comparison import Entry
-from neuroflight.training.evaluation.comparison_plot import draw
+from neuroflight.training.evaluation.comparison_plot import draw_comparison
 from neuroflight.training.evaluation.controllers import AnyController, Conditions, ControllerSpec
 from neuroflight.training.evaluation.equal_thrust import (
     equal_thrust,
@@ -129,9 +129,8 @@ def test_a_throttle_that_stands_for_two_thrusts_is_flown_once(monkeypatch: pytes
     assert none is None
     assert less is not None
     assert float(less.value) == pytest.approx(float(mean.value - base.value), abs=1e-9)
-    titles = [
-        panel.get_title(loc="left") for panel in draw(found.levels[3].entries, "", found.transparency).axes
-    ]
+    figure = draw_comparison(found.levels[3].entries, "", found.transparency)
+    titles = [panel.get_title(loc="left") for panel in figure.axes]
     assert "thrust at rest, of the weight" in titles
 
 

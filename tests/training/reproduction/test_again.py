@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from neuroflight.training.reproduction.experiments import Experiments, Step, experiments
+from neuroflight.training.reproduction.experiments import Experiments, Step, command, experiments
 from neuroflight.training.reproduction.steps import StepOutputs, run_steps
 from neuroflight.training.reproduction.stored import keep, read_stored
 
@@ -22,7 +22,7 @@ def untrained(known: Experiments) -> list[str]:
 
     def trains(name: str) -> bool:
         step = known.steps[name]
-        return step.words("full")[0] == "train" or any(map(trains, step.needs))
+        return command(step.words("full"))[0] == "policy train" or any(map(trains, step.needs))
 
     return [name for name in known.steps if not trains(name)]
 

@@ -20,6 +20,7 @@ from neuroflight.training.reproduction.experiments import (
     ExperimentRow,
     Experiments,
     Source,
+    command,
     experiments,
     parse,
 )
@@ -32,7 +33,7 @@ from neuroflight.training.tasks.registry import TASKS
 ROOT = Path(__file__).resolve().parents[3]
 STORED = ROOT / "docs" / "results" / "dissertation"
 RECIPES = ROOT / "training" / "recipes"
-FLOWN = ("compare", "evaluate")
+FLOWN = ("compare", "compare --one --all")
 TERMS = {"aircraft", "mount", "length", "training"}
 
 
@@ -116,7 +117,7 @@ def learnt_by(known: Experiments, result: Result, source: Source) -> tuple[set[f
 
 def training_steps(known: Experiments) -> set[str]:
     """Steps that train."""
-    return {name for name, step in known.steps.items() if step.words("full")[0] == "train"}
+    return {name for name, step in known.steps.items() if command(step.words("full"))[0] == "policy train"}
 
 
 def test_a_row_says_what_differs_whatever_its_verdict() -> None:
@@ -124,7 +125,7 @@ def test_a_row_says_what_differs_whatever_its_verdict() -> None:
     seen: dict[str, int] = dict.fromkeys(TERMS, 0)
     verdicts = set()
     for row, result in held(known):
-        if known.steps[result.figure.ours.step].words("full")[0] not in FLOWN:
+        if command(known.steps[result.figure.ours.step].words("full"))[0] not in FLOWN:
             continue
         told = {part.split()[0] for part in differing(result, row, known).split("; ") if part}
         wanted = expected(known, row, result)
@@ -146,7 +147,7 @@ def test_every_row_with_a_bar_stands_beside_a_place_of_the_dissertation() -> Non
 CHAPTER_5 = """
 [steps]
 nf5 = '''
-train --aircraft nf1 --config dissertation-5 --set hidden=[32,32] world.mount=rig <--steps 9000|>
+policy train --aircraft nf1 --config dissertation-5 --set hidden=[32,32] world.mount=rig <--steps 9000|>
 --out {out}'''
 flown = '''
 compare pid {nf5}/policy.onnx --aircraft <hexa|nf1> --mount <centre|rig> --task pulse --episodes <7|100>'''
@@ -187,11 +188,12 @@ def test_differences_are_those_of_the_budget_that_was_run() -> None:
 
 SHORTER = """
 [steps]
-nf4 = "train --aircraft training/reproduction/iris-4.toml --config dissertation-4 --seeds 2 --out {out}"
+nf4 = '''
+policy train --aircraft training/reproduction/iris-4.toml --config dissertation-4 --seeds 2 --out {out}'''
 flown = '''
-evaluate {nf4}/policy.onnx --aircraft training/reproduction/iris-4.toml --task continuous --length 10
---episodes 5'''
-minute = "fly --on reference --build x --scenario freestyle --seed 3 --trace {out}/flight.npz"
+compare --one --all {nf4}/policy.onnx --aircraft training/reproduction/iris-4.toml --task continuous
+--length 10 --episodes 5'''
+minute = "fly --on library --build x --scenario freestyle --seed 3 --trace {out}/flight.npz"
 played = '''
 compare pid {nf4}/policy.onnx --aircraft training/reproduction/iris-4.toml --commands {minute}/flight.npz
 --piece 0'''

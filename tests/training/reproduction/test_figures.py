@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import json
+from pathlib import Path
+
 import pytest
 
 from neuroflight.training.reproduction.experiments import Experiments, ReproduceError, parse
 from neuroflight.training.reproduction.page import measured, quoted
 from neuroflight.training.reproduction.steps import Done
-from neuroflight.training.reproduction.stored import Kept, keep, row_result, sources
+from neuroflight.training.reproduction.stored import Kept, keep, read_stored, row_result, sources, store
+from neuroflight.training.results_page.stored_results import ResultsError
 
 TEXT = """
 [steps]
@@ -61,3 +65,26 @@ def test_a_figure_is_quick_when_a_part_of_it_is(known: Experiments) -> None:
 def test_words_beside_a_quote_are_refused() -> None:
     with pytest.raises(ReproduceError, match="beside: there is a quote as well"):
         parse(TEXT.replace('aim = "near"', 'aim = "near", beside = "none"'), "test")
+
+
+@pytest.mark.parametrize(
+    ("damage", "message"),
+    [
+        ({"budget": "huge"}, "budget, step: got 'huge, bench'"),
+        ({"step": "other"}, "budget, step: got 'full, other'"),
+        ({"figures": [1]}, "figures: got '[1]', expected an object"),
+        ({"figures": {"mean": [1, None]}}, "figures.mean: got '[1, None]', expected a list of numbers"),
+        ({"figures": {"mean": True}}, "figures.mean: got 'True', expected a finite number"),
+        ({"seconds": None}, "seconds: got 'None', expected a finite number"),
+    ],
+)
+def test_damaged_stored_figures_are_refused_by_key(
+    known: Experiments, tmp_path: Path, damage: dict[str, object], message: str
+) -> None:
+    store(kept(known, "bench")["bench"], tmp_path, None, tmp_path)
+    assert read_stored(tmp_path) == kept(known, "bench")
+    path = tmp_path / "bench.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | damage))
+    with pytest.raises(ResultsError) as caught:
+        read_stored(tmp_path)
+    assert message in str(caught.value)

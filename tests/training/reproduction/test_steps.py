@@ -9,16 +9,17 @@ from pathlib import Path
 
 import pytest
 
+from neuroflight.cli.training.pages import renewed
 from neuroflight.training.reproduction.experiments import Experiments, ReproduceError, Step, parse
 from neuroflight.training.reproduction.inputs import inputs
 from neuroflight.training.reproduction.steps import Done, StepOutputs, Watcher, execute_here, run_steps
 
 TEXT = """
 [steps]
-train = "train --steps <10|1000> --out {out}"
+train = "policy train --steps <10|1000> --out {out}"
 fly = "compare {train}/policy.onnx --plot {plot}"
 alone = '''
-evaluate pid
+dyno run
   --episodes 5'''
 [rows."3.9-ppo"]
 title = "Table 3.9: Rise time: PPO"
@@ -91,8 +92,8 @@ def test_what_a_step_needs_runs_before_it(known: Experiments, tmp_path: Path) ->
     assert told.index("train ran") < told.index("fly ran")
     words = {words[0]: words for words in commands.seen}
     assert words["compare"][1] == "quick/train/policy.onnx"
-    assert words["train"][-1] == "--json"
-    assert words["evaluate"] == ["evaluate", "pid", "--episodes", "5", "--json"]
+    assert words["policy"][-1] == "--json"
+    assert words["dyno"] == ["dyno", "run", "--episodes", "5", "--json"]
 
 
 def test_what_lies_outside_the_project_has_its_whole_path(known: Experiments, tmp_path: Path) -> None:
@@ -114,7 +115,7 @@ def test_another_command_is_another_result(known: Experiments, tmp_path: Path) -
     changed = parse(TEXT.replace("--episodes 5", "--episodes 6"), "test")
     again = Commands()
     run(changed, tmp_path, again)
-    assert [words[0] for words in again.seen] == ["evaluate"]
+    assert [words[0] for words in again.seen] == ["dyno"]
 
 
 RECIPE = TEXT.replace("train --steps <10|1000> ", "train --config recipe.toml ")
@@ -150,7 +151,7 @@ def test_a_checkpoint_of_another_recipe_is_removed(tmp_path: Path) -> None:
     known = parse(RECIPE, "test")
     recipe = tmp_path / "recipe.toml"
     recipe.write_text("steps = 5")
-    run(known, tmp_path, Commands("train"))
+    run(known, tmp_path, Commands("policy"))
     checkpoint = tmp_path / "quick/train/checkpoint.pt"
     checkpoint.parent.mkdir(exist_ok=True)
     checkpoint.write_bytes(b"half")
@@ -179,15 +180,33 @@ def test_a_result_without_inputs_is_run_again(known: Experiments, tmp_path: Path
         assert "alone ran" in run(known, tmp_path, Commands())
 
 
+def test_results_of_a_command_by_its_name_of_before_are_known(known: Experiments, tmp_path: Path) -> None:
+    run(known, tmp_path, Commands("compare"))
+    for name in ("train.json", "train.started"):
+        path = tmp_path / "quick" / name
+        record = json.loads(path.read_text())
+        assert renewed(record["words"][1:]) == record["words"]
+        path.write_text(json.dumps({**record, "words": record["words"][1:]}))
+    outputs = StepOutputs(tmp_path, tmp_path, "quick", renewed)
+    again = Commands()
+    run_steps(known.plan(known.rows), outputs, jobs=1, execute=again)
+    assert [words[0] for words in again.seen] == ["compare"]
+    (tmp_path / "quick/train.json").unlink()
+    (tmp_path / "quick/train").mkdir()
+    (tmp_path / "quick/train/checkpoint.pt").write_bytes(b"half")
+    run_steps(known.plan(known.rows), outputs, jobs=1, execute=again)
+    assert again.seen[1][-2:] == ["--resume", "--json"]
+
+
 def test_a_failed_step_takes_with_it_only_those_that_need_it(known: Experiments, tmp_path: Path) -> None:
-    told = run(known, tmp_path, Commands("train"))
-    assert "train failed: train ended with 1" in told
+    told = run(known, tmp_path, Commands("policy"))
+    assert "train failed: policy ended with 1" in told
     assert "fly failed: needs train" in told
     assert "alone ran" in told
 
 
 def test_a_training_goes_on_with_its_last_checkpoint(known: Experiments, tmp_path: Path) -> None:
-    run(known, tmp_path, Commands("train"))
+    run(known, tmp_path, Commands("policy"))
     folder = tmp_path / "quick/train"
     folder.mkdir(exist_ok=True)
     (folder / "checkpoint.pt").write_bytes(b"half")
@@ -198,7 +217,7 @@ def test_a_training_goes_on_with_its_last_checkpoint(known: Experiments, tmp_pat
 
 
 def test_a_checkpoint_of_another_command_is_removed(known: Experiments, tmp_path: Path) -> None:
-    run(known, tmp_path, Commands("train"))
+    run(known, tmp_path, Commands("policy"))
     folder = tmp_path / "quick/train"
     folder.mkdir(exist_ok=True)
     (folder / "checkpoint.pt").write_bytes(b"half")
@@ -279,7 +298,7 @@ def test_a_mistake_in_a_pattern_is_named(before: str, after: str, named: str) ->
     ("before", "after", "named"),
     [
         ("{train}/policy", "{trian}/policy", "needs {trian}, which is no step"),
-        ('"train --steps <10|1000> --out {out}"', '"train {fly}"', "needs itself"),
+        ('"policy train --steps <10|1000> --out {out}"', '"train {fly}"', "needs itself"),
         ('quote = "3.9/ppo-1"', 'quote = "3.9/ppo-9"', "no quote '3.9/ppo-9'"),
         ('ours = "fly a.b"', 'ours = "fyl a.b"', "fyl"),
         ('aim = "lower"', 'aim = "better"', "expected one of: lower"),

@@ -20,6 +20,7 @@ from neuroflight.sim.ports.receiver_frames import sbus_frame
 from neuroflight.toolchain.contract import Msp
 from neuroflight.toolchain.image.build import find_target, run_make
 from tests.conftest import ROOT
+from tests.firmware.mutants.mutant import replaced, spaced
 from tests.sim.board.mutants.mutant import Mutant
 
 TARGET = find_target("MATEKF722")
@@ -81,13 +82,13 @@ def fly_mutant(build_mutant: Callable[[Mutant], Path]) -> Fly:
 def mutate(source: Path, mutant: Mutant) -> None:
     """Make the mistake in `source`. Fails when it no longer says what the mutant replaces."""
     text = source.read_text()
-    found = text.count(mutant.old)
+    found = spaced(text).count(spaced(mutant.old))
     if found != 1:
         pytest.fail(
             f"mutant {mutant.name}: {mutant.file} has {found} times {mutant.old!r}, expected once: "
             f"the source has changed, choose another place for the mistake"
         )
-    source.write_text(text.replace(mutant.old, mutant.new))
+    source.write_text(replaced(text, mutant.old, mutant.new))
 
 
 def fly(elf: Path, mutant: Mutant) -> Flight:
