@@ -93,8 +93,8 @@ train: $(READY) ## a policy from the twin: AIRCRAFT=nf1 [ALGORITHM=ppo] [CONFIG=
 	  --seed $(SEED) --out "$(OUT)" $(ARGS)
 
 fly: host ## a firmware against the twin: [ON=host] [SCENARIO=flight] [COUNT=10] [SEED=] [ARGS="--trace FILE.npz"]
-	@$(RUN) fly --on $(ON) $(TWIN) --scenario $(SCENARIO) --count $(COUNT) --seed $(SEED) $(ARGS)
-	@echo "next: make view"
+	@$(RUN) fly --on $(ON) $(TWIN) --scenario $(SCENARIO) $(if $(call said,COUNT),--count $(COUNT)) --seed $(SEED) $(ARGS)
+	@echo "next: make view" >&2
 
 view: $(READY) ## a Split-S in 3D, as a page for the browser: [POLICY=path.onnx]
 	@$(RUN) view $(POLICY) $(TWIN) --scenario sim/scenarios/split_s.toml --mount free --seed $(SEED) --out build/flight.html $(ARGS)

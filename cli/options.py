@@ -18,7 +18,7 @@ PORT_HELP = (
 )
 PORT_VARIABLE = "NEUROFLIGHT_PORT"
 ON = ("library", "host", "board", "betaflight")  # what flies: the core in this process, a program, an image
-OLD_ON = {"reference": "library", "emulator": "board"}  # words of before
+OLD_ON = {"reference": "library", "emulator": "board"}  # earlier names
 ON_HELP = (
     "library: the firmware's C core in this process; host: the firmware as a program; board: its image, "
     "emulated; betaflight: Betaflight as a program"
@@ -86,3 +86,10 @@ def add_port(parser: argparse.ArgumentParser, help: str = PORT_HELP) -> None:
     """Declare --port of a command that has no typed request; `cli.main` finds it where it is not given."""
     parser.add_argument("--port", metavar="PORT", help=help)
     parser.set_defaults(find_port=find_port)
+
+
+def add_plot(parser: argparse.ArgumentParser, text: str, *, old: str, required: bool = False) -> None:
+    """Declare --plot of a command that has no typed request, and its option of before."""
+    either = parser.add_mutually_exclusive_group(required=required)
+    either.add_argument("--plot", type=Path, metavar="FILE.png", help=text)
+    either.add_argument(old, dest="plot", type=Path, default=argparse.SUPPRESS, help=argparse.SUPPRESS)

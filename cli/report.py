@@ -58,6 +58,7 @@ def print_table(title: str, rows: Sequence[tuple[str, ...]], note: str = "", *, 
         needed = widths[0] + sum(GAP + widths[number] for number in part)
         console.width = width if left else max(width, needed)
         console.print(shown, crop=left)
+    console.width = width
     if note:
         console.print(Text(note), style="dim")
 

@@ -229,7 +229,7 @@ COMMANDS = {
     "report": Leaf("write the page of results from stored figures", "training.results", "train"),
     "doctor": Leaf("what is installed, which serial ports there are, and what is missing", "doctor:Doctor"),
 }
-ALIASES = {  # words of before, for one release; what follows them may be an option or a pattern of a name
+ALIASES = {  # earlier command words, accepted for one release; options or name patterns may follow
     "build": "image build",
     "compile": "policy compile",
     "verify": "policy verify",
@@ -330,7 +330,8 @@ def _port_behind(line: list[str]) -> list[str]:
             break
         else:
             words.append(line.pop(0))
-    return [*words, *port, *line]
+    end = line.index("--") if "--" in line else len(line)
+    return [*words, *line[:end], *port, *line[end:]]
 
 
 def find(line: Sequence[str]) -> tuple[str, list[str]]:
@@ -346,7 +347,7 @@ def leaf_parser(words: str) -> Parser:
     leaf = COMMANDS[words]
     parser = Parser(prog=f"{PROGRAM} {words}", description=leaf.summary)
     found = _loaded(leaf)
-    if isinstance(found, type):
+    if isinstance(found, type) and issubclass(found, Request):
         found.words = words
     found.add_arguments(parser)
     parser.set_defaults(command=words, _target=found)

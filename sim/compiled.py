@@ -8,6 +8,7 @@ other. What Python may call is declared once, in the `api.h` of each folder of s
 from __future__ import annotations
 
 import hashlib
+import re
 import shutil
 import subprocess
 from collections.abc import Sequence
@@ -17,6 +18,7 @@ from typing import Any
 
 from cffi import FFI
 
+from neuroflight.toolchain import contract
 from neuroflight.toolchain.errors import BuildError
 from neuroflight.toolchain.files import replacing
 
@@ -27,6 +29,7 @@ FLAGS = (
     *("-Wall", "-Wextra", "-Werror"),
 )
 WHOLE = ("-flto",)  # optimization across files, if the compiler has all that it needs
+_COMMENT = re.compile(r"/\*.*?\*/", re.DOTALL)
 COMPILERS = ("cc", "gcc", "clang")
 
 
@@ -65,6 +68,15 @@ def load(source: Source, folder: Path = CACHE) -> Library:
 def declarations(header: Path) -> str:
     """Return the declarations of `header`, without the preprocessor's lines."""
     return "".join(line for line in header.read_text().splitlines(True) if not line.startswith("#"))
+
+
+def contract_declarations(header: Path) -> str:
+    """Return the declarations of a header of the firmware, the contract's constants as numbers."""
+
+    def number(match: re.Match[str]) -> str:
+        return str(getattr(contract, match[1]))
+
+    return re.sub(r"\bNF_([A-Z0-9_]+)\b(?!_H\b)", number, _COMMENT.sub("", declarations(header)))
 
 
 def build(source: Source, folder: Path) -> Path:

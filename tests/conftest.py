@@ -22,6 +22,7 @@ from neuroflight.sim.aircraft.model import load_aircraft
 from neuroflight.sim.control.pid_table import pid_table
 from neuroflight.toolchain.files import locked
 from neuroflight.toolchain.image.build import build
+from neuroflight.toolchain.image.report import AircraftFacts
 from neuroflight.toolchain.policy.freeze import to_onnx
 from neuroflight.toolchain.rendering.pid_table import PidTable
 from neuroflight.training.config.training_config import OutputMap, TrainingConfig
@@ -85,7 +86,13 @@ def build_shipped(target: str, policy: Path) -> None:
     build(target, policy, ROOT, BUILD, pid_table(load_aircraft("nf1")))
 
 
-def build_beside(target: str, policy: Path, folder: Path, pid: PidTable | None = None) -> Path:
+def build_beside(
+    target: str,
+    policy: Path,
+    folder: Path,
+    pid: PidTable | None = None,
+    aircraft: AircraftFacts | None = None,
+) -> Path:
     """Build into `folder`/<target>, which is returned; what does not see the policy is compiled already.
 
     Objects are those around the shipped policy, and make knows which of them `policy` changes.
@@ -104,17 +111,19 @@ def build_beside(target: str, policy: Path, folder: Path, pid: PidTable | None =
                     dependencies.with_suffix(".o").unlink()
                 dependencies.write_text(text.replace(str(made), str(out)))
             aside.rename(out)
-    build(target, policy, ROOT, folder, pid)
+    build(target, policy, ROOT, folder, pid, aircraft)
     return out
 
 
-def build_kept(target: str, policy: bytes, name: str, pid: PidTable | None = None) -> Path:
+def build_kept(
+    target: str, policy: bytes, name: str, pid: PidTable | None = None, aircraft: AircraftFacts | None = None
+) -> Path:
     """Build around a policy that tests make, in a folder that all workers, and the next run, find again."""
     path = BUILD / name / "policy.onnx"
     with locked(path.parent):
         if not path.exists() or path.read_bytes() != policy:
             path.write_bytes(policy)
-    return build_beside(target, path, path.parent, pid)
+    return build_beside(target, path, path.parent, pid, aircraft)
 
 
 @pytest.fixture(scope="session")

@@ -53,6 +53,7 @@ ROOMS = (
     "sim/strict_toml.py",
     "sim/plotting.py",
     "sim/compiled.py",
+    "sim/structs.py",
     "sim/aircraft",
     "sim/physics",
     "sim/control",

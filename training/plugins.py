@@ -114,7 +114,7 @@ def load_file(path: Path) -> ModuleType:
     module.__neuroflight_plugin__ = plugin  # type: ignore[attr-defined]
     sys.modules[name] = module
     if (folder := str(plugin.path.parent)) not in sys.path:
-        sys.path.append(folder)  # last: it hides no installed package
+        sys.path.append(folder)  # appended, so that it hides no installed package
     before = _registered()
     try:
         with blaming(str(path)):

@@ -20,7 +20,9 @@ class Check(Request):
     """An aircraft file and what follows from it."""
 
     file: Annotated[str, Argument("file", "path of a .toml file, or the name of a shipped aircraft")]
-    draw: Annotated[Path | None, Option("FILE.png", "draw it from above and from behind")] = None
+    plot: Annotated[
+        Path | None, Option("FILE.png", "draw it from above and from behind", old=("--draw",))
+    ] = None
     json: Annotated[bool, Option(None, "print JSON instead of tables")] = False
 
     def run(self) -> int:
@@ -30,19 +32,19 @@ class Check(Request):
         from neuroflight.sim.design.drawing import save_drawing
         from neuroflight.toolchain.errors import AircraftError
 
-        if self.draw is not None and self.draw.suffix.lower() != ".png":
-            raise AircraftError(f"--draw {self.draw}: expected a name that ends in .png")
+        if self.plot is not None and self.plot.suffix.lower() != ".png":
+            raise AircraftError(f"--plot {self.plot}: expected a name that ends in .png")
         aircraft = load_aircraft(self.file)
         figures, verdicts = examine(aircraft)
-        if self.draw is not None:
+        if self.plot is not None:
             try:
-                save_drawing(self.draw, aircraft, figures)
+                save_drawing(self.plot, aircraft, figures)
             except OSError as error:
-                raise AircraftError(f"--draw {self.draw}: cannot be written: {error.strerror}") from error
+                raise AircraftError(f"--plot {self.plot}: cannot be written: {error.strerror}") from error
         if self.json:
             print(json.dumps(_document(aircraft, figures, verdicts), indent=2, allow_nan=False))
         else:
-            _print(aircraft, figures, verdicts, self.draw)
+            _print(aircraft, figures, verdicts, self.plot)
         return int(any(verdict.level is Level.ERROR for verdict in verdicts))
 
 

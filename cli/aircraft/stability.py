@@ -20,7 +20,6 @@ THRESHOLD_MM_MAX = 1000.0
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments."""
     parser.add_argument("--aircraft", default="nf1", metavar="NAME|FILE", help="whose links are flown")
     parser.add_argument(
         "--steps-ms", type=float, nargs="+", metavar="MS", default=[2.0, 1.0, 0.5], help="steps of the world"

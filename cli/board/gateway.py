@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 PEERS_MAX = 8
 SYSTEM_MAX = 255
-WAIT_MAX_S = 0.5  # in one piece
+WAIT_MAX_S = 0.5  # longest wait for the peers before the board's line is served again
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -74,7 +74,7 @@ def run(args: argparse.Namespace) -> int:
         client = stack.enter_context(Client(reopen()))
         session = stack.enter_context(closing(Session(client, peers, options, time.monotonic, _say, reopen)))
         _say(f"gateway between {client.name} and {', '.join(args.mavlink)}; Ctrl-C ends it")
-        with suppress(KeyboardInterrupt):  # its usual end
+        with suppress(KeyboardInterrupt):  # Ctrl-C is the usual way to end it
             _serve(session, peers)
     return 0
 

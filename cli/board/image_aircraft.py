@@ -21,7 +21,7 @@ class ImageAircraft:
 
     name: str  # of the aircraft that its policy was trained on
     sha256: str
-    pid: str | None  # of which aircraft it is, for people; "" where there is none, None: not known
+    pid: str | None  # the aircraft and name of the PID, for people; "": the image has none; None: not known
     flown: str  # by the board until now: that aircraft's name; "" for none
     flown_sha256: str | None  # None: not known
 
@@ -77,7 +77,7 @@ def image_aircraft(path: Path, plan: InstallPlan) -> ImageAircraft:
     before = None if known is None else known.aircraft_sha256
     if plan.policy is not None:
         name, sha256 = plan.policy.header.aircraft, one_digest(plan.policy.header.aircraft_sha256)
-    else:  # the board's own flies on
+    else:  # the file brings no policy: the board's own is kept
         name, sha256 = plan.board.policies.info.name, before or ""
     return ImageAircraft(
         name=name,

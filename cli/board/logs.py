@@ -82,7 +82,7 @@ class List(OnPort):
             why = ""
             try:
                 logs = read_entries(client, info, waiting())
-            except LinkError as error:  # the device was told: that its logs cannot be read is no failure
+            except LinkError as error:  # no failure: the device's state is known
                 why = str(error)
         if self.json:
             print_json({"info": told, "logs": [asdict(log) for log in logs], "why_none": why or None})

@@ -90,7 +90,7 @@ def _show(watch: Watch, first: Sight, port: str, rate_hz: float) -> None:
                         return
                     sight = watch.look()
         except KeyboardInterrupt:
-            pass  # its usual end
+            pass  # Ctrl-C is the usual way to end it
 
 
 @contextmanager

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from neuroflight.toolchain.contract import MOTOR_PLACES
 from neuroflight.toolchain.errors import AircraftError
 
-CORNERS = ("rear right", "front right", "rear left", "front left")  # motors 1 to 4 of every aircraft
 MIDDLE = 0.1  # of the largest distance: nearer to an axis than that is neither front nor rear, left nor right
 
 
 @dataclass(frozen=True)
-class Place:
+class MotorPlace:
     """One motor."""
 
     where: str
@@ -21,7 +21,7 @@ class Place:
         return f"{self.where}, {self.turns} seen from above" if self.turns else self.where
 
 
-def motor_places(aircraft: str | None, trained_for: str, count: int, reverse: bool) -> tuple[Place, ...]:
+def motor_places(aircraft: str | None, trained_for: str, count: int, reverse: bool) -> tuple[MotorPlace, ...]:
     """Return the motors of the aircraft of that name or file, in motor order.
 
     aircraft: as the user said it; None: the one that the policy was trained for, where its file is shipped.
@@ -33,7 +33,8 @@ def motor_places(aircraft: str | None, trained_for: str, count: int, reverse: bo
 
     plain = trained_for.removesuffix(NAME_END)
     if aircraft is None and plain not in shipped():
-        return tuple(Place(CORNERS[i] if i < len(CORNERS) else f"number {i + 1}", "") for i in range(count))
+        names = (*MOTOR_PLACES, *(f"number {number}" for number in range(len(MOTOR_PLACES) + 1, count + 1)))
+        return tuple(MotorPlace(name, "") for name in names[:count])
     model = load_aircraft(aircraft or (trained_for if plain == trained_for else plain + SUFFIX))
     if len(model.rotors) != count:
         raise AircraftError(
@@ -42,7 +43,7 @@ def motor_places(aircraft: str | None, trained_for: str, count: int, reverse: bo
         )
     reach = max(abs(value) for rotor in model.rotors for value in rotor.position[:2])
     return tuple(
-        Place(
+        MotorPlace(
             where=_where(rotor.position[0] / reach, rotor.position[1] / reach),
             turns="counter-clockwise" if (rotor.spin > 0) != reverse else "clockwise",
         )

@@ -17,7 +17,7 @@ from neuroflight.toolchain.contract import MOTOR_COUNT_MAX, MOTOR_TEST_MAX, MOTO
 from neuroflight.toolchain.errors import LinkError
 
 if TYPE_CHECKING:
-    from neuroflight.cli.board.motor_places import Place
+    from neuroflight.cli.board.motor_places import MotorPlace
     from neuroflight.flash.link.client import Client
     from neuroflight.flash.motors.readiness import Bench
     from neuroflight.flash.motors.spin import Spin as SpinPlan
@@ -123,7 +123,7 @@ class Test(Turning):
         return 1 if wrong else 0
 
 
-def _judged(person: Person, motor: int, place: Place) -> list[str]:
+def _judged(person: Person, motor: int, place: MotorPlace) -> list[str]:
     """Return the faults of a motor, in words that say how to mend them."""
     wrong = []
     if not _yes(person, f"  did the {place.where} motor turn, and no other? yes or no: "):
@@ -167,7 +167,7 @@ class Stop(OnBench):
         from neuroflight.flash.link.transport import open_transport
         from neuroflight.flash.motors.stop import stop as stop_motors
 
-        with Client(open_transport(self.port)) as client:  # nothing is asked before
+        with Client(open_transport(self.port)) as client:  # at once, without checks
             stop_motors(client, person.clock, person.sleep)
         print("all motors stand, no motor test is open")
         return 0
@@ -260,7 +260,9 @@ def _turned(client: Client, motor: int, bench: Bench, args: Turning, person: Per
 
 
 # --- Shared ----------------------------------------------------------------------------------------
-def _prepare(client: Client, args: Turning, what: str, motor: str = "1") -> tuple[Bench, tuple[Place, ...]]:
+def _prepare(
+    client: Client, args: Turning, what: str, motor: str = "1"
+) -> tuple[Bench, tuple[MotorPlace, ...]]:
     """Look at the board and have the propellers taken off. Raises NeuroflightError before anything turns.
 
     motor: that is turned, as the user named it; one of several that are turned one after the other.
@@ -271,7 +273,7 @@ def _prepare(client: Client, args: Turning, what: str, motor: str = "1") -> tupl
     places = motor_places(
         getattr(args, "aircraft", None), bench.aircraft, bench.motor_count, reverse=bench.reversed
     )
-    _wanted(_motors(motor, bench.motor_count), bench, args)  # what is wrong is told before anybody is asked
+    _wanted(_motors(motor, bench.motor_count), bench, args)  # wrong words are refused before a question
     if bench.warning:
         print(f"neuroflight: {bench.warning}", file=sys.stderr)
     confirm_props_off(args.props_off, what)

@@ -149,7 +149,7 @@ def candidate_of(path: Path) -> Candidate:
     try:
         policy = read_policy(path)
         blob = compile_policy(policy).blob
-        pack(blob)  # raises for what no blob can say
+        pack(blob)  # raises PolicyError for a network that a blob cannot hold
     except PolicyError as error:
         text = str(error) if str(path) in str(error) else f"{path}: {error}"
         raise PolicyError(f"{text}; {NOT_WRITTEN}") from error

@@ -103,7 +103,7 @@ def carry_out(args: argparse.Namespace, clock: Callable[[], float], sleep: Calla
             with sender:
                 _fly(client, sender, source)
         except KeyboardInterrupt:
-            pass  # its usual end
+            pass  # Ctrl-C is the usual way to end it
         finally:
             if sender.count.taken:
                 print(_summary(sender), flush=True)

@@ -262,7 +262,7 @@ class Faults(OnPort):
 
 def _fault_rows(fault: Fault, boots: int) -> list[tuple[str, str]]:
     from neuroflight.flash.board.hints import FAULTS
-    from neuroflight.flash.link.records import FaultKind
+    from neuroflight.toolchain.contract import FaultKind
 
     rows = [
         ("fault", f"{fault.kind.name}: {FAULTS[fault.kind.name]}"),

@@ -59,7 +59,7 @@ class Streaming(OnPort):
             except LinkError as error:
                 problem = error
             except KeyboardInterrupt:
-                interrupted = True  # its usual end
+                interrupted = True  # Ctrl-C is the usual way to end it
             finally:
                 stream.stop()
             if interrupted and self.out:

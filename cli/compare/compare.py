@@ -32,7 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     declare(parser, DEFAULT)
 
     def parsed(words: Sequence[str] | None = None, found: Any = None) -> Any:  # noqa: ANN401 - as argparse
-        return suite_parser(parser, named(words or ())).parse_known_args(words, found)
+        return suite_parser(parser, named(words or ())).parse_args(words, found), []
 
     parser.parse_known_args = parsed  # type: ignore[method-assign, assignment]
 

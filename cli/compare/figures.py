@@ -288,9 +288,10 @@ def _alone_note(result: Evaluation, flown: Conditions, everything: bool) -> str:
         floor = f"{result.response.floor_deg_s:g} deg/s"
         note += (
             f" The band is 10 % of the initial error or {floor}, whichever is wider; rise, peak and failure "
-            f"leave out initial errors below {floor}. Every sample: from 500 to 1500 ms after the command, "
-            f"or to its end."
+            f"leave out initial errors below {floor}."
         )
+        if everything:
+            note += " Every sample: from 500 to 1500 ms after the command, or to its end."
     one = ONE_EPISODE if result.episodes == 1 else ""
     return f"{note}{'' if everything else MORE}{flight_note(flown)}{one}"
 

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
+from neuroflight.cli import options
 from neuroflight.cli.compare.controllers import (
     CONTROLLER,
     betaflight_tune,
@@ -75,13 +76,13 @@ class Suite(Request):
         ),
     ] = ()
     suite: Annotated[str | None, Option("NAME", "what is flown; default: flights")] = None
-    aircraft: Annotated[str, Option("NAME|FILE", "shipped name or a .toml file")] = "nf1"
-    plot: Annotated[Path | None, Option("FILE.png", "draw what was flown", recorded=False)] = None
+    aircraft: options.Aircraft = "nf1"
+    plot: options.Plot = None
     build: Annotated[
         Path | None, Option("DIR", "Betaflight's build; default: build/BETAFLIGHT", recorded=False)
     ] = None
     all: Annotated[bool, Option(None, "print every figure, not the headline alone", recorded=False)] = False
-    json: Annotated[bool, Option(None, "print JSON instead of a table", recorded=False)] = False
+    json: options.Json = False
 
     words: ClassVar[str] = "compare"  # type: ignore[misc]
 

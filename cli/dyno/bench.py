@@ -168,7 +168,7 @@ def _rig(args: argparse.Namespace, sensor: Sensor) -> Rig:
     from neuroflight.sim.identification.bench.sensor import CELLS
 
     layout = sensor.reader.layout
-    assert layout is not None  # it sends rows
+    assert layout is not None  # a layout is known once rows arrive
     blades = args.blades
     if blades is None:
         if layout.has("pulses"):

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 END = b"End of log\0"  # of Betaflight's last event
 UART = "USART3"  # as the chip calls UART3
-SERIAL = {"blackbox_device": "serial", "uart3_function": "blackbox"}  # what it takes on the emulated board
+SERIAL = {"blackbox_device": "serial", "uart3_function": "blackbox"}  # on the emulated board
 
 
 @dataclass(frozen=True)

@@ -59,6 +59,7 @@ if TYPE_CHECKING:
 MOUNTS = ("centre", "rig", "free")
 CONTROLLERS = ("policy", "pid")
 DEFAULT_AIRCRAFT = "nf1"
+COUNT, COUNTED = 10, ("flight", "pulses")  # commands, of these scenarios
 # Options that belong to one flight.
 OUTPUTS = ("trace", "plot", "telemetry", "telemetry_plot", "report", "blackbox")
 SINGLE = (*OUTPUTS, "profile", "gdb", "serial", "fault", "card")
@@ -78,7 +79,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--build",
         type=Path,
         metavar="DIR",
-        help="the build to fly; default: build/HOST, with emulator build/MATEKF722, with betaflight "
+        help="the build to fly; default: build/HOST, with board build/MATEKF722, with betaflight "
         "build/BETAFLIGHT",
     )
     parser.add_argument(
@@ -103,8 +104,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--count",
         type=int,
         metavar="N",
-        default=10,
-        help="commands of `flight` and `pulses` (10)",
+        help=f"commands of `flight` and `pulses` ({COUNT})",
     )
     add_throttle_argument(parser)
     parser.add_argument(
@@ -197,7 +197,7 @@ def run(args: argparse.Namespace) -> int:
         if args.report:
             words = f"{note}{emulator_words(flown[0].report)}. {verdict}"
             save_report(args.report, flights, title, words)
-    finally:  # the figures of a flight are not lost with a file that its disk does not take
+    finally:  # print the figures even if an output file cannot be written
         if args.json:
             print(json.dumps(document(args, aircraft, scenario, thrust, flown), indent=2))
         else:
@@ -233,13 +233,16 @@ def _scenarios(args: argparse.Namespace, thrust: Thrust) -> list[Scenario]:
     from neuroflight.sim.physics.world import Mount
     from neuroflight.sim.recorded.files import load_flight
 
+    if args.count is not None and not set(args.scenario) & set(COUNTED):
+        say(f"--count: of {' and '.join(COUNTED)} alone; {', '.join(args.scenario)} has its own commands")
+    count = COUNT if args.count is None else args.count
     mount = None if args.mount is None else Mount(args.mount)
     throttle = thrust.value or 0.0
     taken, told = part(args), header_lines(args)
     scenarios = []
     for name in args.scenario:
         scenario, warnings = load_flight(
-            name, args.seed, args.count, mount, taken, told, cut=args.cut_rates, throttle=throttle
+            name, args.seed, count, mount, taken, told, cut=args.cut_rates, throttle=throttle
         )
         scenarios.append(scenario)
         for words in warnings:

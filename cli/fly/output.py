@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -12,6 +13,8 @@ from neuroflight.cli.fly.telemetry import telemetry_document
 from neuroflight.cli.output import print_table
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from neuroflight.cli.fly.telemetry import Topics
     from neuroflight.cli.fly.thrust import Thrust
     from neuroflight.sim.aircraft.model import Aircraft
@@ -170,7 +173,7 @@ def _stick_rows(flown: list[Flown]) -> list[tuple[str, ...]]:
     return [*rows, ("stands at the end", *("yes" if each.landed else "no" for each in all_figures))]
 
 
-def headlines(rows: list[tuple[str, ...]]) -> list[tuple[str, ...]]:
+def headlines(rows: Sequence[tuple[str, ...]]) -> list[tuple[str, ...]]:
     """Return the heading and some five rows of a table of flights; `armed` where one was not to its end."""
     held = HOLDING if any(row[0].startswith(HOLDING) for row in rows) else COMMANDED
     kept = [row for row in rows[1:] if row[0].startswith((*HEADLINES, *held))]

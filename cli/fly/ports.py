@@ -79,7 +79,7 @@ def built_firmware(args: argparse.Namespace) -> Built | None:
     try:
         return built(_product(args))
     except BuildError:
-        return None  # to open it tells what is wrong
+        return None  # opening the build raises the error
 
 
 def foreign_note(args: argparse.Namespace, firmware: Built | None, aircraft: Aircraft) -> str | None:

@@ -20,7 +20,6 @@ DEFAULT_AIRCRAFT = "nf1"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments."""
     parser.add_argument("--target", default="MATEKF722", help="MATEKF722 (default) or HOST")
     parser.add_argument(
         "--policy",

@@ -140,7 +140,7 @@ def run(args: argparse.Namespace) -> int:
         if file is not None and kept is None:
             _keep(option, file, idle.flash())
         ends.callback(keeper.update, at_once=True)
-        idle.boot()  # what is sent before would be lost
+        idle.boot()  # bytes that arrive during the boot would be lost
         bridges = []
         for name, end in opened.items():
             baud = args.baud if name == "uart1" else _baud(idle)
@@ -266,7 +266,7 @@ def _baud(idle: IdleBoard) -> float:
     """Return the speed of UART3. Raises NeuroflightError where the image has not started it."""
     from neuroflight.sim.board.serial.idle_board import STEP
 
-    idle.run_to(idle.board.cycle + STEP)  # it begins right behind UART1, which has begun
+    idle.run_to(idle.board.cycle + STEP)  # the firmware starts UART3 right after UART1, which is running
     uart = idle.board.hardware.usarts[UARTS["uart3"]]
     if not uart.words["CR1"] & 1:
         raise NeuroflightError(

@@ -94,4 +94,4 @@ class Interrupt:
     def _note(self, number: int, frame: object) -> None:
         self._came = True
         if self._debugger is not None and self._debugger.holds:
-            raise KeyboardInterrupt  # no slice is run, and none will be
+            raise KeyboardInterrupt  # no slice is running, so nothing is cut short

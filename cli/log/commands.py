@@ -26,7 +26,6 @@ BAR = 12  # characters of the longest bar
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options."""
     parser.add_argument(
         "file", type=Path, nargs="+", metavar="FILE", help="logs or traces (.npz), counted together"
     )

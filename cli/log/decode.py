@@ -11,7 +11,6 @@ from neuroflight.cli.output import print_table
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options."""
     add_file_arguments(parser)
     parser.add_argument(
         "--csv",

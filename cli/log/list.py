@@ -19,7 +19,7 @@ SHOWN = 40  # characters of what a header says
 
 
 @dataclass(frozen=True)
-class Row:
+class LogRow:
     """A log, or a file without one."""
 
     file: str
@@ -53,7 +53,7 @@ class List(Request):
         return 0
 
 
-def _folder(folder: Path) -> Iterator[Row]:
+def _folder(folder: Path) -> Iterator[LogRow]:
     """Yield the logs of each file in `folder` whose name is a log's. Raises NeuroflightError: it has none."""
     paths = sorted(path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES and path.is_file())
     if not paths:
@@ -64,10 +64,10 @@ def _folder(folder: Path) -> Iterator[Row]:
         except (NeuroflightError, OSError) as error:
             if path.suffix.lower() != ".txt":  # which may be any text
                 reason = f"{error}".removeprefix(f"{path}: ")
-                yield Row(path.name, None, path.stat().st_size, None, "", "", reason)
+                yield LogRow(path.name, None, path.stat().st_size, None, "", "", reason)
 
 
-def _file(path: Path) -> Iterator[Row]:
+def _file(path: Path) -> Iterator[LogRow]:
     from neuroflight.sim.blackbox.firmware import Maker
     from neuroflight.sim.blackbox.headers import read_bytes
     from neuroflight.sim.blackbox.log import glance, is_blank, list_logs
@@ -75,7 +75,7 @@ def _file(path: Path) -> Iterator[Row]:
 
     size = file_size(path)
     if is_blank(path):
-        yield Row(path.name, None, size, None, "", "", "empty: a log to come" if size else "empty")
+        yield LogRow(path.name, None, size, None, "", "", "empty: a log to come" if size else "empty")
         return
     data = read_bytes(path)
     for one in list_logs(path, data):
@@ -88,7 +88,7 @@ def _file(path: Path) -> Iterator[Row]:
         said = headers.get("Firmware revision", "") or headers.get("Firmware type", "")
         version = headers.get("nf_version", "")
         firmware = f"{Maker.NEUROFLIGHT.value} {version}" if version else said
-        yield Row(
+        yield LogRow(
             path.name,
             one.number,
             one.size,

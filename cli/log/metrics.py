@@ -19,7 +19,6 @@ NOTE = "errors are setpoint minus gyro: no log has the true rate"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options."""
     add_file_arguments(parser)
     add_part_arguments(parser, "the first armed row")
     parser.add_argument("--episodes", type=int, default=1, metavar="N", help="average over N equal parts (1)")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import json
-from pathlib import Path
 
 from neuroflight.cli.log.reading import (
     add_file_arguments,
@@ -13,12 +12,12 @@ from neuroflight.cli.log.reading import (
     open_log,
     tell_damage,
 )
+from neuroflight.cli.options import add_plot
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options."""
     add_file_arguments(parser)
-    parser.add_argument("--out", type=Path, required=True, metavar="FILE.png", help="where the picture goes")
+    add_plot(parser, "where the picture goes", old="--out", required=True)
     add_part_arguments(parser, "the log's first row")
 
 
@@ -28,18 +27,18 @@ def run(args: argparse.Namespace) -> int:
     from neuroflight.sim.blackbox.plot import draw_log
     from neuroflight.sim.plotting import save_png
 
-    check_output(args.out, ".png")
+    check_output(args.plot, ".png")
     check_part(args)
     log = open_log(args)
     title = f"{args.file.name}: log {log.number}, {log.maker.value}"
-    save_png(args.out, draw_log(log, title, args.start, args.stop))
+    save_png(args.plot, draw_log(log, title, args.start, args.stop))
     tell_damage(log)
     if args.json:
         print(
             json.dumps(
-                {"file": str(args.file), "log": log.number, "out": str(args.out), "notes": list(log.notes)}
+                {"file": str(args.file), "log": log.number, "out": str(args.plot), "notes": list(log.notes)}
             )
         )
     else:
-        print(args.out)
+        print(args.plot)
     return 0

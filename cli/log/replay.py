@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from neuroflight.cli.log.reading import add_file_arguments, open_log, tell_damage
-from neuroflight.cli.options import machine
+from neuroflight.cli.options import add_plot, machine
 from neuroflight.cli.output import print_table
 from neuroflight.toolchain.errors import NeuroflightError
 
@@ -49,7 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="OTHER.onnx",
         help="ask this policy at each step of the flight and show how its answers, never flown, differ",
     )
-    parser.add_argument("--out", type=Path, metavar="FILE.png", help="with --policy: draw both answers")
+    add_plot(parser, "with --policy: draw both answers", old="--out")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -60,11 +60,11 @@ def run(args: argparse.Namespace) -> int:
     from neuroflight.cli.output import check_output
     from neuroflight.sim.replay.flight import replayable
 
-    if args.policy is None and args.out is not None:
-        raise NeuroflightError("--out draws what another policy answers; name it with --policy")
+    if args.policy is None and args.plot is not None:
+        raise NeuroflightError("--plot draws what another policy answers; name it with --policy")
     if args.policy is not None and args.on != "library":
         raise NeuroflightError(f"--policy asks on the library; leave --on {args.on.said} away")
-    check_output(args.out, ".png")
+    check_output(args.plot, ".png")
     log = open_log(args)
     flight = replayable(log)
     code = _compare(args, log, flight) if args.policy is None else _ask(args, flight)
@@ -128,12 +128,12 @@ def _ask(args: argparse.Namespace, flight: Flight) -> int:
     with _bar(args, f"asking {args.policy.name}") as show:
         answers = answers_of(folder, other, flight, show)
     told = opinion(flight, answers)
-    if args.out is not None:
+    if args.plot is not None:
         from neuroflight.sim.plotting import save_png
         from neuroflight.sim.replay.other_policy_plot import draw_opinion
 
         title = f"{args.file.name}: what {args.policy.parent.name}/{args.policy.name} would have answered"
-        save_png(args.out, draw_opinion(flight, answers, told, title))
+        save_png(args.plot, draw_opinion(flight, answers, told, title))
     if args.json:
         document = {"file": str(args.file), "policy": str(args.policy), **asdict(told)}
         print(json.dumps(document | {"incomplete": flight.incomplete or None}, indent=2))

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 PID, BETAFLIGHT = SUBJECTS = ("pid", "betaflight")
 FLYING, DISSERTATION = TERMS = ("flying", "dissertation")
-DEFAULTS, TUNED = "defaults", "tuned"  # of what is no PID
+DEFAULTS, TUNED = "defaults", "tuned"  # names of settings that are not a PID's
 # Defaults that decide what is found; a command is told without them.
 USUAL: dict[str, object] = {"terms": FLYING, "budget": 720}
 

@@ -52,7 +52,6 @@ BUDGET_MAX = 100_000
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments."""
     parser.add_argument("--aircraft", default="nf1", metavar="NAME|FILE", help="shipped name or a .toml file")
     parser.add_argument(
         "--of",

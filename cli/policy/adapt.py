@@ -22,7 +22,6 @@ AIRCRAFT, POLICY, PROOF = "aircraft.toml", "policy.onnx", "adaptation.json"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments."""
     parser.add_argument(
         "log", type=Path, metavar="LOG", help="a flight: a trace (.npz) or a blackbox log (FILE:N)"
     )

@@ -20,7 +20,6 @@ if TYPE_CHECKING:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments."""
     parser.add_argument("policy", type=Path, metavar="POLICY.onnx")
     parser.add_argument(
         "--aircraft",

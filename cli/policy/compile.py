@@ -26,7 +26,6 @@ FINDS = "what it finds"  # the one column that may wrap
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments."""
     parser.add_argument("policy", type=Path, metavar="POLICY.onnx")
     parser.add_argument("--out", type=Path, metavar="DIR", help="gets policy.c, policy.h and policy.blob")
     parser.add_argument(

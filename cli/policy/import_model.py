@@ -28,7 +28,6 @@ RESTING = 0.2  # motor fraction; a policy that leaves the thrust to the pilot re
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments."""
     parser.epilog = EPILOG
     parser.add_argument(
         "source", type=Path, metavar="CHECKPOINT|MODEL.onnx", help="checkpoint.pt of a training, or any ONNX"

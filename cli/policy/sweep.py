@@ -30,7 +30,6 @@ WIDTH = 160  # characters of a table printed to a file
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments."""
     parser.add_argument(
         "file", type=Path, metavar="FILE.toml", help="what is varied; see docs/guides/sweeps.md"
     )

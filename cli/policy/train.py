@@ -29,7 +29,6 @@ EPILOG = (
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments."""
     parser.epilog = EPILOG
     parser.add_argument("--aircraft", default="nf1", metavar="NAME|FILE", help="shipped name or a .toml file")
     parser.add_argument(
@@ -160,7 +159,7 @@ class _Fitness:
         try:
             with Checking() as bar:
                 return choose_fit(self._aircraft, planned, self._references, bar.of)
-        except NeuroflightError as error:  # what was learned is not lost by it
+        except NeuroflightError as error:  # the trained policy is kept although its check failed
             self.why = str(error)
             return None
 

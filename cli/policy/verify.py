@@ -27,7 +27,6 @@ CHECKPOINT = "checkpoint.pt"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments."""
     parser.add_argument("policy", type=Path, metavar="POLICY.onnx")
     torch = parser.add_mutually_exclusive_group()
     torch.add_argument(

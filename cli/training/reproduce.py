@@ -23,7 +23,6 @@ JOBS_MAX = 256
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments."""
     parser.add_argument(
         "rows",
         nargs="*",

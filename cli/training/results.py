@@ -17,7 +17,6 @@ OUTPUTS = Path("runs", "results")  # what commands print, whole
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments."""
     parser.add_argument(
         "--folder",
         type=Path,

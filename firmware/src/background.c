@@ -16,10 +16,10 @@
 _Static_assert(SETTING_AT_interpolation - SETTING_AT_rates_style == 12, "style, three numbers an axis, two dead bands");
 _Static_assert(SETTING_AT_battery_cells - SETTING_AT_pid_roll_p == 9, "three factors an axis");
 
-/* Flies these settings as edited, if they were edited since the last call. (Until the first edit those of the start are
- * flown, which `--set` may have changed.) While the motors turn, or a log is written, whose header tells the settings
- * of its start, nothing happens and the next call tries again. What conflicts with the other settings that are flown,
- * such as gains with slow filters, waits for the next boot. */
+/* Takes over the edited settings if they were edited since the last call. (Until the first edit the settings of the
+ * start are flown, which `--set` may have changed.) While the motors turn or a log is written, whose header contains
+ * the settings of its start, it does nothing and the next call tries again. Settings that conflict with others that
+ * are flown, such as gains with slow filters, take effect at the next boot. */
 static void background_tune(struct background *background)
 {
 	const struct nf_settings *edited = &background->edited;
@@ -63,8 +63,8 @@ static uint32_t background_ms(const struct background *background)
 	       samples % rate_hz * 1000u / rate_hz; /* no product is lost: 8000 times 1000 */
 }
 
-/* Count of what keeps the pilot from arming who asks for it by the switch; 0: nothing, or a fault, which has a number of its
- * own. */
+/* Returns the count of the reason that keeps the pilot from arming while the arm switch is on; 0 if there is none, or if it is
+ * a fault, which has its own count. */
 static unsigned background_not_arming(const struct background *background, const struct firmware_status *status)
 {
 	const bool asked = (status->modes & MODE_BIT(ARM)) != 0;
@@ -73,7 +73,7 @@ static unsigned background_not_arming(const struct background *background, const
 	return asked && !fault ? alert_count(status->arming_reasons) : 0;
 }
 
-/* What beeper and LED are to tell. */
+/* Returns the active alerts, one bit each. */
 static uint32_t background_alerts(const struct background *background, const struct firmware_status *status,
 				  uint32_t ms)
 {
@@ -183,7 +183,7 @@ static uint32_t background_percent(const struct background *background, uint32_t
 	return cycles / (background->config.cycles_hz / background->settings.gyro_rate_hz / 100u);
 }
 
-/* Where samples do not wait for the processor, one that takes longer than its period delays those behind it. */
+/* Forbids arming after an overload: on a board, a sample that takes longer than its period delays the following ones. */
 static void background_watch_load(struct background *background)
 {
 	static const enum nf_task watched[] = { NF_TASK_GYRO, NF_TASK_CONTROL };
@@ -214,7 +214,7 @@ static void background_judge_image(const struct background *background)
 	firmware_forbid(fw, NF_ARMING_REASON_IMAGE_BAD, image_probation_spoilt(&background->probation));
 }
 
-/* What the image's trial comes to is written while nothing can arm; else it is asked again. */
+/* Writes the result of the image's probation while nothing can arm; otherwise tries again at the next call. */
 static void background_try_image(struct background *background)
 {
 	const struct firmware *fw = background->config.firmware;
@@ -236,7 +236,7 @@ static void background_try_image(struct background *background)
 	background_judge_image(background);
 }
 
-/* A fault that was acknowledged forbids nothing any more. */
+/* Runs the work that may write flash. An acknowledged fault no longer forbids arming. */
 static void background_run_storage(void *context)
 {
 	struct background *background = context;
@@ -256,7 +256,7 @@ static const struct task tasks[] = {
 	{ NF_TASK_STORAGE, STORAGE_RATE_HZ, background_run_storage },
 };
 
-/* What of the board and its settings forbids arming until the next boot. */
+/* Forbids arming until the next boot if the board or its settings require it. */
 static void background_judge_board(const struct background *background)
 {
 	const struct background_config *config = &background->config;

@@ -80,9 +80,9 @@ struct background {
 	struct msp_port ports[NF_MSP_PORT_COUNT];
 };
 
-/* Boots: loads the settings, chooses the policy, starts the firmware, logs the boot. What `config` points to must
- * outlive the background. NF_ERR_SETTINGS: the changes are beyond limits or contradict the other settings; else as
- * firmware_init: do not run. */
+/* Boots: loads the settings, chooses the policy, starts the firmware, logs the boot. `config` and the data that it
+ * points to must outlive the background. NF_ERR_SETTINGS: the changes are beyond limits or contradict the other
+ * settings. For any error, as for those of firmware_init, do not run. */
 enum nf_err background_start(struct background *background, const struct background_config *config);
 
 /* Runs at most one task that is due; called again and again. */
@@ -91,20 +91,20 @@ void background_step(struct background *background);
 /* The firmware's status with the background's part filled in. */
 void background_status(const struct background *background, struct firmware_status *status);
 
-/* Bytes from the peer of that port, perhaps none; writes what goes to it, returns how many bytes. */
+/* Takes bytes from the peer of that port, possibly none, and writes the output for it. Returns the bytes written. */
 size_t background_link(struct background *background, unsigned port, const uint8_t *bytes, size_t count, uint8_t *reply,
 		       size_t capacity);
 
-/* The peer of that port has gone, or another one has come. */
+/* The peer of that port has disconnected, or another one has connected. */
 void background_link_reset(struct background *background, unsigned port);
 
-/* It has paused for so long that what follows is no part of what came before. */
+/* The peer paused so long that a partly read request is discarded. */
 void background_link_pause(struct background *background, unsigned port);
 
-/* Is there more to say to it before more bytes are read? */
+/* Returns whether output for the peer is pending, so that no more bytes may be read yet. */
 bool background_link_busy(const struct background *background, unsigned port);
 
-/* Bytes of its were lost. */
+/* Bytes from the peer were lost. */
 void background_link_lost(struct background *background, unsigned port);
 
 /* --- For the background's own files ------------------------------------------------------------------------------ */
@@ -119,8 +119,8 @@ enum nf_refusal background_storing(void *context, bool busy);
 enum nf_refusal background_acknowledge(void *context);
 enum nf_refusal background_reboot(void *context, enum nf_reboot kind);
 
-/* background_blackbox.c: once, when settings, slots and firmware are as they will be flown, then a slice of its work each
- * round. */
+/* background_blackbox.c: initialises the blackbox, once settings, slots and firmware are final; then runs a part of
+ * its work each round. */
 void background_init_blackbox(struct background *background);
 void background_run_blackbox(struct background *background);
 

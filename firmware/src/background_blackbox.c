@@ -1,4 +1,4 @@
-/* What the blackbox is told of the firmware, at boot and all along. */
+/* Connects the blackbox with the firmware: its configuration at boot, its inputs each round. */
 #include "background.h"
 #include "firmware_layout.h"
 

@@ -1,4 +1,4 @@
-/* What MSP and the command line may have done: each under the same interlock, whoever asks. */
+/* Actions that MSP and the command line may request; each has one interlock, whoever requests it. */
 #include "background.h"
 
 #define FRACTION_PER_US 0.001f

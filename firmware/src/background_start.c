@@ -66,7 +66,7 @@ static enum board_alignment background_alignment(const struct background *backgr
 						(enum board_alignment)(set - NF_GYRO_ALIGNMENT_CW0);
 }
 
-/* Before arming no controller runs, so that no sample tells what one takes. */
+/* Measures how long a controller takes, because none runs before arming. */
 static void background_rehearse(struct background *background)
 {
 	const struct hal *hal = background->config.hal;

@@ -27,7 +27,7 @@ static bool firmware_switch_on(const struct firmware *fw)
 	return (fw->receiver.on & MODE_BIT(ARM)) != 0;
 }
 
-/* What forbids arming now. A lost receiver's throttle is low. */
+/* Returns the reasons that forbid arming now. While the receiver is lost, its throttle counts as low. */
 static uint32_t firmware_reasons(const struct firmware *fw)
 {
 	const bool lost = receiver_link(&fw->receiver) == RECEIVER_LOST;
@@ -40,7 +40,8 @@ static uint32_t firmware_reasons(const struct firmware *fw)
 	       REASON_IF(motor_test_forbids(&fw->motor_test) || dshot_command_busy(&fw->dshot_command), MOTOR_TEST);
 }
 
-/* What moves safety's state now, except what a control step finds. A lost receiver's switch is off. */
+/* Returns the inputs of safety's state machine except those found by a control step. While the receiver is lost, the arm
+ * switch counts as off. */
 static uint32_t firmware_inputs(const struct firmware *fw)
 {
 	static const uint16_t health[] = {
@@ -57,8 +58,8 @@ static uint32_t firmware_inputs(const struct firmware *fw)
 	       (link != RECEIVER_LOST && firmware_switch_on(fw) ? SAFETY_SWITCH_ON : 0u);
 }
 
-/* Which controller the pilot wants. A lost receiver's switches are ignored: the last choice stays, except that nobody holds
- * the switch of a trial then. */
+/* Returns whether the pilot selects the PID. Switches of a lost receiver are ignored and the last choice stays,
+ * except that a trial needs its switch to be held on a live link. */
 static bool firmware_choose_pid(const struct firmware *fw)
 {
 	const enum receiver_link link = receiver_link(&fw->receiver);
@@ -69,7 +70,7 @@ static bool firmware_choose_pid(const struct firmware *fw)
 	return link == RECEIVER_LOST ? fw->pid_wanted : (on & MODE_BIT(PID)) != 0;
 }
 
-/* Nothing of a flight is left for the next one. */
+/* Resets all state of the last flight. */
 static void firmware_forget(struct firmware *fw)
 {
 	if (fw->rested)
@@ -145,7 +146,7 @@ static void firmware_take_frame(struct firmware *fw)
 	firmware_update_safety(fw, good && !firmware_switch_on(fw) ? SAFETY_OFF_HEARD : 0u);
 }
 
-/* What seldom comes, as flags of the edges. */
+/* Takes rare inputs from the background and returns them packed as edge flags. */
 static __attribute__((noinline)) uint32_t firmware_take_handed(struct firmware *fw)
 {
 	const uint32_t flags = (fw->posted ? (uint32_t)LOG_EDGE_POSTED : 0u) |
@@ -163,7 +164,7 @@ static __attribute__((noinline)) uint32_t firmware_take_handed(struct firmware *
 	return flags;
 }
 
-/* At the begin of a control step, once. */
+/* Takes the background's inputs once at the begin of each control step. */
 static __attribute__((noinline)) void firmware_take_edges(struct firmware *fw)
 {
 	struct firmware_edges *edges = &fw->edges;
@@ -335,8 +336,8 @@ static __attribute__((noinline)) void firmware_rest(struct firmware *fw)
 	firmware_forget(fw);
 }
 
-/* The policy is bad. If it flies, the PID takes over with this control step. Without one it flies on, watched for
- * plausibility: one wrong weight is better than none. */
+/* Marks the policy as bad. If it flies, the PID takes over with this control step. If no PID is built in, the policy flies on
+ * under the plausibility check, because one wrong weight is safer than no controller. */
 static void firmware_lose_weights(struct firmware *fw)
 {
 	if (safety_motors(&fw->safety))

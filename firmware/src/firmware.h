@@ -10,7 +10,6 @@
 #include <stdint.h>
 
 #include "blackbox/log_record.h"
-#include "common/nf_err.h"
 #include "common/status.h"
 #include "control/chirp.h"
 #include "control/control.h"
@@ -44,14 +43,7 @@ struct firmware_config {
 	const struct pid_gains *pid;
 };
 
-/* Of the policy, compared with flash. */
-enum firmware_weights {
-	WEIGHTS_KNOWN,   /* nothing new */
-	WEIGHTS_BAD,     /* they are not what flash has, until they are renewed */
-	WEIGHTS_RENEWED, /* they are again: told once */
-};
-
-/* What the background has handed over, as a control step takes it: once, at its begin, so that each of it belongs to one
+/* Inputs from the background. A control step takes them once, at its begin, so that each input belongs to exactly one
  * step. */
 struct firmware_edges {
 	uint32_t forbidden;             /* arming reasons that the background knows */
@@ -120,7 +112,7 @@ struct firmware {
  * not run this firmware. */
 enum nf_err firmware_init(struct firmware *fw, const struct firmware_config *config);
 
-/* Of firmware.c, for firmware_init.c alone: fills in the status that MSP reports beside the trace. */
+/* Fills in the status that MSP reports beside the trace. For firmware_init.c alone. */
 void firmware_report(struct firmware *fw);
 
 /* Flies a control step without a sample, to measure how long controller and checks take: with the PID, or the policy. Only
@@ -130,9 +122,9 @@ void firmware_rehearse_init(struct firmware *fw, bool pid);
 /* Is the next sample a control step? The first one is. */
 bool firmware_control_due(const struct firmware *fw);
 
-/* The chip had `count` samples, up to 65,535, that nobody took: as much time has passed. Called before
- * firmware_control_due of the sample that was taken after them. A control step that was due among them is made up for
- * by that sample; the steps after it keep their times. */
+/* Accounts for `count` samples of the chip, up to 65,535, that were not processed: time advances by as much. Called
+ * before firmware_control_due of the sample that was taken after them. That sample makes up for one control step that
+ * was due among them; the following steps keep their times. */
 void firmware_lost(struct firmware *fw, uint32_t count);
 
 /* Receiver bytes, any number of any value; called once before each control step's sample, with count 0 when the line
@@ -191,8 +183,8 @@ enum nf_refusal firmware_post(struct firmware *fw, const uint16_t channels_us[NF
 /* From the background: gyro samples since boot, lost ones and those that silence swallowed included. Wraps. */
 uint32_t firmware_samples(const struct firmware *fw);
 
-/* From the background: the last control step, consistent likewise. `cycles`: where whoever calls firmware_sample notes
- * what the step took, before the background goes on. */
+/* From the background: a consistent copy of the last control step. `cycles`: the variable in which the caller of
+ * firmware_sample stores the duration of the step before the background continues. */
 void firmware_record(const struct firmware *fw, const uint32_t *cycles, struct control_record *record);
 
 /* From the background: a consistent copy of the status, also when a gyro interrupt falls into the copying. */

@@ -1,4 +1,4 @@
-/* What the background hands over to the control path, and asks of it. */
+/* Functions for the background: inputs to the control path, and copies of its state. */
 #include <string.h>
 
 #include "common/fence.h"

@@ -1,4 +1,4 @@
-/* One number of where everything lies in struct firmware. */
+/* A number that changes with the layout of struct firmware. */
 #ifndef NF_FIRMWARE_LAYOUT_H
 #define NF_FIRMWARE_LAYOUT_H
 
@@ -12,7 +12,7 @@
 	((uint32_t)(offsetof(struct firmware, member) * 65536u + sizeof((struct firmware){ 0 }.member)) * \
 	 (2654435761u * (2u * (row) + 1u)))
 
-/* Bytes of a struct firmware mean the same to whoever has the same number. */
+/* Programs with the same number have the same layout of struct firmware. */
 #define FIRMWARE_LAYOUT                                                                                                \
 	((uint32_t)sizeof(struct firmware) + LAYOUT_OF(1u, gyro) + LAYOUT_OF(2u, filters) + LAYOUT_OF(3u, attitude) +  \
 	 LAYOUT_OF(4u, receiver) + LAYOUT_OF(5u, rates) + LAYOUT_OF(6u, safety) + LAYOUT_OF(7u, turning) +             \
@@ -39,7 +39,7 @@
 	 LAYOUT_OF(71u, control.motors) + LAYOUT_OF(72u, takeoff) + LAYOUT_OF(73u, gyro.rests) +                       \
 	 LAYOUT_OF(74u, control.pid.standing))
 
-/* Where its pointers lie (held.h), 8 bytes each: they mean nothing to anybody else. */
+/* Offsets of its pointers (held.h), 8 bytes each, which are valid only in the program that wrote them. */
 #define FIRMWARE_HELD                                                                                                 \
 	{ offsetof(struct firmware, control.policy.weights),   offsetof(struct firmware, control.weights),            \
 	  offsetof(struct firmware, control.pid.gains),        offsetof(struct firmware, control.observation.blocks), \

@@ -1,4 +1,4 @@
-/* What the blackbox is given of a control step. */
+/* Copies a control step into a blackbox record. */
 #include <stddef.h>
 #include <stdint.h>
 
@@ -6,7 +6,7 @@
 #include "common/words.h"
 #include "firmware.h"
 
-/* What lies side by side in the firmware and in a record is copied as one. */
+/* Members that are neighbours in the firmware and in a record are copied together. */
 #define RECORD(member) offsetof(struct log_record, member)
 #define STATUS(member) offsetof(struct firmware_status, member)
 #define SAME_PLACE(member, from) \

@@ -3,7 +3,7 @@
 #include "blackbox/log_writer.h"
 #include "common/words.h"
 
-/* The processor was not ready for them: they count as misses, and so does the control step that follows. */
+/* Samples that arrived while the processor was busy count as missed, and so does the following control step. */
 static __attribute__((noinline)) void runtime_lose(struct runtime *runtime, uint32_t count)
 {
 	runtime->lost += count;
@@ -92,7 +92,7 @@ void runtime_gyro_silent(void *context)
 	runtime->hal->motors_write(runtime->hal->context, dshot, POLICY_ACTION_COUNT, false);
 }
 
-/* The watchdog is fed while time goes on for the core: samples come, or their silence is known. */
+/* The watchdog is fed only while the core's time advances: samples arrive, or the gyro is known to be silent. */
 void runtime_background(void *context)
 {
 	struct runtime *runtime = context;

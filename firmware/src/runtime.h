@@ -14,7 +14,7 @@
 #include "port/hal.h"
 #include "port/imu.h"
 
-/* What it is made of lies where the board wants it. */
+/* References to the parts, which lie in the memory that the board requires. */
 struct runtime {
 	const struct hal *hal;
 	struct firmware *firmware;

@@ -34,7 +34,7 @@ _NUMBERS = {
     "expo": "expo",
 }  # of an axis: ours, Betaflight's name
 KIND, QUICK_EXPO = "rates_type", "quickrates_rc_expo"
-Place = tuple[int, int]  # profile (0 where they do not matter) and rate profile
+ProfilePlace = tuple[int, int]  # profile (0 where they do not matter) and rate profile
 
 
 @dataclass
@@ -79,7 +79,7 @@ class RateProfiles:
         self.profile = Selection()
         self._active: dict[int, int] = {}  # by profile
         self._rate = Selection()
-        self._lines: dict[Place, dict[str, Line]] = {}
+        self._lines: dict[ProfilePlace, dict[str, Line]] = {}
         self._again: list[tuple[Line, Line]] = []
         self._structure: list[Line] = []
 
@@ -104,7 +104,7 @@ class RateProfiles:
         return True
 
     @property
-    def _place(self) -> Place:
+    def _place(self) -> ProfilePlace:
         return self._outer, self._active.get(self._outer, 0)
 
     @property
@@ -145,7 +145,7 @@ class RateProfiles:
             )
         return found
 
-    def _chosen(self) -> Place:
+    def _chosen(self) -> ProfilePlace:
         if self._wanted is None:
             return self._place
         there = sorted({*self._rate.told, *(place[1] for place in self._lines)})

@@ -29,7 +29,7 @@ HINTS = {  # by the names of contract.ArmingReason
     "SETTINGS": "this version does not take some stored setting: look them over, save, start anew",
     "IMAGE_BAD": "flash does not hold the image whole: flash it again",
 }
-FAULTS = {  # by the names of records.FaultKind
+FAULTS = {  # by the names of contract.FaultKind
     "NONE": "of no known kind",
     "HARD": "the processor met what it cannot do; pc is where, cfsr why",
     "ASSERT": "a check in the firmware failed",

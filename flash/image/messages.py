@@ -5,14 +5,22 @@ from __future__ import annotations
 import struct
 from dataclasses import dataclass
 
+from neuroflight.flash.link.layouts import Values, read
 from neuroflight.flash.link.payload import Reader
 from neuroflight.flash.link.requests import WORD_BYTES
-from neuroflight.toolchain.contract import IMAGE_BUILD_BYTES, MSP_PAYLOAD_MAX, Msp
+from neuroflight.toolchain.contract import (
+    MSP_IMAGE_CONFIRMED,
+    MSP_IMAGE_FITS,
+    MSP_IMAGE_INSTALLED,
+    MSP_IMAGE_NUMBERED,
+    MSP_IMAGE_REJECTED,
+    MSP_PAYLOAD_MAX,
+    Msp,
+)
 
 OFFSET_BYTES = 4  # before the data in IMAGE_WRITE
 DATA_BYTES_MAX = MSP_PAYLOAD_MAX - OFFSET_BYTES
 HASH_BYTES = 32
-_FITS, _NUMBERED, _CONFIRMED, _REJECTED, _INSTALLED = (1 << bit for bit in range(5))
 
 
 @dataclass(frozen=True)
@@ -53,30 +61,29 @@ class Banks:
 
 def image_info(payload: bytes) -> Banks:
     """Decode IMAGE_INFO. Raises LinkError where it does not tell of two banks."""
-    reader = Reader(Msp.IMAGE_INFO, payload)
-    running, count = reader.fields("BB")
-    banks = tuple(_bank(reader) for _ in range(count))
-    reader.check(count == 2 and running < count, f"{count} banks, bank {running} running", "two banks")
-    (layout,) = reader.fields("B") if reader.at < len(payload) else (1,)  # the first one told none
-    return Banks(running, banks, layout)
+    told = read(Msp.IMAGE_INFO, payload)
+    banks = tuple(map(_bank, told["banks"]))
+    running = told["running"]
+    Reader(Msp.IMAGE_INFO, payload).check(
+        len(banks) == 2 and running < len(banks), f"{len(banks)} banks, bank {running} running", "two banks"
+    )
+    return Banks(running, banks, told.get("layout", 1))  # the first one told none
 
 
-def _bank(reader: Reader) -> Bank:
-    flags, starts, sequence, image_bytes, crc = reader.fields("BBIII")
-    version = reader.bytes(4)
-    build = reader.bytes(IMAGE_BUILD_BYTES)
+def _bank(told: Values) -> Bank:
+    flags = told["flags"]
     return Bank(
-        fits=bool(flags & _FITS),
-        numbered=bool(flags & _NUMBERED),
-        confirmed=bool(flags & _CONFIRMED),
-        rejected=bool(flags & _REJECTED),
-        installed=bool(flags & _INSTALLED),
-        starts=starts,
-        sequence=sequence,
-        image_bytes=image_bytes,
-        crc=crc,
-        version=".".join(str(part) for part in version[:3]),
-        build=build,
+        fits=bool(flags & MSP_IMAGE_FITS),
+        numbered=bool(flags & MSP_IMAGE_NUMBERED),
+        confirmed=bool(flags & MSP_IMAGE_CONFIRMED),
+        rejected=bool(flags & MSP_IMAGE_REJECTED),
+        installed=bool(flags & MSP_IMAGE_INSTALLED),
+        starts=told["starts"],
+        sequence=told["sequence"],
+        image_bytes=told["image_bytes"],
+        crc=told["crc"],
+        version=".".join(str(part) for part in told["version"][:3]),
+        build=told["build"],
     )
 
 

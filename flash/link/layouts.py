@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 from neuroflight.flash.link.payload import Reader
-from neuroflight.toolchain.contract import MspField, MspGroup, MspLayout
+from neuroflight.toolchain.contract import Msp, MspField, MspGroup, MspLayout, layout_of
 from neuroflight.toolchain.contract.msp_fields import NUMBERS
 from neuroflight.toolchain.errors import LinkError
 
@@ -37,6 +38,15 @@ def decode(layout: MspLayout, payload: bytes, *, whole: bool = False) -> Values:
             "the firmware speaks another layout: bring it and this tool to the same version"
         )
     return values
+
+
+def read(message: Msp, payload: bytes, upto: str = "") -> Values:
+    """Unpack a reply. upto: a field that must be there though the layout requires less. Raises LinkError."""
+    layout = layout_of(message)
+    if upto:
+        names = [field.name for field in layout.fields]
+        layout = replace(layout, required=names.index(upto) + 1)
+    return decode(layout, payload)
 
 
 def _read(reader: Reader, field: MspField | MspGroup) -> object:

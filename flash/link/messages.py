@@ -12,7 +12,8 @@ from dataclasses import dataclass
 from enum import IntEnum
 
 from neuroflight.flash.link import records, requests
-from neuroflight.flash.link.payload import Reader
+from neuroflight.flash.link.layouts import read
+from neuroflight.flash.link.payload import Reader, one_of
 from neuroflight.toolchain.contract import MSP_MODE_ARMED, MSP_POLICY_NONE, ArmingReason, Mix, Msp
 
 FIRST_YEAR = 10  # of FC_VERSION: from 10 on its first number counts years, as Betaflight's app reads it
@@ -155,7 +156,7 @@ class PolicyInfo:
     idle: float  # motor fraction at zero thrust
     source: PolicySource
     sequence: int  # of its blob, 0: as built
-    found: tuple[int, ...]  # at boot in slot A and B: 0 good, else firmware/src/common/nf_err.h
+    found: tuple[int, ...]  # at boot in slot A and B: 0 good, else a FirmwareError
     mix: Mix  # of outputs and throttle
 
 
@@ -275,29 +276,22 @@ def analog(payload: bytes) -> Analog:
 
 def policy_info(payload: bytes) -> PolicyInfo:
     """Decode POLICY_INFO."""
-    reader = Reader(Msp.POLICY_INFO, payload)
-    architecture_hash, observations, actions, weights = reader.fields("IHHI")
-    control_rate_hz, gyro_rate_hz, good = reader.fields("HHB")
-    name, sha256 = reader.counted_text(), reader.bytes(32).hex()
-    (idle,) = reader.fields("f")
-    source = reader.one_of(PolicySource)
-    sequence, *found = reader.fields("I2b")
-    mix = reader.one_of(Mix)
+    told = read(Msp.POLICY_INFO, payload)
     return PolicyInfo(
-        name=name,
-        sha256=sha256,
-        architecture_hash=architecture_hash,
-        observation_count=observations,
-        action_count=actions,
-        weight_count=weights,
-        control_rate_hz=control_rate_hz,
-        gyro_rate_hz=gyro_rate_hz,
-        good=bool(good),
-        idle=idle,
-        source=source,
-        sequence=sequence,
-        found=tuple(found),
-        mix=mix,
+        name=told["name"],
+        sha256=told["sha256"].hex(),
+        architecture_hash=told["architecture_hash"],
+        observation_count=told["observations"],
+        action_count=told["actions"],
+        weight_count=told["weights"],
+        control_rate_hz=told["control_rate"],
+        gyro_rate_hz=told["gyro_rate"],
+        good=bool(told["good"]),
+        idle=told["idle"],
+        source=one_of(PolicySource, told["source"], Msp.POLICY_INFO),
+        sequence=told["sequence"],
+        found=told["found"],
+        mix=one_of(Mix, told["mix"], Msp.POLICY_INFO),
     )
 
 

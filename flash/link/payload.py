@@ -12,6 +12,18 @@ from neuroflight.toolchain.errors import LinkError
 Kind = TypeVar("Kind", bound=IntEnum)
 
 
+def one_of(kind: type[Kind], value: int, command: Msp) -> Kind:
+    """Return `value` as a member of `kind`. Raises LinkError: a reply to `command` names none."""
+    try:
+        return kind(value)
+    except ValueError:
+        raise LinkError(
+            f"MSP {command.name} reply names {kind.__name__} {value}, expected "
+            f"{', '.join(str(int(member)) for member in kind)}; "
+            "the firmware is newer: bring it and this tool to the same version"
+        ) from None
+
+
 class Reader:
     """A reader of fields from the front of a payload; raises LinkError if the payload ends too early."""
 
@@ -43,14 +55,7 @@ class Reader:
     def one_of(self, kind: type[Kind]) -> Kind:
         """Read the next byte as a member of `kind`."""
         (value,) = self.fields("B")
-        try:
-            return kind(value)
-        except ValueError:
-            raise LinkError(
-                f"MSP {self.command.name} reply names {kind.__name__} {value}, expected "
-                f"{', '.join(str(int(member)) for member in kind)}; "
-                "the firmware is newer: bring it and this tool to the same version"
-            ) from None
+        return one_of(kind, value, self.command)
 
     def fields(self, layout: str) -> tuple[Any, ...]:
         """Read the next fields, of the struct format `layout` without its byte order."""

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import IntEnum
 
-from neuroflight.flash.link.payload import Reader
+from neuroflight.flash.link.layouts import read
+from neuroflight.flash.link.payload import one_of
 from neuroflight.toolchain.contract import (
+    FAULT_REGISTERS,
     FallbackCause,
+    FaultKind,
     FlightState,
     GyroHealth,
     GyroIdentity,
@@ -16,9 +18,6 @@ from neuroflight.toolchain.contract import (
     Task,
 )
 
-# Registers of a fault record, in the order of the reply: firmware/src/storage/fault_record.h.
-FAULT_REGISTERS = ("r0", "r1", "r2", "r3", "r12", "lr", "pc", "psr", "cfsr", "hfsr", "mmfar", "bfar", "sp")
-FAULT_FILE_BYTES = 24
 NO_CHIP = 0xFF  # read through the bus's pull-up if no gyro chip answers
 
 
@@ -85,18 +84,6 @@ class Tasks:
     loads: tuple[TaskLoad, ...]
 
 
-class FaultKind(IntEnum):
-    """Causes of a reset: firmware/src/storage/fault_record.h."""
-
-    NONE = 0
-    HARD = 1
-    ASSERT = 2
-    WATCHDOG = 3
-    BROWN_OUT = 4
-    CLOCK = 5
-    RESET = 6
-
-
 @dataclass(frozen=True)
 class Fault:
     """A fault that nobody acknowledged; registers are 0 if the kind has none."""
@@ -119,51 +106,49 @@ class Faults:
 
 def safety(payload: bytes) -> Safety:
     """Decode SAFETY."""
-    reader = Reader(Msp.SAFETY, payload)
-    state, stop = reader.one_of(FlightState), reader.one_of(StopCause)
-    fallback, health = reader.one_of(FallbackCause), reader.one_of(GyroHealth)
-    reasons, policy_good, pid_built_in, pid_flies, percent, centidegrees, idle = reader.fields("I3?Bhf")
-    refused = reader.one_of(FallbackCause)
-    later = payload[reader.at :]  # older firmware sends none of these
-    identity, brown_out = (*later, 0, 0)[:2]
+    told = read(Msp.SAFETY, payload)
+    later = told.get("brown_out", 0)  # older firmware sends none of these
     return Safety(
-        state=state,
-        stop_cause=stop,
-        fallback_cause=fallback,
-        gyro_health=health,
-        arming_flags=reasons,
-        policy_good=policy_good,
-        pid_built_in=pid_built_in,
-        pid_flies=pid_flies,
-        receiver_percent=percent,
-        temperature_deg_c=centidegrees / 100,
-        idle=idle,
-        refused_cause=refused,
-        gyro_identity=identity or None,
-        brown_out_level=brown_out - 1 if brown_out else None,
-        airborne=bool(later[2]) if len(later) > 2 else None,
+        state=one_of(FlightState, told["state"], Msp.SAFETY),
+        stop_cause=one_of(StopCause, told["stop_cause"], Msp.SAFETY),
+        fallback_cause=one_of(FallbackCause, told["fallback_cause"], Msp.SAFETY),
+        gyro_health=one_of(GyroHealth, told["gyro_health"], Msp.SAFETY),
+        arming_flags=told["arming_reasons"],
+        policy_good=bool(told["policy_good"]),
+        pid_built_in=bool(told["pid_built_in"]),
+        pid_flies=bool(told["pid_flies"]),
+        receiver_percent=told["receiver_quality"],
+        temperature_deg_c=told["temperature"] / 100,
+        idle=told["idle"],
+        refused_cause=one_of(FallbackCause, told["refused_cause"], Msp.SAFETY),
+        gyro_identity=told.get("gyro_identity") or None,
+        brown_out_level=later - 1 if later else None,
+        airborne=bool(told["airborne"]) if "airborne" in told else None,
     )
 
 
 def tasks(payload: bytes) -> Tasks:
     """Decode TASKS. Tasks that this tool has no name for are left out."""
-    reader = Reader(Msp.TASKS, payload)
-    cycles_hz, count = reader.fields("IB")
-    rows = [reader.fields("H5I") for _ in range(count)]
-    return Tasks(cycles_hz, tuple(TaskLoad(task, *row) for task, row in zip(Task, rows, strict=False)))
+    told = read(Msp.TASKS, payload)
+    rows = (tuple(row.values()) for row in told["tasks"])
+    loads = tuple(TaskLoad(task, *row) for task, row in zip(Task, rows, strict=False))
+    return Tasks(told["cycles_hz"], loads)
 
 
 def faults(payload: bytes) -> Faults:
     """Decode FAULTS."""
-    reader = Reader(Msp.FAULTS, payload)
-    boots, pending = reader.fields("I?")
-    if not pending:
-        return Faults(boots, None)
-    (boot,) = reader.fields("I")
-    kind = reader.one_of(FaultKind)
-    reader.bytes(3)  # the kind is stored in four bytes
-    registers = dict(zip(FAULT_REGISTERS, reader.fields(f"{len(FAULT_REGISTERS)}I"), strict=True))
-    (line,) = reader.fields("I")
-    file = reader.text(FAULT_FILE_BYTES)
-    (uptime_steps,) = reader.fields("I")
-    return Faults(boots, Fault(boot, kind, registers, file, line, uptime_steps))
+    told = read(Msp.FAULTS, payload)
+    if not told["pending"]:
+        return Faults(told["boots"], None)
+    told = read(Msp.FAULTS, payload, upto="uptime")
+    return Faults(
+        told["boots"],
+        Fault(
+            boot=told["boot"],
+            kind=one_of(FaultKind, told["fault"], Msp.FAULTS),
+            registers=dict(zip(FAULT_REGISTERS, told["registers"], strict=True)),
+            file=told["file"],
+            line=told["line"],
+            uptime_steps=told["uptime"],
+        ),
+    )

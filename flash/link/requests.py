@@ -22,6 +22,7 @@ from neuroflight.toolchain.contract import (
     SETTINGS,
     Msp,
     Refusal,
+    SettingKind,
 )
 from neuroflight.toolchain.contract.msp_messages import storing
 from neuroflight.toolchain.errors import LinkError
@@ -30,7 +31,7 @@ ALL_MOTORS = 0xFF  # as the motor of DSHOT_COMMAND
 SLOT_HEADER_BYTES = 4  # before the blob's bytes in POLICY_SLOT_WRITE
 SLOT_BYTES_MAX = MSP_PAYLOAD_MAX - SLOT_HEADER_BYTES
 WORD_BYTES = 4
-SETTING_KINDS = ("uint32_t", "float", "mode", "text")  # by number: enum setting_kind of settings.h
+SETTING_KINDS = tuple(kind.name for kind in SettingKind)  # by number
 STORING = frozenset(filter(storing, Msp))  # commands that wait for the flash
 REASONS = {
     Refusal.ARMED: "the motors are armed or under test; disarm first",
@@ -40,11 +41,11 @@ REASONS = {
     Refusal.CONFLICT: "{setting} does not fit the policy or other settings, see docs/reference/settings.md",
     Refusal.FLASH: "flash did not take it; what was stored before still holds",
     Refusal.ORDER: "something has to come before it: opening, beginning, reading",
-    Refusal.BLOB: "the policy is none for this firmware: {policy} (error {detail} of nf_err.h)",
+    Refusal.BLOB: "the policy is none for this firmware: {policy} (error {detail})",
     Refusal.SEQUENCE: "the policy's sequence number is not newer than that of the policy which stays",
     Refusal.ABSENT: "this firmware or its settings have no such thing",
     Refusal.SPOILT: "it is stored, but not all: some of a change before it was refused",
-    Refusal.IMAGE: "the image is none for this board's other bank (error {detail} of nf_err.h)",
+    Refusal.IMAGE: "the image is none for this board's other bank (error {detail})",
     Refusal.LOG: "the device that keeps the logs failed (LogError {detail})",
 }
 

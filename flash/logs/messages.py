@@ -5,13 +5,13 @@ from __future__ import annotations
 import struct
 from dataclasses import dataclass
 
-from neuroflight.flash.link.payload import Reader
+from neuroflight.flash.link.layouts import read
+from neuroflight.flash.link.payload import one_of
 from neuroflight.toolchain.contract import (
     LOG_ERASE_MAGIC,
     LOG_INFO_LOGGING,
     LOG_INFO_LOOKING,
     LOG_INFO_LOSSY,
-    LOG_NAME_BYTES,
     LogDevice,
     LogError,
     LogState,
@@ -90,20 +90,28 @@ class Block:
 
 def log_info(payload: bytes) -> LogInfo:
     """Decode LOG_INFO. Raises LinkError."""
-    reader = Reader(Msp.LOG_INFO, payload)
-    device, state, error = reader.one_of(LogDevice), reader.one_of(LogState), reader.one_of(LogError)
-    flags, *numbers = reader.fields("BHH5I")
-    told = (bool(flags & bit) for bit in (LOG_INFO_LOGGING, LOG_INFO_LOSSY, LOG_INFO_LOOKING))
-    return LogInfo(device, state, error, *told, *numbers)
+    told = read(Msp.LOG_INFO, payload)
+    return LogInfo(
+        device=one_of(LogDevice, told["device"], Msp.LOG_INFO),
+        state=one_of(LogState, told["state"], Msp.LOG_INFO),
+        error=one_of(LogError, told["error"], Msp.LOG_INFO),
+        logging=bool(told["flags"] & LOG_INFO_LOGGING),
+        lossy=bool(told["flags"] & LOG_INFO_LOSSY),
+        looking=bool(told["flags"] & LOG_INFO_LOOKING),
+        logs=told["logs"],
+        empty=told["empty"],
+        capacity_kib=told["capacity"],
+        free_kib=told["free"],
+        frames=told["frames"],
+        dropped=told["dropped"],
+        bytes=told["bytes"],
+    )
 
 
 def log_entry(payload: bytes) -> LogEntry | None:
     """Decode LOG_ENTRY; None: ask again. Raises LinkError."""
-    reader = Reader(Msp.LOG_ENTRY, payload)
-    index, later = reader.fields("HB")
-    name = reader.text(LOG_NAME_BYTES)
-    (size,) = reader.fields("I")
-    return None if later else LogEntry(index, name, size)
+    told = read(Msp.LOG_ENTRY, payload)
+    return None if told["state"] else LogEntry(told["log"], told["name"], told["bytes"])
 
 
 def entry_request(index: int) -> bytes:
@@ -118,9 +126,8 @@ def read_request(index: int, offset: int, count: int) -> bytes:
 
 def log_block(payload: bytes) -> Block:
     """Decode LOG_READ. Raises LinkError."""
-    reader = Reader(Msp.LOG_READ, payload)
-    index, offset, later = reader.fields("HIB")
-    return Block(index, offset, None if later else payload[reader.at :])
+    told = read(Msp.LOG_READ, payload)
+    return Block(told["log"], told["offset"], None if told["state"] else told["data"])
 
 
 def erase_request() -> bytes:
@@ -130,5 +137,4 @@ def erase_request() -> bytes:
 
 def erased(payload: bytes) -> bool:
     """Decode LOG_ERASE: True once it is done, otherwise ask again. Raises LinkError."""
-    (later,) = Reader(Msp.LOG_ERASE, payload).fields("B")
-    return not later
+    return not read(Msp.LOG_ERASE, payload)["state"]

@@ -12,7 +12,7 @@ from neuroflight.flash.channels import receiver
 from neuroflight.flash.link import messages, records, requests
 from neuroflight.flash.link.client import Client, NoAnswerError, RefusedError
 from neuroflight.flash.link.messages import Attitude, BatteryState, PolicyInfo, StatusEx
-from neuroflight.flash.link.records import FaultKind, Safety
+from neuroflight.flash.link.records import Safety
 from neuroflight.flash.link.transport import LineGoneError
 from neuroflight.flash.mavlink.parameters import Parameter, parameter_list
 from neuroflight.flash.mavlink.sticks import Sticks, sticks_of
@@ -21,7 +21,7 @@ from neuroflight.flash.mavlink.texts import Condition
 from neuroflight.flash.monitoring.stream import Sample, Stream, decode_sample
 from neuroflight.flash.settings.text import Value, value_text
 from neuroflight.flash.settings.values import Settings
-from neuroflight.toolchain.contract import MSP_ACCELERATION_COUNTS, Msp, Refusal
+from neuroflight.toolchain.contract import MSP_ACCELERATION_COUNTS, FaultKind, Msp, Refusal
 from neuroflight.toolchain.errors import LinkError
 
 ASK_S = 0.5  # for one answer: a board takes milliseconds, the emulated one tenths of a second

@@ -10,8 +10,8 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from neuroflight.flash.board.hints import HINTS, words
 from neuroflight.flash.link.messages import BatteryLevel, arming_reasons
-from neuroflight.flash.link.records import FaultKind, Safety
-from neuroflight.toolchain.contract import FallbackCause, FlightState, GyroHealth, StopCause
+from neuroflight.flash.link.records import Safety
+from neuroflight.toolchain.contract import FallbackCause, FaultKind, FlightState, GyroHealth, StopCause
 
 CHUNK = 50  # characters of one STATUSTEXT
 TEXT_MAX = 4 * CHUNK

@@ -15,12 +15,17 @@ from neuroflight.toolchain.contract import (
     MSP_STREAM_RATE_MAX_HZ,
     FlightState,
     Msp,
+    MspField,
+    layout_of,
 )
+from neuroflight.toolchain.contract.msp_fields import NUMBERS, flat
 from neuroflight.toolchain.errors import LinkError
 
 SILENCE_S = 2.0  # without a sample: the stream has ended
 _SEQUENCES, _STEPS = 1 << 16, 1 << 32  # counts at which they wrap
-HEAD = struct.Struct("<HIIBB3f3ff")
+_LAYOUT = layout_of(Msp.STREAM_SAMPLE)
+_FIXED = [field for field in _LAYOUT.fields if isinstance(field, MspField)]  # the lists come behind them
+HEAD = struct.Struct("<" + "".join(f"{field.count}{NUMBERS[field.kind]}" for field in _FIXED))
 _STEP = struct.Struct("<HI")
 
 
@@ -47,8 +52,8 @@ def decode_sample(payload: bytes) -> Sample:
     try:
         sequence, step, cycles, state, flags, *rates, throttle = HEAD.unpack_from(payload)
         at, lists = HEAD.size, []
-        for kind in "Hff":  # each behind its count
-            layout = struct.Struct(f"<{payload[at]}{kind}")
+        for group in _LAYOUT.fields[len(_FIXED) :]:  # each behind its count
+            layout = struct.Struct(f"<{payload[at]}{''.join(NUMBERS[one.kind] for one in flat((group,)))}")
             lists.append(layout.unpack_from(payload, at + 1))
             at += 1 + layout.size
     except (struct.error, IndexError):

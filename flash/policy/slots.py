@@ -8,9 +8,9 @@ from dataclasses import dataclass
 
 from neuroflight.flash.link import messages
 from neuroflight.flash.link.client import Client, NoAnswerError
+from neuroflight.flash.link.layouts import read
 from neuroflight.flash.link.messages import PolicyInfo, PolicySource
-from neuroflight.flash.link.payload import Reader
-from neuroflight.toolchain.contract import IMAGE_BUILD_BYTES, Msp
+from neuroflight.toolchain.contract import FirmwareError, Msp
 
 PLACES = (PolicySource.SLOT_A, PolicySource.SLOT_B)
 NAMES = {
@@ -18,8 +18,8 @@ NAMES = {
     PolicySource.SLOT_B: "slot B",
     PolicySource.NONE: "none",
 }
-# Of firmware/src/common/nf_err.h: no error; no blob begins there; it came with another image.
-GOOD, EMPTY, OTHER_IMAGE = 0, -7, -27
+# No error; no blob begins there; it came with another image.
+GOOD, EMPTY, OTHER_IMAGE = FirmwareError.OK, FirmwareError.ERR_BLOB_MAGIC, FirmwareError.ERR_BLOB_BUILD
 PATIENCE_S = 15.0  # for a line that stalls to carry an answer
 SEQUENCE_SPAN = 1 << 32
 SHA_SHOWN = 12  # digits of a SHA-256 that are shown
@@ -30,7 +30,7 @@ class Slot:
     """A policy slot; without a whole policy in it, the fields after `flown` are 0."""
 
     source: PolicySource
-    found: int  # GOOD, else an error of nf_err.h: why it could not be flown now
+    found: int  # GOOD, else a FirmwareError: why it could not be flown now
     flown: bool  # by this start of the firmware
     sequence: int  # 0: as built
     architecture_hash: int
@@ -115,22 +115,19 @@ def slot_info(source: PolicySource) -> bytes:
 
 def slot_of(source: PolicySource, payload: bytes) -> Slot:
     """Decode POLICY_SLOT_INFO of that slot. Raises LinkError."""
-    reader = Reader(Msp.POLICY_SLOT_INFO, payload)
-    found, flown, sequence, architecture, filters, rate, idle = reader.fields("bB4If")
-    aircraft, sha256 = reader.counted_text(), reader.bytes(32).hex()
-    build = reader.bytes(IMAGE_BUILD_BYTES).hex()
+    told = read(Msp.POLICY_SLOT_INFO, payload)
     return Slot(
         source=source,
-        found=found,
-        flown=bool(flown),
-        sequence=sequence,
-        architecture_hash=architecture,
-        filters_hash=filters,
-        control_rate_hz=rate,
-        idle=idle,
-        aircraft=aircraft,
-        sha256=sha256,
-        build=build,
+        found=told["found"],
+        flown=bool(told["flown"]),
+        sequence=told["sequence"],
+        architecture_hash=told["architecture_hash"],
+        filters_hash=told["filters_hash"],
+        control_rate_hz=told["control_rate"],
+        idle=told["idle"],
+        aircraft=told["aircraft"],
+        sha256=told["policy_sha256"].hex(),
+        build=told["build"].hex(),
     )
 
 

@@ -14,7 +14,7 @@ from neuroflight.toolchain.errors import AircraftError
 from neuroflight.toolchain.files import write_bytes
 
 NAME = re.compile(r"[A-Za-z0-9_-]{1,32}")
-MARK = "Found by `neuroflight tune-pid"
+MARKS = tuple(f"# Found by `neuroflight {words}" for words in ("pid tune", "tune-pid"))  # and of before
 _HEADER = re.compile(r"\s*\[+\s*([\w.\s-]+?)\s*\]+")
 
 
@@ -22,9 +22,9 @@ def write_pid(source: Path, target: Path, name: str, settings: PidSettings, comm
     """Write the aircraft of `source` with `settings` as [pid.NAME] to `target`, which may be the same.
 
     A table of that name is replaced where it stands; a new one goes before the other PIDs and becomes the
-    aircraft's own. comment: goes above it; one that begins with MARK is replaced with it. A mixer is not
-    written. Raises AircraftError, with `target` as it was, on a source that is no valid aircraft, a name no
-    table can have, or a file kept in another form.
+    aircraft's own. comment: goes above it; one that begins with one of MARKS is replaced with it. A mixer is
+    not written. Raises AircraftError, with `target` as it was, on a source that is no valid aircraft, a name
+    no table can have, or a file kept in another form.
     """
     if not NAME.fullmatch(name):
         raise AircraftError(f"PID name {name!r}: expected 1 to 32 letters, digits, dashes or underscores")
@@ -62,7 +62,7 @@ def _place(lines: list[str], name: str) -> tuple[int, int]:
         later = [number for number, _ in tables if number > own[-1]]
         first, last = own[0], _comment_above(lines, later[0]) if later else len(lines)
         top = _comment_above(lines, first)
-        marked = [number for number in range(top, first) if lines[number].startswith(f"# {MARK}")]
+        marked = [number for number in range(top, first) if lines[number].startswith(MARKS)]
         return min([first, *marked]), last
     pids = [number for number, table in tables if table.split(".")[0].strip() == "pid"]
     place = _comment_above(lines, pids[0]) if pids else len(lines)

@@ -30,7 +30,7 @@ from neuroflight.sim.plotting import (
     save_png,
     titled_figure,
 )
-from neuroflight.toolchain.contract import AXES
+from neuroflight.toolchain.contract import AXES, MOTOR_PLACES
 from neuroflight.toolchain.files import write_text
 
 WINDOW_S = 13.5  # the most a plot shows: three pulses of 4.5 s
@@ -191,9 +191,15 @@ def _draw_motors(panel: Axes, flight: Flight, shown: NDArray[np.bool_]) -> None:
         padded = np.pad(values, (width // 2, width - 1 - width // 2), mode="edge")
         smooth = np.convolve(padded, np.full(width, 1 / width), mode="valid")
         panel.plot(trace.t[shown], values, color=colour, lw=0.4, alpha=0.25)
-        panel.plot(trace.t[shown], smooth, color=colour, lw=1.2, label=f"motor {motor + 1}", zorder=3)
+        name = _motor(motor, trace.motors.shape[1])
+        panel.plot(trace.t[shown], smooth, color=colour, lw=1.2, label=name, zorder=3)
     panel.set_ylabel("%", color=INK)
     panel.set_ylim(0, 104)
+
+
+def _motor(index: int, count: int) -> str:
+    """Return a motor's number, of a quadcopter with its place."""
+    return f"{index + 1} {MOTOR_PLACES[index]}" if count == len(MOTOR_PLACES) else f"motor {index + 1}"
 
 
 def _axes(values: NDArray[np.float64], digits: int) -> str:

@@ -20,13 +20,12 @@ from neuroflight.sim.aircraft.model import RPM, Aircraft, Propulsion
 from neuroflight.sim.design.figures import AircraftFigures, aircraft_figures, balanced_thrust, thrust_map
 from neuroflight.sim.physics.air import AIR_DENSITY
 from neuroflight.sim.physics.rotor import thrust_and_torque
-from neuroflight.toolchain.contract import AXES, GRAVITY
+from neuroflight.toolchain.contract import AXES, GRAVITY, MOTOR_PLACES
 
 Array = NDArray[np.float64]
 
 THRUST_TO_WEIGHT_LOW = 1.5  # below it little thrust is left for control
 HEAVY = 1.0  # [kg], a part that may have been given in grams, where the aircraft cannot lift itself
-PLACES = ("rear right", "front right", "rear left", "front left")  # of the motors 1 to 4 of a quadcopter
 PROPS_IN, PROPS_OUT = ("cw", "ccw", "ccw", "cw"), ("ccw", "cw", "cw", "ccw")  # in that order
 BESIDE = 0.2  # of the hubs' distance: a hub nearer to an axis than this lies on it, as in a plus
 SHARE_HIGH = 1.3  # greatest hover thrust of a rotor over the least
@@ -109,18 +108,18 @@ def _motors(aircraft: Aircraft, figures: AircraftFigures) -> Iterator[Verdict]:
     """Check places and turning directions of a quadcopter's motors, on which everything else depends."""
     hubs = np.array([rotor.position[:2] for rotor in aircraft.rotors])
     offset = (hubs - hubs.mean(axis=0)) / max(figures.reach, 1e-9)
-    if len(hubs) != len(PLACES) or np.abs(offset).min() < BESIDE:
+    if len(hubs) != len(MOTOR_PLACES) or np.abs(offset).min() < BESIDE:
         return  # no X: its motors have no such names
-    places = [PLACES[2 * int(y > 0) + int(x > 0)] for x, y in offset]
-    if sorted(places) != sorted(PLACES):
+    places = [MOTOR_PLACES[2 * int(y > 0) + int(x > 0)] for x, y in offset]
+    if sorted(places) != sorted(MOTOR_PLACES):
         return
     turns = ["ccw" if rotor.spin > 0 else "cw" for rotor in aircraft.rotors]
     listed = [
         f"{number} {place} {turn}" for number, (place, turn) in enumerate(zip(places, turns, strict=True), 1)
     ]
     found = ", ".join(listed)
-    if tuple(places) != PLACES:
-        wanted = ", ".join(f"{number} {place}" for number, place in enumerate(PLACES, 1))
+    if tuple(places) != MOTOR_PLACES:
+        wanted = ", ".join(f"{number} {place}" for number, place in enumerate(MOTOR_PLACES, 1))
         yield Verdict(
             Level.WARNING,
             "motors",

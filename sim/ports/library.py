@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-import ctypes
 import struct
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from cffi import FFI
 from numpy.typing import NDArray
 
 from neuroflight.flash.link import messages, records
 from neuroflight.flash.link.client import Client
 from neuroflight.flash.logs.messages import log_info
+from neuroflight.sim.compiled import contract_declarations
 from neuroflight.sim.ports.port import (
     Logged,
     Reply,
@@ -22,35 +24,24 @@ from neuroflight.sim.ports.port import (
     flight_settings,
     setting_changes,
 )
+from neuroflight.sim.structs import struct_declaration
 from neuroflight.toolchain.contract import (
     CHANNEL_COUNT,
     GYRO_RATE_DEFAULT_HZ,
     MOTOR_COUNT_MAX,
     MSP_PAYLOAD_MAX,
+    STRUCTS,
     FallbackCause,
+    FirmwareError,
     Msp,
 )
+from neuroflight.toolchain.contract.policy_format import struct_format
 from neuroflight.toolchain.errors import LinkError
 
-ERR_SETTINGS = -15  # nf_err.h
+HEADER = Path(__file__).resolve().parents[2] / "firmware" / "hal" / "host" / "reference.h"
 _REPLY_BYTES = 2 * MSP_PAYLOAD_MAX
 _LOG_BYTES = 65536
-_REPLY = struct.Struct("<I24sfB")  # of _Trace: step, setpoint and gyro, throttle, armed
-
-
-class _Trace(ctypes.Structure):
-    """`struct reference_trace` of firmware/hal/host/reference.h."""
-
-    _fields_ = (
-        ("step", ctypes.c_uint32),
-        ("setpoint", ctypes.c_float * 3),
-        ("gyro", ctypes.c_float * 3),
-        ("throttle", ctypes.c_float),
-        ("armed", ctypes.c_uint8),
-        ("motors", ctypes.c_uint8),
-        ("reserved", ctypes.c_uint16),
-        ("dshot", ctypes.c_uint16 * MOTOR_COUNT_MAX),
-    )
+_REPLY = struct.Struct(struct_format(STRUCTS["reference_trace"]))
 
 
 class Reference:
@@ -68,12 +59,13 @@ class Reference:
 
         Raises LinkError when the library is missing, is none, or refuses to start.
         """
-        self._library = _load(library)
-        self._memory = (ctypes.c_uint64 * (self._library.reference_size() // 8 + 1))()
+        self._ffi, self._library = _load(library)
+        self._memory = np.zeros(self._library.reference_size() // 8 + 1, np.uint64)
+        self._self = self._ffi.from_buffer("uint64_t[]", self._memory)
         changes = setting_changes(settings or {})
-        texts = (ctypes.c_char_p * max(1, len(changes)))(*(change.encode() for change in changes))
-        error = self._library.reference_init(self._memory, gyro_rate_hz, texts, len(changes))
-        if error == ERR_SETTINGS:
+        texts = [self._ffi.new("char[]", change.encode()) for change in changes]
+        error = self._library.reference_init(self._self, gyro_rate_hz, texts, len(changes))
+        if error == FirmwareError.ERR_SETTINGS:
             raise LinkError(
                 f"{library}: the firmware refuses the settings {', '.join(changes)}: look up their limits"
             )
@@ -82,22 +74,22 @@ class Reference:
                 f"{library}: the firmware refuses a gyro rate of {gyro_rate_hz} Hz (error {error}): "
                 f"choose a multiple of its policy's control rate, or build it anew with `make host`"
             )
-        self._channels = (ctypes.c_uint16 * CHANNEL_COUNT)()
         self._measured = np.zeros(6)  # body rates, specific force
-        self._dshot = (ctypes.c_uint16 * MOTOR_COUNT_MAX)()
-        self._trace = _Trace()
+        self._dshot = np.zeros(MOTOR_COUNT_MAX, np.uint16)
+        self._outputs = self._ffi.from_buffer("uint16_t[]", self._dshot)
+        self._trace = self._ffi.new("struct reference_trace *")
         self._answer = b""
-        self._log = ctypes.create_string_buffer(_LOG_BYTES)
+        self._log = bytearray(_LOG_BYTES)
         self._take = self.sampler(self._measured)
 
     def receiver(self, channels_us: Sequence[int]) -> None:
         """Hand over one receiver frame, CHANNEL_COUNT pulse widths [us]."""
-        self._channels[:] = list(channels_us)
-        self._library.reference_receiver(self._memory, self._channels)
+        assert len(channels_us) == CHANNEL_COUNT
+        self._library.reference_receiver(self._self, [int(us) for us in channels_us])
 
     def power(self, volts: float, amps: float, control_us: float = 0.0) -> None:
         """Set voltage [V] and current [A] of the battery, and the duration of each control step [us]."""
-        self._library.reference_power(self._memory, volts, amps, control_us)
+        self._library.reference_power(self._self, volts, amps, control_us)
 
     def sample(self, gyro: NDArray[np.float64], specific_force: NDArray[np.float64]) -> bytes:
         """Take one sample of gyro (3,) [rad/s] and accelerometer (3,) [m/s^2], body axes.
@@ -106,7 +98,7 @@ class Reference:
         """
         self._measured[:3], self._measured[3:] = gyro, specific_force
         self._take()
-        return bytes(self._dshot)
+        return self._dshot.tobytes()
 
     def sampler(self, measured: NDArray[np.float64]) -> Callable[[], bool]:
         """Return a function that takes a sample from `measured` at each call and returns whether DShot values
@@ -115,42 +107,44 @@ class Reference:
         measured: body rates [rad/s] and specific force [m/s^2], (6,) or longer, contiguous; it must live as
         long as what is returned.
         """
-        gyro = measured.ctypes.data
-        memory, dshot = (ctypes.addressof(array) for array in (self._memory, self._dshot))
-        places = (memory, gyro, gyro + 3 * measured.itemsize, dshot)
-        return partial(self._library.reference_sample, *map(ctypes.c_void_p, places))
+        gyro = self._ffi.cast("double *", measured.ctypes.data)
+        return partial(self._library.reference_sample, self._self, gyro, gyro + 3, self._outputs)
 
     def dshot(self) -> bytes:
         """Return the DShot values as uint16 bytes."""
-        return bytes(self._dshot)
+        return self._dshot.tobytes()
 
     def blackbox(self) -> bytes:
         """Return the bytes logged since the last call, which may end in the middle of a log.
 
         From the first call on logs are kept for the next one: up to 64 KiB, what is more is dropped.
         """
-        count = self._library.reference_blackbox(self._memory, self._log, len(self._log))
-        return self._log.raw[:count]
+        log = self._ffi.from_buffer("uint8_t[]", self._log)
+        return bytes(self._log[: self._library.reference_blackbox(self._self, log, len(log))])
 
     def silent(self) -> bytes:
         """Report that the gyro sent nothing for GYRO_BAD_MS. Returns as `sample`."""
-        self._library.reference_silent(self._memory, self._dshot)
-        return bytes(self._dshot)
+        self._library.reference_silent(self._self, self._outputs)
+        return self._dshot.tobytes()
 
-    def trace(self) -> _Trace:
-        """Read the last control step; overwritten by the next call."""
-        self._library.reference_trace(self._memory, ctypes.byref(self._trace))
+    def trace(self) -> Any:  # noqa: ANN401 - a struct of cffi
+        """Read the last control step, a struct reference_trace; overwritten by the next call."""
+        self._library.reference_trace(self._self, self._trace)
         return self._trace
+
+    def trace_bytes(self) -> Any:  # noqa: ANN401 - a buffer of cffi
+        """Read the last control step as the bytes of a struct reference_trace."""
+        return self._ffi.buffer(self.trace())
 
     def link(self, port: int, data: bytes = b"", capacity: int = _REPLY_BYTES) -> bytes:
         """Pass MSP bytes to port 0 or 1 and return the answer; without any, return unsolicited bytes."""
-        reply = ctypes.create_string_buffer(capacity)
-        count = self._library.reference_link(self._memory, port, data, len(data), reply, capacity)
-        return reply.raw[:count]
+        reply = bytearray(capacity)
+        told = self._ffi.from_buffer("uint8_t[]", reply)
+        return bytes(reply[: self._library.reference_link(self._self, port, data, len(data), told, capacity)])
 
     def link_reset(self, port: int) -> None:
         """Tell that another peer is on that port."""
-        self._library.reference_link_reset(self._memory, port)
+        self._library.reference_link_reset(self._self, port)
 
     def write(self, data: bytes) -> None:
         """Pass MSP request bytes to port 0 (flash.transport.Transport)."""
@@ -221,41 +215,37 @@ class ReferencePort:
         self.reference.close()
 
     def _read(self) -> Reply:
-        step, rates, throttle, armed = _REPLY.unpack_from(self.reference.trace())
-        setpoint_gyro = np.frombuffer(rates, np.float32)
+        step, setpoint, gyro, throttle, armed, *_ = _REPLY.unpack_from(self.reference.trace_bytes())
         return Reply(
             dshot=np.frombuffer(self.reference.dshot(), np.uint16, self.motor_count),
             step=step,
-            setpoint=setpoint_gyro[:3],
-            gyro=setpoint_gyro[3:],
+            setpoint=np.frombuffer(setpoint, np.float32),
+            gyro=np.frombuffer(gyro, np.float32),
             throttle=throttle,
             armed=bool(armed),
         )
 
 
-def _load(path: Path) -> ctypes.CDLL:
+@cache
+def _interface() -> FFI:
+    """Return the library's functions as its header declares them."""
+    ffi = FFI()
+    ffi.cdef(struct_declaration("reference_trace") + contract_declarations(HEADER))
+    return ffi
+
+
+def _load(path: Path) -> tuple[FFI, Any]:
     if not path.is_file():
         raise LinkError(f"{path}: not built yet; build it with `make host`")
+    if not HEADER.is_file():
+        raise LinkError(f"{HEADER}: missing; the reference library runs from a whole checkout")
+    ffi = _interface()
     try:
-        library = ctypes.CDLL(str(path.resolve()))
-        size_t, pointer = ctypes.c_size_t, ctypes.c_void_p
-        signatures = {
-            "reference_size": (size_t, ()),
-            "reference_init": (ctypes.c_int, (pointer, ctypes.c_uint, pointer, size_t)),
-            "reference_receiver": (None, (pointer, pointer)),
-            "reference_power": (None, (pointer, ctypes.c_double, ctypes.c_double, ctypes.c_double)),
-            "reference_sample": (ctypes.c_bool, (pointer, pointer, pointer, pointer)),
-            "reference_blackbox": (size_t, (pointer, pointer, size_t)),
-            "reference_silent": (None, (pointer, pointer)),
-            "reference_trace": (None, (pointer, pointer)),
-            "reference_link": (size_t, (pointer, ctypes.c_uint, ctypes.c_char_p, size_t, pointer, size_t)),
-            "reference_link_reset": (None, (pointer, ctypes.c_uint)),
-        }
-        for name, (result, arguments) in signatures.items():
-            function = getattr(library, name)
-            function.restype, function.argtypes = result, arguments
+        library = ffi.dlopen(str(path.resolve()))
+        for name in dir(library):  # one that is missing is noticed here
+            getattr(library, name)
     except (OSError, AttributeError) as error:
         raise LinkError(
             f"{path}: not the firmware's reference library ({error}); build it with `make host`"
         ) from error
-    return library
+    return ffi, library

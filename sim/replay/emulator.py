@@ -22,7 +22,8 @@ from numpy.typing import NDArray
 from neuroflight.sim.board.core.engine import Outcome
 from neuroflight.sim.board.debug.variables import pointers_in, read_variables
 from neuroflight.sim.ports.emulator import RECEIVER, EmulatedPort
-from neuroflight.sim.replay.inputs import Answers, Edge, Flight, words_of_samples
+from neuroflight.sim.replay.inputs import Answers, Flight, words_of_samples
+from neuroflight.toolchain.contract import LogEdge, Weights
 from neuroflight.toolchain.errors import LinkError, TraceError
 
 Progress = Callable[[float], None]
@@ -32,11 +33,14 @@ _FIRMWARE = "firmware"
 _STOPS = ("runtime_sample", "runtime_gyro_silent", "firmware_deadline")
 _ONE, _NONE = b"\1", b"\0"
 _EDGES = {  # flag, and the variable of the background that says it
-    Edge.POSTED: "posted",
-    Edge.ACKNOWLEDGED: "acknowledged",
-    Edge.CALIBRATE: "calibrate",
+    LogEdge.POSTED: "posted",
+    LogEdge.ACKNOWLEDGED: "acknowledged",
+    LogEdge.CALIBRATE: "calibrate",
 }
-_WEIGHTS = {Edge.WEIGHTS_BAD: b"\1", Edge.WEIGHTS_GOOD: b"\2"}  # enum firmware_weights
+_WEIGHTS = {
+    LogEdge.WEIGHTS_BAD: bytes([Weights.BAD]),
+    LogEdge.WEIGHTS_GOOD: bytes([Weights.RENEWED]),
+}
 
 
 class BoardReplay(EmulatedPort):
@@ -90,7 +94,7 @@ class BoardReplay(EmulatedPort):
             for i in range(count):
                 last = i == count - 1
                 if last:
-                    self._missed = bool(inputs.flags[k] & Edge.MISSED)
+                    self._missed = bool(inputs.flags[k] & LogEdge.MISSED)
                 self._sample(words[k, i], not inputs.invalid[k, i], int(inputs.lost[k]) if last else 0)
                 if last:
                     self._edges(flight, k)
@@ -162,7 +166,7 @@ class BoardReplay(EmulatedPort):
             self._put(name, _ONE if flags & flag else _NONE)
         self._put("weights", next((word for flag, word in _WEIGHTS.items() if flags & flag), _NONE))
         data = inputs.receiver[k, : int(inputs.received[k])].tobytes()
-        if flags & Edge.POSTED:
+        if flags & LogEdge.POSTED:
             self._put("posted_us", data)
         elif data:
             self.board.hardware.dma.give(f"{RECEIVER}_RX", data)

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from neuroflight.flash.settings.text import parse_setting
 from neuroflight.sim.blackbox.firmware import Maker
 from neuroflight.sim.blackbox.log import Log, floats, words
-from neuroflight.sim.replay.inputs import Answers, Edge, Flight, Inputs
-from neuroflight.toolchain.contract import GYRO_BAD_MS, LOG_RECEIVER_BYTES, LogEvent, LogGroup
+from neuroflight.sim.replay.inputs import Answers, Flight, Inputs
+from neuroflight.toolchain.contract import GYRO_BAD_MS, LOG_RECEIVER_BYTES, LogEdge, LogEvent, LogGroup
 from neuroflight.toolchain.errors import LinkError, TraceError
 
 SETTING = "nf_set_"
@@ -24,7 +24,7 @@ _SLOW = (*_HELD, "edgeFlags", "rxCount")
 _RECEIVED = tuple(f"rxBytes[{word}]" for word in range(LOG_RECEIVER_BYTES // 4))
 _INVALID, _REPEATED = 0, 8  # the first bit of sampleFlags that says so, of the oldest sample
 _SAMPLES = 16  # the first bit of sampleFlags that counts them
-_SILENCES = 16  # the first bit of edgeFlags that counts them
+_SILENCES = LogEdge.SILENCE.bit_length() - 1  # the first bit of edgeFlags that counts them
 
 Integers = NDArray[np.int64]
 
@@ -215,8 +215,8 @@ def _usable(
         (resumed | ~_follows(log, inputs, gyro_hz), "control steps before it are missing"),
         (~whole, f"it has another number of gyro samples than 1 to {divider}"),
         (wrong, "a bit of it is wrong in this file"),
-        (flags & np.uint32(Edge.BENCH) > 0, "a motor test or a DShot command is under way"),
-        (flags & np.uint32(Edge.MORE_BYTES) > 0, "more receiver bytes came than the log holds"),
+        (flags & np.uint32(LogEdge.BENCH) > 0, "a motor test or a DShot command is under way"),
+        (flags & np.uint32(LogEdge.MORE_BYTES) > 0, "more receiver bytes came than the log holds"),
         ((inputs.received < 0) | (inputs.received > LOG_RECEIVER_BYTES), "its receiver bytes are damaged"),
     )
     ends = [(int(rows.argmax()), why) for rows, why in reasons if rows.any()]

@@ -11,7 +11,8 @@ import numpy as np
 
 from neuroflight.sim.ports.port import setting_changes
 from neuroflight.sim.replay.inputs import Answers, Flight
-from neuroflight.sim.replay.stream import ANSWER, HEAD, MAGIC, packed, unpacked
+from neuroflight.sim.replay.stream import ANSWER, HEAD, packed, unpacked
+from neuroflight.toolchain.contract import REPLAY_STREAM_MAGIC
 from neuroflight.toolchain.errors import LinkError
 
 Progress = Callable[[float], None]
@@ -28,7 +29,7 @@ def replay_on_host(program: Path, flight: Flight, progress: Progress = lambda _:
         raise LinkError(f"{program}: not built yet; build it with `make host`")
     size = len(flight) * ANSWER.itemsize
     with tempfile.NamedTemporaryFile() as file, tempfile.TemporaryFile() as errors:
-        file.write(HEAD.pack(MAGIC, len(flight.state), flight.layout) + flight.state)
+        file.write(HEAD.pack(REPLAY_STREAM_MAGIC, len(flight.state), flight.layout) + flight.state)
         for first in range(0, len(flight), STEPS_AT_ONCE):
             file.write(packed(flight, first, first + STEPS_AT_ONCE).tobytes())
         file.flush()

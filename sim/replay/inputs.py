@@ -3,25 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import IntFlag
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-
-
-class Edge(IntFlag):
-    """Bits of a step's flags: `enum log_edge` of firmware/src/blackbox/log_record.h."""
-
-    POSTED = 1 << 0  # the bytes are channels that MSP posted
-    ACKNOWLEDGED = 1 << 1
-    CALIBRATE = 1 << 2
-    WEIGHTS_BAD = 1 << 3
-    WEIGHTS_GOOD = 1 << 4
-    MISSED = 1 << 5  # the step missed its deadline
-    SILENT = 1 << 6
-    MORE_BYTES = 1 << 7  # than the log could hold
-    BENCH = 1 << 8  # a motor test or a DShot command was under way
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +23,7 @@ class Inputs:
     accel: NDArray[np.int16]  # (N, 3) of the last good sample, chip axes
     lost: NDArray[np.int64]  # (N,) samples that nobody took since the step before
     silences: NDArray[np.int64]  # (N,) silences of the gyro, of GYRO_BAD_MS each, since the step before
-    flags: NDArray[np.uint32]  # (N,) of Edge
+    flags: NDArray[np.uint32]  # (N,) of LogEdge
     forbidden: NDArray[np.uint32]  # (N,) arming reasons of the background
     gain: NDArray[np.float32]  # (N,) of the PID for the battery's voltage
     received: NDArray[np.int64]  # (N,) bytes from the receiver

@@ -6,7 +6,6 @@ library runs in a process of its own.
 
 from __future__ import annotations
 
-import ctypes
 from collections.abc import Callable
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -17,11 +16,12 @@ from numpy.typing import NDArray
 from neuroflight.sim.ports.library import Reference
 from neuroflight.sim.replay.inputs import Answers, Flight
 from neuroflight.sim.replay.stream import ANSWER, STEP, packed, unpacked
-from neuroflight.toolchain.contract import MOTOR_COUNT_MAX
-from neuroflight.toolchain.errors import LinkError, TraceError
+from neuroflight.sim.structs import dtype_of
+from neuroflight.toolchain.errors import TraceError
 from neuroflight.toolchain.workers import Worker
 
 Progress = Callable[[float], None]
+TRACE = dtype_of("reference_trace")
 CHUNK = 2048  # control steps between two words of progress
 
 
@@ -71,18 +71,6 @@ class ReplayLibrary(Reference):
     def __init__(self, library: Path, flight: Flight) -> None:
         """Boot with the settings of the log. Raises LinkError as Reference does."""
         super().__init__(library, flight.gyro_rate_hz, flight.boot_settings())
-        pointer, number, size = ctypes.c_void_p, ctypes.c_uint32, ctypes.c_size_t
-        signatures = {
-            "reference_state_size": (size, ()),
-            "reference_layout": (number, ()),
-            "reference_restore": (ctypes.c_bool, (pointer, ctypes.c_char_p, size, number)),
-            "reference_replay": (ctypes.c_int, (pointer, pointer, pointer)),
-        }
-        for name, (result, arguments) in signatures.items():
-            function = getattr(self._library, name, None)
-            if function is None:
-                raise LinkError(f"{library}: cannot replay; build it anew with `make host`")
-            function.restype, function.argtypes = result, arguments
         self.path = library
 
     @property
@@ -97,29 +85,29 @@ class ReplayLibrary(Reference):
 
     def memory(self, count: int) -> bytes:
         """Return the present state, the first `count` bytes of the instance."""
-        return bytes(memoryview(self._memory).cast("B")[:count])
+        return self._memory.tobytes()[:count]
 
     def restore(self, state: bytes) -> bool:
         """Go on from `state`, of this layout; False: it has another size."""
-        return bool(self._library.reference_restore(self._memory, state, len(state), self.layout))
+        return bool(self._library.reference_restore(self._self, state, len(state), self.layout))
 
     def replay(self, steps: NDArray[np.void], flight: Flight, first: int) -> NDArray[np.void]:
         """Replay STEP (N,), control steps of `flight` from `first` on, to ANSWER (N,)."""
         steps = np.ascontiguousarray(steps, STEP)
         answers = np.zeros(len(steps), ANSWER)
-        run, outputs = self._library.reference_replay, (ctypes.c_uint16 * MOTOR_COUNT_MAX)()
-        at, size = steps.ctypes.data, STEP.itemsize
+        first_step = self._ffi.cast("uint8_t *", steps.ctypes.data)
         for row in range(len(steps)):
-            result = run(self._memory, at + row * size, outputs)
+            step_at = self._ffi.cast("struct replay_step *", first_step + row * STEP.itemsize)
+            result = self._library.reference_replay(self._self, step_at, self._outputs)
             if result:
                 step = int(flight.inputs.step[first + row])
                 raise TraceError(
                     f"{flight.path}: control step {step} does not follow from those before it ({result}); "
                     "the log is damaged there"
                 )
-            told, answer = self.trace(), answers[row]
-            answer["step"], answer["throttle"] = told.step, told.throttle
-            answer["setpoint"], answer["gyro"], answer["dshot"] = told.setpoint, told.gyro, told.dshot
+            (told,) = np.frombuffer(self.trace_bytes(), TRACE)
+            for name in ANSWER.fields or ():
+                answers[row][name] = told[name]
         return answers
 
 

@@ -20,6 +20,7 @@ from neuroflight.sim.aircraft.model import load_aircraft
 from neuroflight.sim.analysis.confidence import Mean
 from neuroflight.sim.flight.trace import Trace, save_trace
 from neuroflight.toolchain.codegen.compiler import CompiledPolicy
+from neuroflight.toolchain.errors import NeuroflightError
 from neuroflight.toolchain.policy.model import read_policy
 from neuroflight.toolchain.verification.verify import Candidate, all_candidates
 from neuroflight.training.adaptation.adapt import Bench, Proof
@@ -183,12 +184,24 @@ def test_a_policy_whose_proof_holds_lies_in_the_new_folder(
     assert {path.name: path.read_bytes() for path in out.iterdir()} == kept
 
 
-def test_a_policy_that_computes_otherwise_on_the_machines_is_not_kept(
-    log: Path, pulling: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
-) -> None:
+def otherwise(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let the core's policy differ."""
     finding = SimpleNamespace(finding=SimpleNamespace(message="the core differs"), verdict="differs")
     monkeypatch.setattr("neuroflight.toolchain.verification.verify.all_candidates", lambda *_: [])
     monkeypatch.setattr("neuroflight.toolchain.verification.verify.verify", lambda *_, **__: finding)
+
+
+def test_a_policy_that_computes_otherwise_on_the_machines_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    otherwise(monkeypatch)
+    with pytest.raises(NeuroflightError, match="refused, nothing was kept: the core differs"):
+        neuroflight.cli.policy.adapt._verified(POLICY / "policy.onnx")
+
+
+@pytest.mark.slow
+def test_a_policy_that_computes_otherwise_on_the_machines_is_not_kept(
+    log: Path, pulling: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
+) -> None:
+    otherwise(monkeypatch)
     out = tmp_path / "adapted"
     assert main(["policy", "adapt", str(log), "--policy", str(pulling), "--out", str(out), *FEW]) == 1
     assert "refused, nothing was kept: the core differs" in capsys.readouterr().err

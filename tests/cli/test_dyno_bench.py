@@ -86,6 +86,7 @@ def check_rotor(document: dict[str, Any], limit: float) -> None:
 
 
 # --- From the bench to the rotor ----------------------------------------------------------------------
+@pytest.mark.slow
 def test_the_rotor_is_found_again_when_it_was_driven_at_full_throttle(
     rig_of: Callable[..., Rig], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -16,9 +16,8 @@ from neuroflight.sim.aircraft.model import FOLDER, load_aircraft
 from neuroflight.sim.control.pid_table import pid_table
 from neuroflight.sim.design.figures import aircraft_figures
 from neuroflight.sim.flight.trace import load_trace
-from neuroflight.toolchain.image.build import build
 from neuroflight.toolchain.image.report import AircraftFacts
-from tests.conftest import build_kept
+from tests.conftest import BUILD, build_kept
 from tests.modelled_policy import modelled_policy
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -78,6 +77,12 @@ def test_headlines_are_five_rows_and_whether_it_was_armed_to_the_end() -> None:
 
 
 @pytest.mark.usefixtures("built")
+def test_a_count_that_says_nothing_is_told(short: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["fly", "--on", "library", "--scenario", short, "--count", "300"]) == 0
+    assert "--count: of flight and pulses alone" in capsys.readouterr().err
+
+
+@pytest.mark.usefixtures("built")
 def test_it_says_when_the_policy_or_the_pid_is_another_aircrafts(
     short: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -92,14 +97,12 @@ def test_it_says_when_the_policy_or_the_pid_is_another_aircrafts(
 def test_it_flies_the_aircraft_of_the_build_and_says_that_its_policy_was_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    own, story = tmp_path / "own.toml", tmp_path / "story.toml"
+    own, story = BUILD / "modelled.toml", tmp_path / "story.toml"  # the build tells where its aircraft lies
     own.write_text((FOLDER / "nf1.toml").read_text().replace('name = "nf1"', 'name = "mine"'))
     story.write_text("[[segment]]\nduration_s = 2.0\nsetpoint_deg_s = [300, -300, 200]\n")
     aircraft = load_aircraft(own)
     known = AircraftFacts(aircraft.name, aircraft.sha256, str(own), own=True)
-    table = pid_table(aircraft)
-    folder = build_kept("HOST", modelled_policy(), "modelled", table)
-    build("HOST", folder.with_name("policy.onnx"), ROOT, folder.parent, table, known)
+    folder = build_kept("HOST", modelled_policy(), "modelled", pid_table(aircraft), known)
     monkeypatch.setattr(command, "BUILD", folder)
     for on in ("reference", "host"):
         assert main(["fly", "--on", on, "--scenario", str(story)]) == 0

@@ -99,7 +99,7 @@ def test_the_client_waits_longer_when_the_firmware_writes_flash(
 def test_the_reason_is_told_when_the_firmware_gives_one(scripted_line: Lines) -> None:
     refused = Message(Version.V2, Direction.ERROR, Msp.POLICY_SLOT_END, struct.pack("<Bh", Refusal.BLOB, -10))
     line = scripted_line([encode(refused)])
-    with pytest.raises(LinkError, match=r"refuses MSP POLICY_SLOT_END: the policy is none .* \(error -10 "):
+    with pytest.raises(LinkError, match=r"refuses MSP POLICY_SLOT_END: the policy is none .* \(error -10\)"):
         Client(line, clock=line.clock).request(Msp.POLICY_SLOT_END)
 
 

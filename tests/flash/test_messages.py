@@ -22,12 +22,14 @@ from neuroflight.flash.link.messages import (
     RawImu,
 )
 from neuroflight.flash.link.msp import Direction, Message, Version, encode
-from neuroflight.flash.link.records import FAULT_REGISTERS, Fault, FaultKind, Faults, Safety, TaskLoad, Tasks
+from neuroflight.flash.link.records import Fault, Faults, Safety, TaskLoad, Tasks
 from neuroflight.flash.link.requests import SettingInfo
 from neuroflight.toolchain.contract import (
+    FAULT_REGISTERS,
     LAYOUTS,
     ArmingReason,
     FallbackCause,
+    FaultKind,
     FlightState,
     GyroHealth,
     Mix,

@@ -16,11 +16,13 @@ from neuroflight.flash.board.hints import FAULTS as FAULT_WORDS
 from neuroflight.flash.board.restart import restart
 from neuroflight.flash.link.client import Client
 from neuroflight.flash.link.msp import Decoder, Message, encode, error, reply
-from neuroflight.flash.link.records import FAULT_FILE_BYTES, FAULT_REGISTERS, FaultKind
 from neuroflight.flash.link.transport import open_transport
 from neuroflight.toolchain.contract import (
+    FAULT_FILE_BYTES,
+    FAULT_REGISTERS,
     ArmingReason,
     FallbackCause,
+    FaultKind,
     FlightState,
     GyroHealth,
     Msp,

@@ -122,7 +122,11 @@ GOOD, WARNING, CRITICAL = (
 
 @pytest.mark.parametrize(
     ("charge", "told"),
-    [pytest.param(0.9, GOOD, marks=pytest.mark.slow), (0.05, WARNING), (0.005, CRITICAL)],
+    [
+        pytest.param(0.9, GOOD, marks=pytest.mark.slow),
+        pytest.param(0.05, WARNING, marks=pytest.mark.slow),
+        (0.005, CRITICAL),
+    ],
 )
 def test_msp_beeper_and_led_tell_when_the_twins_pack_is_nearly_empty(
     image: Path, charge: float, told: tuple[BatteryLevel, set[int], int]
@@ -155,6 +159,7 @@ def test_the_policys_flight_is_the_same_on_board_host_and_library_when_the_batte
         assert not board.same(fly_on(port, None)), "the bench supply does not sag"
 
 
+@pytest.mark.slow
 def test_the_image_sees_a_full_pack_when_the_aircraft_hangs_on_the_bench_supply(image: Path) -> None:
     with closing(EmulatedPort(image)) as port:
         fly_on(port, None)

@@ -31,6 +31,7 @@ from neuroflight.toolchain.contract import (
     RECEIVER_HOLD_MS,
     RECEIVER_LOST_MS,
     FallbackCause,
+    FaultKind,
     Msp,
     Task,
 )
@@ -175,7 +176,7 @@ def test_a_pull_at_the_reset_line_in_flight_is_recorded(drill: Drill, started: t
     board = started[0].port.board
     line = LineTransport(UartLine(board), board.run_to)
     fault = records.faults(Client(line, line.clock).request(Msp.FAULTS)).pending
-    assert fault is not None and fault.kind is records.FaultKind.RESET
+    assert fault is not None and fault.kind is FaultKind.RESET
     assert fault.uptime_steps > 1000
 
 

@@ -17,6 +17,7 @@ from neuroflight.toolchain.contract.msp import *
 from neuroflight.toolchain.contract.modes import *
 from neuroflight.toolchain.contract.chirp import *
 from neuroflight.toolchain.contract.blackbox import *
+from neuroflight.toolchain.contract.structs import *
 from neuroflight.toolchain.contract.settings import *
 from neuroflight.toolchain.contract.msp_fields import *
 from neuroflight.toolchain.contract.msp_table import *

@@ -8,6 +8,7 @@ from enum import IntEnum
 # yaw left +. Motors: 1 rear right, 2 front right, 3 rear left, 4 front left; index = number - 1.
 AXES = ("roll", "pitch", "yaw")
 MOTOR_COUNT_MAX = 8
+MOTOR_PLACES = ("rear right", "front right", "rear left", "front left")  # of the motors of a quadcopter
 
 # --- Time ------------------------------------------------------------------------------------
 GYRO_EDGE_RATE_HZ = 8000  # data-ready of the known chips with DLPF_CFG 0, whatever their divider says

@@ -26,6 +26,7 @@ from neuroflight.toolchain.contract.msp_fields import Fields, MspField, MspGroup
 from neuroflight.toolchain.contract.policy_format import SHA256_BYTES
 from neuroflight.toolchain.contract.receiver import CHANNEL_COUNT
 from neuroflight.toolchain.contract.settings import AT_ONCE, SETTING_TEXT_BYTES
+from neuroflight.toolchain.contract.structs import FAULT_FILE_BYTES, FAULT_REGISTERS, FaultKind
 
 __all__ = ["Access", "Msp", "MspWhen"]
 
@@ -172,9 +173,6 @@ def _array(kind: str, name: str, count: int, unit: str = "", meaning: str = "") 
     return MspField(name, kind, unit, meaning, count)
 
 
-_FAULT_REGISTERS = "r0 to r3, r12, lr, pc, psr, cfsr, hfsr, mmfar, bfar, sp"
-_FAULT_REGISTER_COUNT = 13
-_FAULT_FILE_BYTES = 24
 _SETTING = number("u16", "setting", "", "its index: place in docs/reference/settings.md, from 0")
 _KIND = number("u8", "kind", "", "0 u32, 1 f32, 2 mode range packed in a u32, 3 text")
 _HEADER_FIELDS = ", ".join(field.name for field in IMAGE_FIELDS)
@@ -520,7 +518,7 @@ class Msp(IntEnum):
         number("f32", "idle", "motor fraction"),
         number("u8", "source", "", f"0 slot A, 1 slot B, {MSP_POLICY_NONE} none is good"),
         number("u32", "sequence", "", "0: as built"),
-        _array("i8", "found", 2, "", "in each slot, 0 good, else an error of nf_err.h"),
+        _array("i8", "found", 2, "", "in each slot, 0 good, else an error, see Numbers"),
         number("u8", "mix", "", "of outputs and throttle: 0 attitude first, 1 centred"),
     )
     # rate, worst, best, mean and misses of each task
@@ -562,11 +560,11 @@ class Msp(IntEnum):
                 "u32",
                 "fault",
                 "",
-                "1 processor fault, 2 assertion, 3 watchdog, 4 brown-out, 5 crystal, 6 reset line",
+                "FaultKind: " + ", ".join(f"{kind:d} {kind.name.lower()}" for kind in FaultKind if kind),
             ),
-            MspField("registers", "u32", "", _FAULT_REGISTERS, _FAULT_REGISTER_COUNT),
+            MspField("registers", "u32", "", ", ".join(FAULT_REGISTERS), len(FAULT_REGISTERS)),
             number("u32", "line", "", "of the assertion, else the exception's number"),
-            MspField("file", "text", "", "end of its path", _FAULT_FILE_BYTES),
+            MspField("file", "text", "", "end of its path", FAULT_FILE_BYTES),
             number("u32", "uptime", "control steps"),
             required=2,
         ),
@@ -721,7 +719,7 @@ class Msp(IntEnum):
         (_R.INDEX,),
         request=payload(number("u8", "source", "", "0 slot A, 1 slot B")),
         reply=payload(
-            number("i8", "found", "", "0 good, else an error of nf_err.h: why it could not be flown now"),
+            number("i8", "found", "", "0 good, else an error, see Numbers: why it could not be flown now"),
             number("u8", "flown", "", "1: by this boot"),
             number("u32", "sequence", "", "this and what follows: zeros where there is no whole policy"),
             number("u32", "architecture_hash"),
@@ -805,6 +803,7 @@ class Msp(IntEnum):
                 counted=True,
             ),
             number("u8", "layout", "", "of images and flash map that this firmware knows"),
+            required=2,
         ),
     )
     # erases the bank that is not run, for the image of that header

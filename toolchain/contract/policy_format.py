@@ -49,12 +49,23 @@ class HeaderField:
     unit: str
     meaning: str
     count: int = 1
+    members: tuple[HeaderField, ...] = ()  # of a struct
 
     @property
     def format(self) -> str:
         """The field for `struct`; an array counts as its bytes."""
-        code = {"char": "B", "uint8_t": "B", "uint16_t": "H", "uint32_t": "I", "float": "f"}[self.c_type]
+        if self.members:
+            return f"{self.count * struct.calcsize(struct_format(self.members))}s"
+        code = _CODES[self.c_type]
         return f"{self.count * struct.calcsize(code)}s" if self.count > 1 else code
+
+
+_CODES = {"char": "B", "uint8_t": "B", "int16_t": "h", "uint16_t": "H", "uint32_t": "I", "float": "f"}
+
+
+def struct_format(fields: tuple[HeaderField, ...]) -> str:
+    """Return the fields for `struct`, little-endian and without holes; arrays count as their bytes."""
+    return "<" + "".join(field.format for field in fields)
 
 
 POLICY_BLOB_FIELDS = (

@@ -60,6 +60,15 @@ class Span:
     unit: str
 
 
+class SettingKind(IntEnum):
+    """Kinds of values."""
+
+    uint32_t = 0
+    float = 1
+    mode = 2
+    text = 3
+
+
 @dataclass(frozen=True)
 class Setting:
     """A number, choice, mode range or text that a pilot may change; it is kept in flash."""

@@ -14,7 +14,7 @@ from onnx import TensorProto
 
 from neuroflight.toolchain.errors import PolicyError
 from neuroflight.toolchain.policy.foreign_model import listed
-from neuroflight.toolchain.reader.values import WIDTH_MAX, Row, Unread, Value, shown
+from neuroflight.toolchain.reader.values import WIDTH_MAX, RowValue, Unread, Value, shown
 
 ACTIONS = (  # names that exporters give the action beside a critic or a standard deviation
     "act",
@@ -164,18 +164,18 @@ def _fits(value: Value | None, declared: Sizes, motors: int) -> bool:
     if isinstance(value, Unread):
         shape = declared if value.shape is None else list(value.shape)
         return not shape or isinstance(shape[-1], str) or shape[-1] == motors
-    return isinstance(value, Row) and value.width == motors
+    return isinstance(value, RowValue) and value.width == motors
 
 
 def _width(values: Mapping[str, Value], name: str) -> int | None:
     value = values.get(name)
-    return value.width if isinstance(value, Row) else None
+    return value.width if isinstance(value, RowValue) else None
 
 
-def computed(values: Mapping[str, Value], name: str) -> Row:
+def computed(values: Mapping[str, Value], name: str) -> RowValue:
     """Return the output `name` as a value. Raises PolicyError where it is none or could not be read."""
     value = values.get(name)
-    if isinstance(value, Row):
+    if isinstance(value, RowValue):
         return value
     if isinstance(value, Unread):
         raise value.error or PolicyError(f"the output {shown(name)} is {value.label}, which is not supported")
@@ -183,7 +183,7 @@ def computed(values: Mapping[str, Value], name: str) -> Row:
 
 
 def find_states(
-    model: onnx.ModelProto, values: Mapping[str, Value], inputs: Mapping[str, Row], action: str
+    model: onnx.ModelProto, values: Mapping[str, Value], inputs: Mapping[str, RowValue], action: str
 ) -> dict[str, str]:
     """Pair inputs that may be state with outputs that may be its new value: equally wide, in order."""
     found = dict[str, str]()

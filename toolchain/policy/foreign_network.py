@@ -22,7 +22,7 @@ from neuroflight.toolchain.reader.recurrent import GATE_OPEN
 from neuroflight.toolchain.reader.values import (
     MULTIPLY_ADDS_MAX,
     Builder,
-    Row,
+    RowValue,
     Unread,
     Value,
     label,
@@ -51,7 +51,7 @@ class _Reading:
 
     build: Builder
     values: Mapping[str, Value]
-    inputs: Mapping[str, Row]  # of floats, by name
+    inputs: Mapping[str, RowValue]  # of floats, by name
 
     @property
     def names(self) -> dict[int, str]:
@@ -63,7 +63,7 @@ class _Reading:
 class _Action:
     """The action and what it is computed from."""
 
-    row: Row
+    row: RowValue
     cells: tuple[Cell, ...]  # that it needs
     failed: Mapping[str, str]  # states that no cell carries, and why
     needed: frozenset[int]  # numbers of the values that it is computed from, itself included
@@ -143,12 +143,12 @@ def _of_one_observation(error: PolicyError, fixed: Sequence[str]) -> PolicyError
 def _read(model: onnx.ModelProto, shapes: dict[str, tuple[int, ...]], multiply_adds_max: int) -> _Reading:
     """Read the nodes. Value 0 is the concatenation of all inputs; each input is a slice of it."""
     build = Builder(sum(map(math.prod, shapes.values())), multiply_adds_max=multiply_adds_max)
-    inputs, start = dict[str, Row](), 0
+    inputs, start = dict[str, RowValue](), 0
     for name, shape in shapes.items():
         width = math.prod(shape)
         build.nodes.append(Node(Slice(start, width), (OBSERVATION,), printable(name)))
         build.widths.append(width)
-        inputs[name] = Row(len(build.nodes), shape)
+        inputs[name] = RowValue(len(build.nodes), shape)
         start += width
     values: dict[str, Value] = dict(inputs)
     given = {tensor.name for tensor in model.graph.initializer}

@@ -34,7 +34,7 @@ from neuroflight.toolchain.ir.operations import (
     Tanh,
 )
 from neuroflight.toolchain.reader.arithmetic import constant_row, mapped
-from neuroflight.toolchain.reader.values import Builder, Call, Row, joint_shape
+from neuroflight.toolchain.reader.values import Builder, Call, RowValue, joint_shape
 
 GELU_CUBE = 0.044715  # of GELU's tanh form, in ONNX as in torch and JAX
 # ONNX's defaults, the float32 nearest to Klambauer et al.'s numbers.
@@ -42,7 +42,7 @@ SELU_ALPHA, SELU_GAMMA = 1.67326319217681884765625, 1.05070102214813232421875
 POWERS = (2, 3)
 
 
-def read_gelu(build: Builder, call: Call) -> Row:
+def read_gelu(build: Builder, call: Call) -> RowValue:
     """Read Gelu, of either form."""
     row, form = call.row(), call.attributes.get("approximate", b"none")
     if form == b"none":
@@ -60,19 +60,19 @@ def read_gelu(build: Builder, call: Call) -> Row:
     return _then(build, call, Multiply(), row, mapped(build, call, inner, 0.5, 0.5, row.shape))
 
 
-def read_mish(build: Builder, call: Call) -> Row:
+def read_mish(build: Builder, call: Call) -> RowValue:
     """Read Mish."""
     gate = _then(build, call, Tanh(), _then(build, call, Softplus(), call.row()))
     return _then(build, call, Multiply(), call.row(), gate)
 
 
-def read_selu(build: Builder, call: Call) -> Row:
+def read_selu(build: Builder, call: Call) -> RowValue:
     """Read Selu."""
     alpha, gamma = _attribute(call, "alpha", SELU_ALPHA), _attribute(call, "gamma", SELU_GAMMA)
     return _scaled(build, call, _then(build, call, Elu(alpha), call.row()), gamma)
 
 
-def read_celu(build: Builder, call: Call) -> Row:
+def read_celu(build: Builder, call: Call) -> RowValue:
     """Read Celu."""
     if (alpha := _attribute(call, "alpha", 1.0)) <= 0:
         raise call.error(f"has alpha {alpha:g}, expected more than 0")
@@ -82,7 +82,7 @@ def read_celu(build: Builder, call: Call) -> Row:
     return _scaled(build, call, _then(build, call, Elu(1.0), _scaled(build, call, row, 1 / alpha)), alpha)
 
 
-def read_prelu(build: Builder, call: Call) -> Row:
+def read_prelu(build: Builder, call: Call) -> RowValue:
     """Read PRelu, of one slope or one for each value."""
     row, slope = call.row(), call.floats(1)
     if slope is None or joint_shape(call, slope.shape, row.shape) != row.shape:
@@ -94,17 +94,17 @@ def read_prelu(build: Builder, call: Call) -> Row:
     return _then(build, call, Add(), _then(build, call, Relu(), row), below)
 
 
-def read_hard_sigmoid(build: Builder, call: Call) -> Row:
+def read_hard_sigmoid(build: Builder, call: Call) -> RowValue:
     """Read HardSigmoid: alpha x + beta, between 0 and 1."""
     return _hard_sigmoid(build, call, _attribute(call, "alpha", 0.2), _attribute(call, "beta", 0.5))
 
 
-def read_hard_swish(build: Builder, call: Call) -> Row:
+def read_hard_swish(build: Builder, call: Call) -> RowValue:
     """Read HardSwish."""
     return _then(build, call, Multiply(), call.row(), _hard_sigmoid(build, call, 1 / 6, 0.5))
 
 
-def read_swish(build: Builder, call: Call) -> Row:
+def read_swish(build: Builder, call: Call) -> RowValue:
     """Read Swish."""
     row = call.row()
     if (alpha := _attribute(call, "alpha", 1.0)) == 1:
@@ -113,7 +113,7 @@ def read_swish(build: Builder, call: Call) -> Row:
     return _then(build, call, Multiply(), row, gate)
 
 
-def read_thresholded(build: Builder, call: Call) -> Row:
+def read_thresholded(build: Builder, call: Call) -> RowValue:
     """Read ThresholdedRelu: x where it is above alpha, else 0."""
     row, alpha = call.row(), _attribute(call, "alpha", 1.0)
     if alpha == 0:
@@ -122,7 +122,7 @@ def read_thresholded(build: Builder, call: Call) -> Row:
     return _then(build, call, Select(), above, row, constant_row(build, call, row, np.zeros(row.width)))
 
 
-def read_power(build: Builder, call: Call) -> Row:
+def read_power(build: Builder, call: Call) -> RowValue:
     """Read Pow of a value to the second or third."""
     row, power = call.row(), call.constant(1)
     if power is None or power.size != 1 or power.flat[0] not in POWERS:
@@ -131,26 +131,26 @@ def read_power(build: Builder, call: Call) -> Row:
     return square if power.flat[0] == 2 else _then(build, call, Multiply(), square, row)
 
 
-def read_log(build: Builder, call: Call) -> Row:
+def read_log(build: Builder, call: Call) -> RowValue:
     """Read Log of a sigmoid: -log(1 + e^-x)."""
     row = call.row()
     node = build.operation(row)
     if node is None or node.operation != Sigmoid():
         raise call.error("takes the logarithm of what is no Sigmoid, which is not supported")
-    inner = _scaled(build, call, Row(node.inputs[0], row.shape), -1.0)
+    inner = _scaled(build, call, RowValue(node.inputs[0], row.shape), -1.0)
     return _scaled(build, call, _then(build, call, Softplus(), inner), -1.0)
 
 
-def _hard_sigmoid(build: Builder, call: Call, alpha: float, beta: float) -> Row:
+def _hard_sigmoid(build: Builder, call: Call, alpha: float, beta: float) -> RowValue:
     row = call.row()
     return _then(build, call, Clip(0.0, 1.0), mapped(build, call, row, alpha, beta, row.shape))
 
 
-def _then(build: Builder, call: Call, operation: Operation, *rows: Row) -> Row:
+def _then(build: Builder, call: Call, operation: Operation, *rows: RowValue) -> RowValue:
     return build.append(call, operation, *rows, shape=rows[0].shape)
 
 
-def _scaled(build: Builder, call: Call, row: Row, factor: float) -> Row:
+def _scaled(build: Builder, call: Call, row: RowValue, factor: float) -> RowValue:
     return mapped(build, call, row, factor, 0.0, row.shape)
 
 

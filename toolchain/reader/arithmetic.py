@@ -9,12 +9,12 @@ from numpy.typing import NDArray
 
 from neuroflight.toolchain.ir.operations import Add, Affine, Clip, Linear, Multiply, Sigmoid, Silu, Tanh
 from neuroflight.toolchain.reader.constants import CONSTANT_STATE
-from neuroflight.toolchain.reader.values import Array, Builder, Call, Row, joint_shape
+from neuroflight.toolchain.reader.values import Array, Builder, Call, RowValue, joint_shape
 
 Float64 = NDArray[np.float64]
 
 
-def read_gemm(build: Builder, call: Call) -> Row:
+def read_gemm(build: Builder, call: Call) -> RowValue:
     """Read Gemm: alpha x W + beta b."""
     row, options = call.row(0), call.attributes
     shape = row.shape[::-1] if options.get("transA", 0) else row.shape
@@ -34,9 +34,9 @@ def read_gemm(build: Builder, call: Call) -> Row:
     return linear(build, call, row, weight, bias, (bias.size,) if flat else (1, bias.size))
 
 
-def read_matmul(build: Builder, call: Call) -> Row:
+def read_matmul(build: Builder, call: Call) -> RowValue:
     """Read MatMul: x W or W x, if every axis but the summed one has size 1."""
-    first = isinstance(call.input(0), Row)
+    first = isinstance(call.input(0), RowValue)
     row, constant = call.row(0 if first else 1), call.floats(1 if first else 0)
     weight = _weights(call, 1).T if first else _weights(call, 0)
     flat = len(row.shape) == 1
@@ -58,8 +58,8 @@ def _weights(call: Call, place: int, ranks: tuple[int, ...] = (2, 3, 4)) -> Floa
 
 
 def linear(
-    build: Builder, call: Call, row: Row, weight: Float64, bias: Float64, shape: tuple[int, ...]
-) -> Row:
+    build: Builder, call: Call, row: RowValue, weight: Float64, bias: Float64, shape: tuple[int, ...]
+) -> RowValue:
     """Append W x + b, rounded to float32. Raises PolicyError if that overflows or does not fit the value."""
     if weight.shape[1] != row.width or not weight.size:
         raise call.error(f"has weights for {weight.shape[1]} inputs, expected {row.width}")
@@ -70,11 +70,11 @@ def linear(
     return build.append(call, layer, row, shape=shape)
 
 
-def read_arithmetic(build: Builder, call: Call) -> Row:
+def read_arithmetic(build: Builder, call: Call) -> RowValue:
     """Add, Sub, Mul and Div: of a value and a constant, or of two values."""
-    if len(call.inputs) == 2 and all(isinstance(value, Row) for value in call.inputs):
+    if len(call.inputs) == 2 and all(isinstance(value, RowValue) for value in call.inputs):
         return _of_two(build, call, call.row(0), call.row(1))
-    first = isinstance(call.input(0), Row)
+    first = isinstance(call.input(0), RowValue)
     row, constant = call.row(0 if first else 1), call.numbers(1 if first else 0)
     assert constant is not None
     shape = joint_shape(call, row.shape, constant.shape)
@@ -98,11 +98,11 @@ def read_arithmetic(build: Builder, call: Call) -> Row:
 def mapped(
     build: Builder,
     call: Call,
-    row: Row,
+    row: RowValue,
     scale: Float64 | float,
     offset: Float64 | float,
     shape: tuple[int, ...],
-) -> Row:
+) -> RowValue:
     """Append scale row + offset, value by value."""
     factors, summands = (np.broadcast_to(np.float64(values), row.width).copy() for values in (scale, offset))
     if max(np.abs(factors).max(), np.abs(summands).max()) > np.finfo(np.float32).max:
@@ -110,7 +110,7 @@ def mapped(
     return build.append(call, Affine(factors, summands), row, shape=shape)
 
 
-def _of_two(build: Builder, call: Call, first: Row, second: Row) -> Row:
+def _of_two(build: Builder, call: Call, first: RowValue, second: RowValue) -> RowValue:
     shape = joint_shape(call, first.shape, second.shape)
     if call.operator == "Mul" and (row := _gated_by_itself(build, first, second)):
         return build.append(call, Silu(), row, shape=row.shape)
@@ -126,7 +126,7 @@ def _of_two(build: Builder, call: Call, first: Row, second: Row) -> Row:
     raise call.error("divides a value by another, expected a constant divisor")
 
 
-def _gated_by_itself(build: Builder, first: Row, second: Row) -> Row | None:
+def _gated_by_itself(build: Builder, first: RowValue, second: RowValue) -> RowValue | None:
     """Append x sigmoid(x) as SiLU, as exporters write it before opset 24; None for any other product."""
     for row, gate in ((first, second), (second, first)):
         node = build.operation(gate)
@@ -136,7 +136,7 @@ def _gated_by_itself(build: Builder, first: Row, second: Row) -> Row | None:
     return None
 
 
-def _reject_constant_state(build: Builder, call: Call, row: Row, constant: Array) -> None:
+def _reject_constant_state(build: Builder, call: Call, row: RowValue, constant: Array) -> None:
     """Reject what is left of a recurrent cell whose state the exporter took for a constant."""
     if constant.any():
         return
@@ -146,7 +146,7 @@ def _reject_constant_state(build: Builder, call: Call, row: Row, constant: Array
         raise call.error(f"computes with zeros only; {CONSTANT_STATE}")
 
 
-def read_reduction(build: Builder, call: Call) -> Row:
+def read_reduction(build: Builder, call: Call) -> RowValue:
     """Read ReduceMean and ReduceSum over any axes, as a matrix of ones or of 1 / n."""
     row, kept = call.row(), call.attributes.get("keepdims", 1)
     axes = reduced_axes(call, row)
@@ -160,7 +160,7 @@ def read_reduction(build: Builder, call: Call) -> Row:
     return linear(build, call, row, weight, np.zeros(len(weight)), tuple(sizes))
 
 
-def reduced_axes(call: Call, row: Row) -> list[int]:
+def reduced_axes(call: Call, row: RowValue) -> list[int]:
     """Return the axes of `row` that a reduction covers, in ascending order."""
     given = call.constant(1)  # from opset 13 (ReduceSum) and 18 (ReduceMean) on the axes are an input
     axes = call.attributes.get("axes") if given is None else [int(axis) for axis in given.ravel()]
@@ -171,7 +171,7 @@ def reduced_axes(call: Call, row: Row) -> list[int]:
     return sorted({axis % len(row.shape) for axis in axes})
 
 
-def constant_row(build: Builder, call: Call, like: Row, values: Float64) -> Row:
+def constant_row(build: Builder, call: Call, like: RowValue, values: Float64) -> RowValue:
     """Append constants in the shape of `like`: a Clip with equal bounds, and what differs is added.
 
     A product with zeros would be refused when the policy is read back: exporters write one where the state
@@ -183,15 +183,17 @@ def constant_row(build: Builder, call: Call, like: Row, values: Float64) -> Row:
     return row if same else mapped(build, call, row, 1.0, values, like.shape)
 
 
-def read_negative(build: Builder, call: Call) -> Row:
+def read_negative(build: Builder, call: Call) -> RowValue:
     """Read Neg."""
     return mapped(build, call, call.row(), -1.0, 0.0, call.row().shape)
 
 
-def read_sum(build: Builder, call: Call) -> Row:
+def read_sum(build: Builder, call: Call) -> RowValue:
     """Read Sum and Mean of any number of values and constants."""
-    rows = [value for value in call.inputs if isinstance(value, Row)]
-    constants = [call.numbers(place) for place, value in enumerate(call.inputs) if not isinstance(value, Row)]
+    rows = [value for value in call.inputs if isinstance(value, RowValue)]
+    constants = [
+        call.numbers(place) for place, value in enumerate(call.inputs) if not isinstance(value, RowValue)
+    ]
     arrays = [array for array in constants if array is not None]
     shapes = [row.shape for row in rows] + [array.shape for array in arrays]
     shape = joint_shape(call, *shapes)

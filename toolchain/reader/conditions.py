@@ -9,13 +9,13 @@ import numpy as np
 
 from neuroflight.toolchain.ir.operations import Add, Affine, Operation, Select, Softplus
 from neuroflight.toolchain.reader.arithmetic import constant_row, mapped
-from neuroflight.toolchain.reader.values import Array, Builder, Call, Condition, Row, Value, joint_shape
+from neuroflight.toolchain.reader.values import Array, Builder, Call, Condition, RowValue, Value, joint_shape
 
 # Above it log(1 + e^x) rounds to x: the difference e^-16 is 1 / 9 of a float32's last place at 16.
 SOFTPLUS_STRAIGHT = 16.0
 
 
-def read_where(build: Builder, call: Call) -> Row:
+def read_where(build: Builder, call: Call) -> RowValue:
     """Read Where on a comparison."""
     condition = call.input(0)
     if isinstance(condition, np.ndarray) and condition.dtype == np.bool_:
@@ -26,18 +26,20 @@ def read_where(build: Builder, call: Call) -> Row:
     first, second = reversed(chosen) if condition.negated else chosen
     if (row := _softplus(build, condition, first, second)) is not None:
         return row
-    shapes = [value.shape for value in (first, second) if isinstance(value, Row | np.ndarray)]
+    shapes = [value.shape for value in (first, second) if isinstance(value, RowValue | np.ndarray)]
     shape = joint_shape(call, condition.row.shape, *shapes)
     rows = [build.broadcast(call, condition.row, shape)]
     rows += [_row(build, call, value, rows[0], shape) for value in (first, second)]
     return build.append(call, Select(), *rows, shape=shape)
 
 
-def _mixed(build: Builder, call: Call, chosen: Array) -> Row:
+def _mixed(build: Builder, call: Call, chosen: Array) -> RowValue:
     """Read Where with a constant condition: the sum of each side times 1 where it is chosen, else 0."""
     values = (call.input(1), call.input(2))
-    like = next(value for value in values if isinstance(value, Row))
-    shape = joint_shape(call, chosen.shape, *(v.shape for v in values if isinstance(v, Row | np.ndarray)))
+    like = next(value for value in values if isinstance(value, RowValue))
+    shape = joint_shape(
+        call, chosen.shape, *(v.shape for v in values if isinstance(v, RowValue | np.ndarray))
+    )
     like = build.broadcast(call, like, shape)
     taken = np.broadcast_to(chosen, shape).ravel().astype(np.float64)
     if (taken == taken[0]).all():
@@ -49,7 +51,7 @@ def _mixed(build: Builder, call: Call, chosen: Array) -> Row:
     return build.append(call, Add(), *parts, shape=shape)
 
 
-def read_mask(build: Builder, call: Call, condition: Condition) -> Row:
+def read_mask(build: Builder, call: Call, condition: Condition) -> RowValue:
     """Read a Cast of a comparison to float32: 1 where it holds, else 0."""
     row = condition.row
     first, second = (0.0, 1.0) if condition.negated else (1.0, 0.0)
@@ -57,19 +59,21 @@ def read_mask(build: Builder, call: Call, condition: Condition) -> Row:
     return build.append(call, Select(), row, *constants, shape=row.shape)
 
 
-def _row(build: Builder, call: Call, value: Value | None, like: Row, shape: tuple[int, ...]) -> Row:
+def _row(build: Builder, call: Call, value: Value | None, like: RowValue, shape: tuple[int, ...]) -> RowValue:
     """Return a value or constant that Where takes, as a value of `shape`."""
-    if isinstance(value, Row):
+    if isinstance(value, RowValue):
         return build.broadcast(call, value, shape)
     if not isinstance(value, np.ndarray) or value.dtype.kind != "f" or not np.isfinite(value).all():
         raise call.error("chooses between others than values and finite float32 constants")
     return constant_row(build, call, like, np.broadcast_to(value, shape).ravel().astype(np.float64))
 
 
-def _softplus(build: Builder, condition: Condition, first: Value | None, second: Value | None) -> Row | None:
+def _softplus(
+    build: Builder, condition: Condition, first: Value | None, second: Value | None
+) -> RowValue | None:
     """Return log(1 + e^x) of `x where x > 20, else log(1 + e^x)`, as torch's exporter writes it."""
     match first, second:
-        case Row() as x, Row() as soft if (node := build.operation(soft)) is not None:
+        case RowValue() as x, RowValue() as soft if (node := build.operation(soft)) is not None:
             compared = build.operation(condition.row)
             straight = (
                 node.operation == Softplus()
@@ -94,19 +98,19 @@ def _above(build: Builder, call: Call, places: tuple[int, int], negated: bool) -
     """Return the condition that the first of two inputs exceeds the second, as their difference."""
     first, second = (call.input(place) for place in places)
     match first, second:
-        case Row(), Row():
+        case RowValue(), RowValue():
             shape = joint_shape(call, first.shape, second.shape)
             rows = [build.broadcast(call, row, shape) for row in (first, second)]
             less = mapped(build, call, rows[1], -1.0, 0.0, shape)
             return Condition(build.append(call, Add(), rows[0], less, shape=shape), negated)
-        case Row() as row, np.ndarray():
+        case RowValue() as row, np.ndarray():
             return Condition(_moved(build, call, row, places[1], 1.0), negated)
-        case np.ndarray(), Row() as row:
+        case np.ndarray(), RowValue() as row:
             return Condition(_moved(build, call, row, places[0], -1.0), negated)
     raise call.error("compares others than values and constants")
 
 
-def _moved(build: Builder, call: Call, row: Row, place: int, sign: float) -> Row:
+def _moved(build: Builder, call: Call, row: RowValue, place: int, sign: float) -> RowValue:
     """Append `sign` (row - the constant at `place`)."""
     bound: Array | None = call.floats(place)
     assert bound is not None

@@ -15,7 +15,7 @@ import onnx
 from onnx import TensorProto, numpy_helper
 
 from neuroflight.toolchain.errors import PolicyError
-from neuroflight.toolchain.reader.values import Array, Call, Row, Unread
+from neuroflight.toolchain.reader.values import Array, Call, RowValue, Unread
 
 ELEMENTS_MAX = 1 << 18  # of a folded constant: more than a policy has weights
 TYPES: dict[int, type[np.generic]] = {
@@ -45,7 +45,7 @@ def fold(call: Call) -> Array | tuple[Array, ...]:
     """Compute a node of constants. Raises PolicyError if its operator is not in the list."""
     if call.operator == "Shape":
         value = call.input(0)
-        shape = value.shape if isinstance(value, Row | Unread | np.ndarray) else None
+        shape = value.shape if isinstance(value, RowValue | Unread | np.ndarray) else None
         if shape is None:
             raise call.error("asks for the shape of a value whose shape is not known")
         end = call.attributes.get("end")

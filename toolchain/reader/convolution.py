@@ -9,12 +9,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from neuroflight.toolchain.reader.arithmetic import linear
-from neuroflight.toolchain.reader.values import Builder, Call, Row
+from neuroflight.toolchain.reader.values import Builder, Call, RowValue
 
 PADDED_MAX = 1 << 16  # values with the zeros around them, which also bounds the kernel
 
 
-def read_conv(build: Builder, call: Call) -> Row:
+def read_conv(build: Builder, call: Call) -> RowValue:
     """Read a convolution over any number of axes, of a value of shape [1, channels, ...]."""
     row, weight = call.row(0), call.floats(1)
     if weight is None or weight.ndim != len(row.shape) or weight.ndim < 3 or row.shape[0] != 1:

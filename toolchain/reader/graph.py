@@ -29,7 +29,7 @@ from neuroflight.toolchain.reader.values import (
     Call,
     Condition,
     Part,
-    Row,
+    RowValue,
     Unread,
     Value,
     label,
@@ -60,10 +60,10 @@ def read_network(model: onnx.ModelProto) -> Network:
         raise PolicyError(f"the policy takes {width} values, expected at most {WIDTH_MAX}")
     outputs = action_width(model)
     build = Builder(width)
-    action = read_nodes(model, build, {POLICY_INPUT: Row(0, (1, width))})[POLICY_OUTPUT]
+    action = read_nodes(model, build, {POLICY_INPUT: RowValue(0, (1, width))})[POLICY_OUTPUT]
     if isinstance(action, Unread) and action.error is not None:
         raise action.error
-    if not isinstance(action, Row):
+    if not isinstance(action, RowValue):
         raise PolicyError(f"output {POLICY_OUTPUT!r} is no function of the observation; is the export right?")
     if action.shape != (1, outputs):
         raise PolicyError(
@@ -126,7 +126,7 @@ def _read(build: Builder, call: Call) -> tuple[Value, ...]:
     kinds = {type(value) for value in call.inputs}
     if call.operator == "Constant":
         return (_constant(call),)
-    if (call.operator == "Shape" and Part not in kinds) or not kinds & {Row, Part, Condition}:
+    if (call.operator == "Shape" and Part not in kinds) or not kinds & {RowValue, Part, Condition}:
         result = fold(call)
     elif (Part in kinds or call.operator in STARTS) and (part := read_pattern(build, call)) is not None:
         result = part
@@ -148,7 +148,7 @@ def _unread(
         if isinstance(value, np.ndarray):
             constants[name] = numpy_helper.from_array(value)
             kind, shape = constants[name].data_type, value.shape
-        elif isinstance(value, Row | Unread) and value.shape is not None:
+        elif isinstance(value, RowValue | Unread) and value.shape is not None:
             kind, shape = TensorProto.FLOAT, value.shape
         else:
             continue
@@ -184,7 +184,7 @@ def _constant(call: Call) -> Value:
     raise call.error("holds neither a tensor nor numbers")
 
 
-def _network(build: Builder, action: Row) -> Network:
+def _network(build: Builder, action: RowValue) -> Network:
     """Return the nodes up to the action's, without those that a later one absorbed."""
     nodes = build.nodes[: action.number]
     kept, numbers = list[Node](), {0: 0}

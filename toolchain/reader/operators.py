@@ -60,7 +60,7 @@ from neuroflight.toolchain.reader.values import (
     Builder,
     Call,
     Condition,
-    Row,
+    RowValue,
     Unread,
     Value,
     joint_shape,
@@ -70,14 +70,14 @@ Reader = Callable[[Builder, Call], Value | tuple[Value, ...]]
 
 
 def _activation(operation: Operation) -> Reader:
-    def read(build: Builder, call: Call) -> Row:
+    def read(build: Builder, call: Call) -> RowValue:
         return build.append(call, operation, call.row(), shape=call.row().shape)
 
     return read
 
 
 def _parameter(make: Callable[[float], Operation], default: float) -> Reader:
-    def read(build: Builder, call: Call) -> Row:
+    def read(build: Builder, call: Call) -> RowValue:
         alpha = call.attributes.get("alpha", default)
         if not math.isfinite(alpha):
             raise call.error(f"has alpha {alpha}, expected a finite number")
@@ -86,13 +86,13 @@ def _parameter(make: Callable[[float], Operation], default: float) -> Reader:
     return read
 
 
-def _clip(build: Builder, call: Call) -> Row:
+def _clip(build: Builder, call: Call) -> RowValue:
     return _clipped(build, call, call.row(), call.scalar(1), call.scalar(2))
 
 
-def _min_or_max(build: Builder, call: Call) -> Row:
+def _min_or_max(build: Builder, call: Call) -> RowValue:
     """Read Min and Max: with one number a Clip with one bound, of two values or many numbers a Select."""
-    places = [place for place, value in enumerate(call.inputs) if isinstance(value, Row)]
+    places = [place for place, value in enumerate(call.inputs) if isinstance(value, RowValue)]
     if len(call.inputs) != 2:
         raise call.error(f"takes {len(call.inputs)} values, expected two")
     if len(places) == 2:
@@ -114,7 +114,7 @@ def _min_or_max(build: Builder, call: Call) -> Row:
     return _clipped(build, call, row, low, high)
 
 
-def _bounded_each(build: Builder, call: Call, row: Row, bounds: NDArray[np.float64]) -> Row:
+def _bounded_each(build: Builder, call: Call, row: RowValue, bounds: NDArray[np.float64]) -> RowValue:
     """Read Min or Max with a bound of its own for each value, such as limits of each motor."""
     bounds = bounds.astype(np.float32).astype(np.float64)
     held = constant_row(build, call, row, bounds)
@@ -123,7 +123,7 @@ def _bounded_each(build: Builder, call: Call, row: Row, bounds: NDArray[np.float
     return build.append(call, Select(), above, *ordered, shape=row.shape)
 
 
-def _clipped(build: Builder, call: Call, row: Row, low: float | None, high: float | None) -> Row:
+def _clipped(build: Builder, call: Call, row: RowValue, low: float | None, high: float | None) -> RowValue:
     low = None if low == -math.inf else low
     high = None if high == math.inf else high
     given = [bound for bound in (low, high) if bound is not None]
@@ -132,7 +132,7 @@ def _clipped(build: Builder, call: Call, row: Row, low: float | None, high: floa
     return build.append(call, Clip(low, high), row, shape=row.shape)
 
 
-def _softmax(build: Builder, call: Call) -> Row:
+def _softmax(build: Builder, call: Call) -> RowValue:
     """Read Softmax over all values, or over each group along an axis."""
     row, axis = call.row(), call.attributes.get("axis", -1)
     if not -len(row.shape) <= axis < len(row.shape):
@@ -169,7 +169,7 @@ def _norm(build: Builder, call: Call) -> tuple[Value, ...]:
     return norm, *(Unread(f"an inner value of {call.label}") for _ in range(call.outputs - 1))
 
 
-def _batch_norm(build: Builder, call: Call) -> Row:
+def _batch_norm(build: Builder, call: Call) -> RowValue:
     """Read BatchNormalization in inference: an affine map of each value."""
     row = call.row()
     if call.attributes.get("training_mode", 0) or call.outputs > 1:
@@ -194,7 +194,7 @@ def _dropout(build: Builder, call: Call) -> tuple[Value, ...]:
     return call.row(), Unread(f"the mask of {call.label}")
 
 
-def _cast(build: Builder, call: Call) -> Row:
+def _cast(build: Builder, call: Call) -> RowValue:
     kind = call.attributes.get("to", 0)
     if kind not in (TensorProto.FLOAT, TensorProto.DOUBLE):  # the policy computes in float32 all the same
         known = kind in TensorProto.DataType.values()
@@ -204,7 +204,7 @@ def _cast(build: Builder, call: Call) -> Row:
     return read_mask(build, call, value) if isinstance(value, Condition) else call.row()
 
 
-def _concat(build: Builder, call: Call) -> Row:
+def _concat(build: Builder, call: Call) -> RowValue:
     """Read Concat along any axis."""
     rows = [call.row(place) for place in range(len(call.inputs))]
     starts = np.cumsum([0, *(row.width for row in rows)])

@@ -18,7 +18,7 @@ import numpy as np
 
 from neuroflight.toolchain.ir.operations import LayerNorm, Multiply, Norm, RmsNorm, Select, Softsign
 from neuroflight.toolchain.reader.arithmetic import Float64, linear, mapped, reduced_axes
-from neuroflight.toolchain.reader.values import Array, Builder, Call, Part, Row, Value
+from neuroflight.toolchain.reader.values import Array, Builder, Call, Part, RowValue, Value
 
 ABSOLUTE, ABSOLUTE_AND_ONE = "|x|", "1 + |x|"
 MEAN, DISTANCE, SQUARE, VARIANCE = "the mean", "x - mean", "(x - mean)^2", "the variance"
@@ -66,7 +66,7 @@ def computed(build: Builder, call: Call) -> Call:
 
 def _next(build: Builder, call: Call) -> Value | None:
     match call.operator, *call.inputs:
-        case "Abs", Row() as row:
+        case "Abs", RowValue() as row:
             return Part(ABSOLUTE, row, call.label)
         case ("Add", Part(kind=kind) as part, np.ndarray() as constant) | (
             "Add",
@@ -84,15 +84,15 @@ def _next(build: Builder, call: Call) -> Value | None:
                 return Part(ABSOLUTE_AND_ONE, part.row, call.label)
             if kind in WITH_EPSILON and value > 0:
                 return Part(WITH_EPSILON[kind], part.row, call.label, value)
-        case "Div", Row() as row, Part(kind=kind, row=same) if (kind, row) == (ABSOLUTE_AND_ONE, same):
+        case "Div", RowValue() as row, Part(kind=kind, row=same) if (kind, row) == (ABSOLUTE_AND_ONE, same):
             return build.append(call, Softsign(), row, shape=row.shape)
-        case "ReduceMean", Row() as row, *_ if _over_all(call, row):
+        case "ReduceMean", RowValue() as row, *_ if _over_all(call, row):
             if (squared := _squared(build, row)) is not None:
                 return Part(MEAN_SQUARE, squared, call.label, shape=_mean_shape(call, row))
             return Part(MEAN, row, call.label, shape=_mean_shape(call, row))
         case "ReduceMean", Part(kind=kind, row=row), *_ if kind == SQUARE and _over_all(call, row):
             return Part(VARIANCE, row, call.label)
-        case "Sub", Row() as row, Part(kind=kind, row=same) if (kind, row) == (MEAN, same):
+        case "Sub", RowValue() as row, Part(kind=kind, row=same) if (kind, row) == (MEAN, same):
             return Part(DISTANCE, row, call.label)
         case "Pow", Part(kind=kind, row=row) as part, np.ndarray() as power:
             if kind in (DISTANCE, MEAN) and _scalar(power) == 2:
@@ -106,9 +106,9 @@ def _next(build: Builder, call: Call) -> Value | None:
             return Part(INVERSES[kind], part.row, call.label, part.epsilon)
         case "Div", np.ndarray() as one, Part(kind=kind) as part if kind in INVERSES and _scalar(one) == 1:
             return Part(INVERSES[kind], part.row, call.label, part.epsilon)
-        case (("Div" | "Mul"), Row() as row, Part(row=same) as part) if row == same:
+        case (("Div" | "Mul"), RowValue() as row, Part(row=same) as part) if row == same:
             return _of_row(build, call, part)
-        case "Mul", Part(row=same) as part, Row() as row if row == same:
+        case "Mul", Part(row=same) as part, RowValue() as row if row == same:
             return _of_row(build, call, part)
         case ("Mul", Part() as part, np.ndarray() as values) | (
             "Mul",
@@ -167,7 +167,7 @@ def _with_values(build: Builder, call: Call) -> Call:
     return replace(call, inputs=tuple(inputs))
 
 
-def _computed(build: Builder, call: Call, part: Part) -> Row:
+def _computed(build: Builder, call: Call, part: Part) -> RowValue:
     row, width = part.row, part.row.width
     if part.kind == ABSOLUTE:
         negative = mapped(build, call, row, -1.0, 0.0, row.shape)
@@ -192,7 +192,7 @@ def _of_row(build: Builder, call: Call, part: Part) -> Value | None:
     return None
 
 
-def _norm(build: Builder, call: Call, kind: type[Norm], part: Part) -> Row:
+def _norm(build: Builder, call: Call, kind: type[Norm], part: Part) -> RowValue:
     """Append the norm of a part's row, with the scale and offset that the part has collected."""
     row, one, zero = part.row, np.ones(part.row.width, np.float32), np.zeros(part.row.width, np.float32)
     norm = build.append(call, kind(part.epsilon, one, zero), row, shape=row.shape)
@@ -216,22 +216,22 @@ def _fits(part: Part, values: Array) -> bool:
     return fits and values.dtype.kind == "f" and bool(np.isfinite(values).all())
 
 
-def _squared(build: Builder, row: Row) -> Row | None:
+def _squared(build: Builder, row: RowValue) -> RowValue | None:
     """Return x if `row` is x * x; else None."""
     node = build.operation(row)
     if node is None or node.operation != Multiply() or len(set(node.inputs)) != 1:
         return None
-    return Row(node.inputs[0], row.shape)
+    return RowValue(node.inputs[0], row.shape)
 
 
-def _mean_shape(call: Call, row: Row) -> tuple[int, ...]:
+def _mean_shape(call: Call, row: RowValue) -> tuple[int, ...]:
     axes = reduced_axes(call, row)
     if call.attributes.get("keepdims", 1):
         return (1,) * len(row.shape)
     return tuple(size for axis, size in enumerate(row.shape) if axis not in axes)
 
 
-def _over_all(call: Call, row: Row) -> bool:
+def _over_all(call: Call, row: RowValue) -> bool:
     """Return True if a ReduceMean takes the mean of all values of `row`."""
     axes = reduced_axes(call, row)
     return all(size == 1 or axis in axes for axis, size in enumerate(row.shape))
@@ -242,6 +242,6 @@ def _scalar(values: Array) -> float | None:
 
 
 def _listed(call: Call) -> str:
-    kinds = {Row: "a value", np.ndarray: "a constant"}
+    kinds = {RowValue: "a value", np.ndarray: "a constant"}
     words = [v.kind if isinstance(v, Part) else kinds.get(type(v), "nothing") for v in call.inputs]
     return " and ".join(words)

@@ -25,7 +25,7 @@ from neuroflight.toolchain.ir.operations import (
     Slice,
     Tanh,
 )
-from neuroflight.toolchain.reader.values import Builder, Call, Row, Unread, Value, shown
+from neuroflight.toolchain.reader.values import Builder, Call, RowValue, Unread, Value, shown
 
 SEQUENCE_LENGTHS, INITIAL_H, INITIAL_C, PEEPHOLES = 4, 5, 6, 7  # places of inputs
 STATES = {INITIAL_H: "h", INITIAL_C: "c"}
@@ -81,7 +81,7 @@ def read_lstm(build: Builder, call: Call) -> tuple[Value, ...]:
     inside = write(
         Add(), write(Multiply(), forget, before[1]), write(Multiply(), enter, write(Tanh(), sums[3]))
     )
-    return *_outputs(write(Multiply(), leave, write(Tanh(), inside))), Row(inside.number, (1, 1, units))
+    return *_outputs(write(Multiply(), leave, write(Tanh(), inside))), RowValue(inside.number, (1, 1, units))
 
 
 def read_rnn(build: Builder, call: Call) -> tuple[Value, ...]:
@@ -116,10 +116,10 @@ def plain_cell(weight: Float32, state_weight: Float32, bias: Float32, state_bias
     )
 
 
-def _outputs(result: Row) -> tuple[Row, Row]:
+def _outputs(result: RowValue) -> tuple[RowValue, RowValue]:
     """Return the result as Y [1, 1, 1, H] and as Y_h [1, 1, H]."""
     units = result.width
-    return Row(result.number, (1, 1, 1, units)), Row(result.number, (1, 1, units))
+    return RowValue(result.number, (1, 1, 1, units)), RowValue(result.number, (1, 1, units))
 
 
 @dataclass(frozen=True)
@@ -130,21 +130,21 @@ class _Writer:
     call: Call
     units: int
 
-    def __call__(self, operation: Operation, *rows: Row) -> Row:
+    def __call__(self, operation: Operation, *rows: RowValue) -> RowValue:
         return self.build.append(self.call, operation, *rows, shape=(self.units,))
 
-    def gates(self, layer: Linear, row: Row) -> list[Row]:
+    def gates(self, layer: Linear, row: RowValue) -> list[RowValue]:
         """Return the sum of each gate; `layer` computes them one after the other."""
         count = layer.outputs // self.units
         joint = self.build.append(self.call, layer, row, shape=(layer.outputs,))
         return [self(Slice(gate * self.units, self.units), joint) for gate in range(count)]
 
-    def negative(self, row: Row) -> Row:
+    def negative(self, row: RowValue) -> RowValue:
         """Append -x."""
         return self(Affine(np.full(self.units, -1.0), np.zeros(self.units)), row)
 
 
-def _initial(call: Call, units: int, *places: int) -> list[Row] | None:
+def _initial(call: Call, units: int, *places: int) -> list[RowValue] | None:
     """Return the computed state that the cell starts from; None where it starts from zero."""
     given = []
     for place in places:
@@ -153,15 +153,15 @@ def _initial(call: Call, units: int, *places: int) -> list[Row] | None:
             raise call.error(
                 f"has an initial state {STATES[place]} other than zero; policy_init clears the state"
             )
-        if not isinstance(value, Row | np.ndarray):
+        if not isinstance(value, RowValue | np.ndarray):
             continue
         # a constant may have the axis of a batch, of which one policy is taken
-        fits = value.width == units if isinstance(value, Row) else value.shape[-1:] == (units,)
+        fits = value.width == units if isinstance(value, RowValue) else value.shape[-1:] == (units,)
         if not fits:
             raise call.error(
                 f"has an initial state {STATES[place]} of shape {list(value.shape)}, expected [1, 1, {units}]"
             )
-        if isinstance(value, Row):
+        if isinstance(value, RowValue):
             given.append(value)
     if given and len(given) < len(places):
         raise call.error(
@@ -170,7 +170,7 @@ def _initial(call: Call, units: int, *places: int) -> list[Row] | None:
     return given or None
 
 
-def _parts(call: Call, gates: int) -> tuple[Row, Float32, Float32, Float32]:
+def _parts(call: Call, gates: int) -> tuple[RowValue, Float32, Float32, Float32]:
     """Return input, weights (gates H, inputs), state weights (gates H, H) and both biases (2 gates H,)."""
     _check_options(call)
     row = call.row(0)

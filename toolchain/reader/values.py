@@ -31,7 +31,7 @@ Array = NDArray[Any]  # a constant: float32, float64, int64, int32 or bool
 
 
 @dataclass(frozen=True)
-class Row:
+class RowValue:
     """A value of the network: its number there and the shape that ONNX gives it, values in C order."""
 
     number: int
@@ -53,7 +53,7 @@ class Part:
     """A value inside a pattern of nodes that makes one operation, such as the mean within a layer norm."""
 
     kind: str
-    row: Row  # what the pattern works on
+    row: RowValue  # what the pattern works on
     label: str  # of the node that computes it
     epsilon: float = 0.0
     shape: tuple[int, ...] = ()  # that ONNX gives it, of a mean
@@ -65,7 +65,7 @@ class Part:
 class Condition:
     """A comparison of values: it holds where `row` is above 0, or, `negated`, where it is not."""
 
-    row: Row
+    row: RowValue
     negated: bool
 
 
@@ -78,7 +78,7 @@ class Unread:
     shape: tuple[int, ...] | None = None  # None if unknown
 
 
-Value = Array | Row | Part | Condition | Unread
+Value = Array | RowValue | Part | Condition | Unread
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,10 +105,10 @@ class Call:
         given = self.floats(place)
         return None if given is None else given.astype(np.float64)
 
-    def row(self, place: int = 0) -> Row:
+    def row(self, place: int = 0) -> RowValue:
         """Return the computed value at input `place`. Raises PolicyError for a constant there."""
         value = self.input(place)
-        if isinstance(value, Row):
+        if isinstance(value, RowValue):
             return value
         raise self.error(f"takes a constant as input {place}, expected a value computed from the observation")
 
@@ -163,13 +163,15 @@ class Builder:
     multiply_adds: int = 0
     multiply_adds_max: int = MULTIPLY_ADDS_MAX
     absorbed: set[int] = field(default_factory=set)  # values that an operation read later contains
-    computed: dict[Part, Row] = field(default_factory=dict)  # parts whose values are used outside a pattern
+    computed: dict[Part, RowValue] = field(
+        default_factory=dict
+    )  # parts whose values are used outside a pattern
 
     def __post_init__(self) -> None:
         """Begin with value 0, the observation."""
         self.widths.append(self.inputs)
 
-    def append(self, call: Call, operation: Operation, *rows: Row, shape: tuple[int, ...]) -> Row:
+    def append(self, call: Call, operation: Operation, *rows: RowValue, shape: tuple[int, ...]) -> RowValue:
         """Append `operation` on `rows`, computed by `call`; return its result of `shape`."""
         self.afford(call, multiply_adds(operation))
         self.multiply_adds += multiply_adds(operation)
@@ -180,7 +182,7 @@ class Builder:
             raise call.error(f"gives {width} values of shape {list(shape)}, expected at most {WIDTH_MAX}")
         self.nodes.append(Node(operation, tuple(row.number for row in rows), call.name))
         self.widths.append(width)
-        return Row(len(self.nodes), shape)
+        return RowValue(len(self.nodes), shape)
 
     def afford(self, call: Call, more: int) -> None:
         """Raise PolicyError where `more` multiply-adds are too many."""
@@ -190,17 +192,17 @@ class Builder:
                 f"{self.multiply_adds_max}: what the processor does in a millisecond; train a smaller network"
             )
 
-    def operation(self, row: Row) -> Node | None:
+    def operation(self, row: RowValue) -> Node | None:
         """Return the node that computes `row`, None for the observation."""
         return self.nodes[row.number - 1] if row.number else None
 
-    def arranged(self, call: Call, row: Row, places: NDArray[np.int64]) -> Row:
+    def arranged(self, call: Call, row: RowValue, places: NDArray[np.int64]) -> RowValue:
         """Return the value whose item i is item places[i] of `row`, by slices unless nothing moves."""
         shape, flat = places.shape, places.ravel()
         if flat.size == 0 or flat.size > WIDTH_MAX:
             raise call.error(f"gives {flat.size} values, expected 1 to {WIDTH_MAX}")
         if np.array_equal(flat, np.arange(row.width)):
-            return Row(row.number, shape)
+            return RowValue(row.number, shape)
         slices = _slices(flat)
         if len(slices) > PIECES_MAX:
             raise call.error(
@@ -209,10 +211,10 @@ class Builder:
             )
         pieces = [self.append(call, piece, row, shape=(piece.count,)) for piece in slices]
         if len(pieces) == 1:
-            return Row(pieces[0].number, shape)
+            return RowValue(pieces[0].number, shape)
         return self.append(call, Concat(), *pieces, shape=shape)
 
-    def broadcast(self, call: Call, row: Row, shape: tuple[int, ...]) -> Row:
+    def broadcast(self, call: Call, row: RowValue, shape: tuple[int, ...]) -> RowValue:
         """Repeat `row` along the axes where `shape` is larger, as ONNX's arithmetic does."""
         if math.prod(shape) > WIDTH_MAX:
             raise call.error(f"gives values of shape {list(shape)}, expected at most {WIDTH_MAX}")

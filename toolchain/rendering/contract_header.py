@@ -14,7 +14,7 @@ import struct
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
-from enum import IntEnum
+from enum import IntEnum, IntFlag
 from functools import cache
 from pathlib import Path
 
@@ -26,12 +26,12 @@ from neuroflight.toolchain.rendering.msp_fields import render_commands, render_c
 # switches are by default.
 PYTHON_ONLY = (
     *("META_", "CHECKPOINT_", "AXES", "OBSERVATION_BLOCKS", "MODEL_BLOCKS", "POLICY_FILE_", "POLICY_FORMAT_"),
-    *("IMAGE_FILE_",),
+    *("IMAGE_FILE_", "FAULT_REGISTERS"),
     *("SWITCH_ON_US", "CHANNEL_ARM", "CHANNEL_PID", "CHANNEL_BEEPER", "CHANNEL_TRIAL"),
 )
 TABLES = (
     *("POLICY_BLOB_FIELDS", "IMAGE_FIELDS", "IMAGE_STATE_FIELDS"),
-    *("SETTINGS", "CONFIGURATIONS", "LAYOUTS"),
+    *("SETTINGS", "CONFIGURATIONS", "LAYOUTS", "STRUCTS"),
 )  # rendered as structs and tables
 
 
@@ -104,6 +104,7 @@ def render_contract() -> str:
             if block.in_firmware
         ],
         blob_fields=blob_header_fields(),
+        structs={name: _struct_fields(fields) for name, fields in contract.STRUCTS.items()},
         image_fields=_struct_fields(contract.IMAGE_FIELDS),
         image_state_fields=_struct_fields(contract.IMAGE_STATE_FIELDS),
         settings=[_setting(setting, setting) for setting in contract.SETTINGS],
@@ -230,6 +231,12 @@ def _enumerations() -> tuple[Enumeration, ...]:
         _enumeration("nf_gyro_identity", "NF_GYRO_IDENTITY", contract.GyroIdentity, "NF_GYRO_IDENTITIES"),
         _enumeration("nf_task", "NF_TASK", contract.Task, "NF_TASKS"),
         _enumeration("nf_refusal", "NF_REFUSAL", contract.Refusal),
+        _enumeration("nf_err", "NF", contract.FirmwareError),
+        _enumeration("setting_kind", "SETTING", contract.SettingKind),
+        _enumeration("fault_kind", "FAULT", contract.FaultKind),
+        _enumeration("firmware_weights", "WEIGHTS", contract.Weights),
+        _enumeration("log_edge", "LOG_EDGE", contract.LogEdge),
+        _enumeration("log_sample_flag", "LOG_SAMPLE", contract.LogSampleFlag),
         _enumeration("nf_reboot", "NF_REBOOT", contract.Reboot),
         _enumeration("nf_mode", "NF_MODE", contract.Mode, "NF_MODES"),
         _enumeration("nf_log_device", "NF_LOG_DEVICE", contract.LogDevice, "NF_LOG_DEVICES"),
@@ -242,9 +249,9 @@ def _enumerations() -> tuple[Enumeration, ...]:
     )
 
 
-def _enumeration(name: str, prefix: str, source: type[IntEnum], names: str = "") -> Enumeration:
+def _enumeration(name: str, prefix: str, source: type[IntEnum | IntFlag], names: str = "") -> Enumeration:
     meaning = (source.__doc__ or "").splitlines()[0]
-    members = tuple(Member(f"{prefix}_{item.name}", item.value, word=item.name) for item in source)
+    members = tuple(Member(f"{prefix}_{item.name}", item.value, word=item.name or "") for item in source)
     return Enumeration(name, meaning, members, names)
 
 

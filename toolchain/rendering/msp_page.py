@@ -25,6 +25,7 @@ from neuroflight.toolchain.contract import (
     Bound,
     Direction,
     FallbackCause,
+    FirmwareError,
     FlightState,
     GyroHealth,
     LogDevice,
@@ -105,6 +106,7 @@ NUMBERED = {
     "device of the log": LogDevice,
     "state of the log": LogState,
     "error of the log": LogError,
+    "error of a policy or an image": FirmwareError,
 }
 
 

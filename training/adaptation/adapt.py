@@ -24,7 +24,7 @@ LEARNING_RATE = 5e-4  # a tenth of a fresh run's: the policy flies already
 WARM_UP = 20
 WITHIN = 0.05  # the adapted aircraft's own uncertainty of inertia and thrust
 TRIES = 3  # trainings at most, each with a lower limit of the motors' change
-FLIGHT = FlightTask(pulses=5, hover_s=DRIFT_S)  # of the proof: a policy that drifts shows it by then
+FLIGHT = FlightTask(pulses=5, hover_s=DRIFT_S)  # flown by the proof: long enough for a drift to show
 CALIBRATION, CALIBRATION_SEED = 40, 1000  # commands that find that limit; what is added to their seed
 CHANGE_AIMED = 1.05  # |change| of the old policy's with which a training is good enough
 CHANGE_MORE = 1.1  # most |change| of a motor in 1 ms, of the old policy's

@@ -28,7 +28,7 @@ from neuroflight.training.tasks.flight import FlightTask
 from neuroflight.training.tasks.task import ContinuousTask, EnvelopeTask, EpisodicTask, PulseTask
 
 EPISODES = 5
-SEED = 1_000_003  # of the monitor's episodes; results are measured on others
+SEED = 1_000_003  # of the monitor's episodes; results are measured with other seeds
 OWN_TASKS = (PulseTask.name, EpisodicTask.name, EnvelopeTask.name, FlightTask.name)
 # What a policy that will fly for minutes is chosen by: long enough for a memory that winds up to show.
 FLIGHT = FlightTask(pulses=4, hover_s=DRIFT_S)

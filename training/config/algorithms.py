@@ -10,13 +10,13 @@ from typing import ClassVar, Protocol
 from neuroflight.sim.physics.world import COUNT_MAX
 from neuroflight.training.config.pathwise_config import PathwiseConfig
 
-REPEATS_MAX = 10_000  # of what an update repeats: more would not end within a day
+REPEATS_MAX = 10_000  # of repetitions in an update: more would take longer than a day
 LEG_MAX = 1_000_000  # of what a segment repeats
 BUFFER_MAX = 10_000_000  # control steps: more are larger than any checkpoint
 LOG_STD_MAX = 10.0
 DISTRIBUTIONS = ("normal", "beta")
 BETA_LOG_STD_MAX = -0.5 * math.log(3.0)  # all outputs in -1..1 equally likely
-MOST = {"leg": LEG_MAX, "minibatch": BUFFER_MAX, "horizon": BUFFER_MAX}  # their own errors say more
+MOST = {"leg": LEG_MAX, "minibatch": BUFFER_MAX, "horizon": BUFFER_MAX}  # these have their own error messages
 
 
 class Algorithm(Protocol):

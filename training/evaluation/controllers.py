@@ -6,6 +6,7 @@ import hashlib
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -157,46 +158,34 @@ class Conditions:
                 throttle = self.task.throttle(self.episodes, controller.control_rate_hz)
         # Recorded commands are of sticks already.
         task = OnSticks(self.task) if self.sticks and not isinstance(self.task, RecordedPieces) else self.task
+        common: dict[str, Any] = {
+            "episodes": self.episodes,
+            "seed": self.seed,
+            "mount": self.mount,
+            "ground": self.ground,
+            "noise": self.noise,
+            "throttle": throttle,
+            "charge": self.charge if variation is None else None,
+            "variation": variation,
+            "event": event,
+            "progress": progress,
+        }
         if isinstance(controller, BetaflightSpec):
             if event is not None and event.yaw_given_up:
                 raise ValueError("Betaflight cannot be told to give up yaw")
-            return record_betaflight(
-                (controller.armed,),
-                self.aircraft,
-                task,
-                episodes=self.episodes,
-                seed=self.seed,
-                mount=self.mount,
-                ground=self.ground,
-                noise=self.noise,
-                throttle=throttle,
-                charge=self.charge if variation is None else None,
-                variation=variation,
-                event=event,
-                progress=progress,
-            )
-        # With the throttle closed they stay there, as the firmware knows.
+            return record_betaflight((controller.armed,), self.aircraft, task, **common)
+        # With the throttle closed they stay on the ground, as the firmware assumes.
         stands = controller.standing if self.ground and not np.any(throttle) else None
-        build = stands or controller.build
         return record(
-            build(self.episodes),
+            (stands or controller.build)(self.episodes),
             self.aircraft,
             task,
-            episodes=self.episodes,
-            seed=self.seed,
             control_rate_hz=controller.control_rate_hz,
-            mount=self.mount,
-            ground=self.ground,
-            noise=self.noise,
-            throttle=throttle,
             idle=controller.idle,
             mix=controller.mix,
             gyro_mean=controller.gyro_mean,
             gyro_rate_hz=self.gyro_rate_hz,
-            charge=self.charge if variation is None else None,
-            variation=variation,
-            event=event,
-            progress=progress,
+            **common,
         )
 
 

@@ -51,7 +51,7 @@ COMMANDS_PER_DRAW = 5
 # that never turns; errors below the floor are no divergence, however small the command.
 DIVERGED_RATE = math.radians(GYRO_FULL_SCALE_DEG_S)  # [rad/s]
 DIVERGED_FLOOR = 10.0  # [deg/s]
-DIVERGED_DRIFT = 90.0  # [deg] in DRIFT_S of centred sticks: the pilot who looked away finds it on its side
+DIVERGED_DRIFT = 90.0  # [deg] in DRIFT_S of centred sticks: the aircraft then lies on its side
 DIVERGENCE = (
     "a rate beyond 2000 deg/s on any axis, or an episode's MAE above both 10 deg/s and that of an aircraft "
     "that never turns"

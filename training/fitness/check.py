@@ -16,7 +16,7 @@ from neuroflight.training.fitness.course import SEED, CommandFlight
 from neuroflight.training.fitness.flying import CommandFigures, CourseFigures, Progress, fly_course
 from neuroflight.training.fitness.references import References
 
-WORDS_MAX = 3  # reasons that one bar gives, the worst first
+WORDS_MAX = 3  # most reasons that a bar states, the worst first
 
 
 @dataclass(frozen=True)

@@ -50,7 +50,7 @@ class Sb3Learner:
         self._env.action_space.seed(seed)
         model = self._model
         model._last_obs = None  # a new segment begins with new episodes
-        model.set_logger(Logger(None, []))  # its default one makes an empty folder in /tmp
+        model.set_logger(Logger(None, []))  # the default logger would make an empty folder in /tmp
         steps = min(self._config.algorithm.leg_steps, self._config.steps - self.steps)
 
         def reported(update: Report) -> None:

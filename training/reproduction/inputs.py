@@ -42,6 +42,6 @@ def changed(before: Mapping[str, str], now: Mapping[str, str]) -> str:
 def _digest(path: Path) -> str:
     data = path.read_bytes()
     if path.suffix == ".toml":
-        with contextlib.suppress(ValueError):  # the command will tell what is wrong in it
+        with contextlib.suppress(ValueError):  # damaged TOML: the command itself raises the error
             data = json.dumps(tomllib.loads(data.decode()), sort_keys=True, default=str).encode()
     return hashlib.sha256(data).hexdigest()[:DIGITS]

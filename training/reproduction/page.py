@@ -49,7 +49,7 @@ def shown(value: Value | None, figure: Figure) -> str:
     if figure.quote is not None:
         digits = figure.quote.decimals if figure.aim else figure.quote.digits
         if not figure.aim and any(values) and all(abs(each) < 10.0**-digits for each in values):
-            digits = None  # nothing of them would be seen
+            digits = None  # the value would be rounded to 0
     return " / ".join(_digits(each, digits) for each in values)
 
 

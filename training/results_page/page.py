@@ -1,8 +1,8 @@
 """The page of results: stored figures beside the dissertation's, rendered to Markdown.
 
-A stored result is the output of `compare`, `evaluate`, `robustness`, `manoeuvres`, `sweep`, `fly`, `timing`
-or `stability` with --json, or the training.json of a run. Its keys decide its kind, its task and aircraft
-decide its table; the file's name only decides the order of rows.
+A stored result is the output of `compare`, `policy sweep`, `fly`, `image time` or `aircraft stability` with
+--json, or the training.json of a run. Its keys decide its kind, its task and aircraft decide its table; the
+file's name only decides the order of rows.
 """
 
 from __future__ import annotations

@@ -138,7 +138,7 @@ def _thrust_row(run: Stored) -> tuple[str, ...]:
     return (run.text("varied", VARIANT), *cells)
 
 
-REACHED = 0.05  # deviation of a thrust from the one asked for that goes without saying
+REACHED = 0.05  # deviation of a thrust from the wanted one below which the page does not mention it
 HEADINGS = (
     "MAE",
     "more, %",

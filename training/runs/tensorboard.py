@@ -21,14 +21,12 @@ class TensorBoard(Callback):
         self._writer: SummaryWriter | None = None  # created with the first figure
 
     def progressed(self, progress: Progress) -> None:
-        """See Callback."""
         self._add("train/reward", progress.reward, progress.steps)
         for name, value in progress.figures.items():
             self._add(name, value, progress.steps)
         self._add("time/seconds", progress.seconds, progress.steps)
 
     def monitored(self, metrics: CheckpointMetrics) -> None:
-        """See Callback."""
         for field in fields(metrics):
             spread = getattr(metrics, field.name)
             if isinstance(spread, Spread):

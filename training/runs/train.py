@@ -40,7 +40,7 @@ CHECKPOINT, POLICY, RECORD, MONITOR = "checkpoint.pt", "policy.onnx", "training.
 REWARDS = "rewards.csv"
 RESULTS = (CHECKPOINT, POLICY, RECORD, MONITOR, REWARDS)
 RECORD_BYTES_MAX = 4 << 20
-CHECKPOINTS_MIN = 4  # of a run whose chosen one must be fit to fly: the earlier ones are there to go back to
+CHECKPOINTS_MIN = 4  # of a run whose policy must be fit to fly: an earlier one may replace an unfit one
 TOOLS = ("torch", "stable_baselines3", "sb3_contrib", "pybullet", "pybullet-arm64", "gymnasium", "numpy")
 
 
@@ -77,17 +77,14 @@ class Callbacks(Callback):
         self._callbacks = callbacks
 
     def progressed(self, progress: Progress) -> None:
-        """See Callback."""
         for callback in self._callbacks:
             callback.progressed(progress)
 
     def checkpointed(self, progress: Progress, policy: Policy) -> None:
-        """See Callback."""
         for callback in self._callbacks:
             callback.checkpointed(progress, policy)
 
     def monitored(self, metrics: CheckpointMetrics) -> None:
-        """See Callback."""
         for callback in self._callbacks:
             callback.monitored(metrics)
 

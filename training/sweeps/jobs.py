@@ -99,7 +99,6 @@ class _Reporter(Callback):
             self._tell(progress)
 
     def checkpointed(self, progress: Progress, policy: Policy) -> None:
-        """See Callback."""
         self._tell(progress)
 
     def _tell(self, progress: Progress) -> None:

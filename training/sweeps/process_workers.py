@@ -30,7 +30,7 @@ def run_jobs(jobs: Sequence[Job], out: Path, cpus: int, callback: SweepCallback)
                 number = job.trial.number
                 try:
                     news = worker.hear()
-                except (EOFError, RuntimeError) as error:  # what a run that is not dead says last is its End
+                except (EOFError, RuntimeError) as error:  # it died: a run's last news is End
                     del active[link]
                     worker.process.join()
                     worker.end(kill=True)

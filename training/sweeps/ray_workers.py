@@ -168,7 +168,7 @@ def _callback(jobs: Sequence[Job], callback: SweepCallback) -> ray.tune.Callback
             self._numbers = numbers
 
         def __reduce__(self) -> tuple[type[tune.Callback], tuple[()]]:
-            return tune.Callback, ()  # Tune stores a copy, which is not needed
+            return tune.Callback, ()  # pickled by Tune as one that does nothing
 
         def on_trial_result(
             self, iteration: int, trials: list[RayTrial], trial: RayTrial, result: dict[str, Any], **_: object

@@ -114,21 +114,17 @@ class Keeper(SweepCallback):
                 save_png(self._out / POWER, power)
 
     def progressed(self, number: int, steps: int, reward: float, pid: int) -> None:
-        """See SweepCallback."""
         self._callback.progressed(number, steps, reward, pid)
 
     def finished(self, number: int) -> None:
-        """See SweepCallback."""
         self._read(number - 1)
         self.write()
         self._callback.finished(number)
 
     def restarted(self, number: int) -> None:
-        """See SweepCallback."""
         self._callback.restarted(number)
 
     def failed(self, number: int, reason: str) -> None:
-        """See SweepCallback."""
         self.runs[number - 1] = replace(self.runs[number - 1], reason=reason)
         self.write()
         self._callback.failed(number, reason)

@@ -23,7 +23,7 @@ from neuroflight.training.tasks.task import (
 
 PULSES_MAX = 1000
 LENGTH_MIN_S = 1.0  # of a pilot's flight
-HOVER_THROTTLE = 0.3  # flown where nobody says: about a hover of the shipped aircraft
+HOVER_THROTTLE = 0.3  # the default: about a hover of the shipped aircraft
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 from neuroflight.cli.compare.commanded import (
     Commanded,
@@ -40,6 +40,16 @@ if TYPE_CHECKING:
     from neuroflight.training.evaluation.comparison import Entry
     from neuroflight.training.evaluation.controllers import AnyController, Conditions
     from neuroflight.training.evaluation.thrust import Transparency
+
+
+class Flight(NamedTuple):
+    """Everything that is flown."""
+
+    request: Tracking
+    flown: Conditions
+    controllers: Sequence[AnyController]
+    throttles: Sequence[Number]
+    bar: Bar
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -113,7 +123,7 @@ class Tracking(Commanded):
             throttle=None if told == (0.0,) == (default_throttle(flown),) else told or None,
         )
         fly = self._at_thrusts if self.thrust is not None else self._alone if self.one else self._at_throttles
-        return fly(request, flown, controllers, throttles, bar)
+        return fly(Flight(request, flown, controllers, throttles, bar))
 
     def _check(self) -> None:
         """Raise NeuroflightError where options exclude each other, or one has no effect."""
@@ -175,20 +185,14 @@ class Tracking(Commanded):
             "sticks": flown.sticks,
         }
 
-    def _at_throttles(
-        self,
-        request: Tracking,
-        flown: Conditions,
-        controllers: Sequence[AnyController],
-        throttles: Sequence[Number],
-        bar: Bar,
-    ) -> SuiteResult:
+    def _at_throttles(self, flight: Flight) -> SuiteResult:
         from neuroflight.cli.compare.figures import entry_documents, entry_tables
         from neuroflight.cli.compare.thrust import rest_documents, transparency_table
         from neuroflight.training.evaluation.comparison import average, enter
         from neuroflight.training.evaluation.envelope_plot import draw_envelope
         from neuroflight.training.evaluation.equal_thrust import all_transparency
 
+        request, flown, controllers, throttles, bar = flight
         rounds: list[list[Entry]] = []
         for throttle in throttles:
             words = _throttle_words(throttle)
@@ -221,19 +225,13 @@ class Tracking(Commanded):
             },
         )
 
-    def _alone(
-        self,
-        request: Tracking,
-        flown: Conditions,
-        controllers: Sequence[AnyController],
-        throttles: Sequence[Number],
-        bar: Bar,
-    ) -> SuiteResult:
+    def _alone(self, flight: Flight) -> SuiteResult:
         from neuroflight.cli.compare.figures import alone_tables, flight_document
         from neuroflight.sim.analysis.response_plot import draw_response
         from neuroflight.sim.analysis.spectrum_plot import Line
         from neuroflight.training.evaluation.comparison import entered
 
+        request, flown, controllers, throttles, bar = flight
         (controller,), (throttle,) = controllers, throttles
         flights = flown.fly(controller, throttle, bar(f"{commands_flown(flown)} commands"))
         entry = entered(flights, controller, flown, throttle)
@@ -255,17 +253,11 @@ class Tracking(Commanded):
             pictures={"plot": drawn},
         )
 
-    def _at_thrusts(
-        self,
-        request: Tracking,
-        flown: Conditions,
-        controllers: Sequence[AnyController],
-        _: Sequence[Number],
-        bar: Bar,
-    ) -> SuiteResult:
+    def _at_thrusts(self, flight: Flight) -> SuiteResult:
         from neuroflight.cli.compare.thrust import documents, equal_thrust_tables
         from neuroflight.training.evaluation.equal_thrust import equal_thrust
 
+        request, flown, controllers, _, bar = flight
         assert self.thrust is not None
         found = equal_thrust(controllers, flown, self.thrust, bar)
         title = f"{flown.aircraft.name}: {flown_words(flown)}"

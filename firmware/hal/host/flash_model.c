@@ -32,7 +32,7 @@ static uint32_t flash_model_random(struct flash_model *model)
 	return x;
 }
 
-/* What an interrupted operation leaves of a word. */
+/* Returns the content of a word after an interrupted operation. */
 static uint32_t flash_model_torn(struct flash_model *model, uint32_t before, uint32_t after)
 {
 	const uint32_t chance = flash_model_random(model);

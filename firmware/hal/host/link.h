@@ -27,14 +27,14 @@ void link_close(struct link *link);
 /* The port that a socket is bound to. */
 unsigned link_port(int bound);
 
-/* What a state packet says; axes forward, right, down. */
+/* Content of a state packet; axes forward, right, down. */
 struct link_state {
 	double time_s;
 	double rates_frd[3]; /* rad/s */
 	double force_frd[3]; /* specific force, m/s^2 */
 };
 
-/* What a power packet says. */
+/* Content of a power packet. */
 struct link_power {
 	double volts, amps;
 	double control_us; /* that each control step takes; 0: not told */

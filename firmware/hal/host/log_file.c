@@ -55,7 +55,7 @@ static void log_file_note(struct log_file *file, uint32_t bytes)
 	}
 }
 
-/* A file that takes no more, of a full disk or another, is told once; the flight goes on. */
+/* Reports once that the file takes no more bytes, for instance on a full disk; the flight continues. */
 static size_t log_file_write(void *context, const uint8_t *bytes, size_t count)
 {
 	struct log_file *file = context;

@@ -125,7 +125,7 @@ static void msp_tcp_accept(struct msp_tcp *tcp, const struct hal_handlers *handl
 	close(caller);
 }
 
-/* What belongs to a client ends with it, not when the next one comes. */
+/* A client's state ends when it disconnects, not when the next one connects. */
 static void msp_tcp_leave(struct msp_tcp_client *client, unsigned port, const struct hal_handlers *handlers)
 {
 	msp_tcp_hang_up(client);

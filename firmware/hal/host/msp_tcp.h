@@ -29,13 +29,13 @@ bool msp_tcp_open(struct msp_tcp *tcp, unsigned port);
 
 void msp_tcp_close(struct msp_tcp *tcp);
 
-/* What to poll before the next msp_tcp_serve. */
+/* Fills in the descriptors to poll before the next msp_tcp_serve. */
 void msp_tcp_await(const struct msp_tcp *tcp, struct pollfd wait[MSP_TCP_SOCKETS]);
 
 /* Called when one of them is ready: handles an event of each client, and a new one, without waiting. */
 void msp_tcp_serve(struct msp_tcp *tcp, const struct hal_handlers *handlers);
 
-/* Called after each step of the program: sends what it says unasked, as much as the connections take. */
+/* Called after each step of the program: sends unsolicited output, as much as the connections take. */
 void msp_tcp_speak(struct msp_tcp *tcp, const struct hal_handlers *handlers);
 
 #endif

@@ -96,7 +96,7 @@ static bool options_take_change(struct options *options, const char *text)
 	return true;
 }
 
-/* What option number `index` means. Returns HAL_RUN or an exit code. */
+/* Applies option number `index`. Returns HAL_RUN or an exit code. */
 static int options_take_next(struct options *options, size_t index, const char *text)
 {
 	switch (index) {

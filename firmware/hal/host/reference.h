@@ -10,18 +10,6 @@
 #include "hal/host/replay.h"
 #include "nf_contract.h"
 
-/* The last control step. */
-struct reference_trace {
-	uint32_t step;       /* control steps since init, the first is 0 */
-	float setpoint[3];   /* rad/s, body axes */
-	float gyro[3];       /* rad/s, body axes, as the policy used it */
-	float throttle;      /* 0..1 */
-	uint8_t armed;
-	uint8_t motors;      /* used entries of dshot */
-	uint16_t pad;        /* 0 */
-	uint16_t dshot[NF_MOTOR_COUNT_MAX];
-};
-
 /* Bytes of one instance. The caller allocates them, aligned to 8, and does not move them after init. */
 size_t reference_size(void);
 
@@ -43,12 +31,12 @@ bool reference_sample(void *self, const double rates[3], const double force[3], 
  * calls it: no log is written. */
 size_t reference_blackbox(void *self, uint8_t *bytes, size_t capacity);
 
-/* The gyro has said nothing for NF_GYRO_BAD_MS. Writes one DShot value a motor. */
+/* Reports that no gyro sample came for NF_GYRO_BAD_MS. Writes one DShot value a motor. */
 void reference_silent(void *self, uint16_t dshot[]);
 
 void reference_trace(const void *self, struct reference_trace *out);
 
-/* What came of the last control step, beside its trace. */
+/* Results of the last control step besides its trace. */
 struct reference_answer {
 	float observation[NF_OBSERVATION_COUNT_MAX]; /* what the policy was given last; then 0 */
 	float action[NF_MOTOR_COUNT_MAX];            /* the controller's last answer, before the throttle; then 0 */
@@ -68,7 +56,7 @@ bool reference_record(void *self, struct log_record *record);
 size_t reference_state_size(void);
 uint32_t reference_layout(void);
 
-/* Copies it. False: samples came since the last control step, only the next one can be asked. */
+/* Copies the state. Returns false if samples came since the last control step; only the next one can be asked. */
 bool reference_state(const void *self, uint8_t *bytes);
 
 /* Goes on from another one's state; false: it has another size or layout, and nothing is changed. The settings must be the
@@ -85,7 +73,7 @@ size_t reference_link(void *self, unsigned port, const uint8_t *in, size_t n, ui
 /* Another peer is on that port. */
 void reference_link_reset(void *self, unsigned port);
 
-/* The peer of that port has paused; bytes of its were lost. */
+/* The peer of that port has paused; bytes from it were lost. */
 void reference_link_pause(void *self, unsigned port);
 void reference_link_lost(void *self, unsigned port);
 

@@ -4,7 +4,7 @@
 
 #include "firmware_layout.h"
 
-_Static_assert(LOG_SUBSAMPLES_MAX <= REPLAY_SAMPLES_MAX, "a record fits into a step");
+_Static_assert(LOG_SUBSAMPLES_MAX <= NF_REPLAY_SAMPLES_MAX, "a record fits into a step");
 
 static const uint16_t held[] = FIRMWARE_HELD;
 
@@ -65,7 +65,7 @@ enum replay_result replay_run(struct firmware *fw, const struct replay_step *ste
 	const uint32_t flags = step->edge_flags;
 	const bool posted = (flags & LOG_EDGE_POSTED) != 0;
 
-	if (step->samples == 0 || step->samples > REPLAY_SAMPLES_MAX || step->receiver_count > NF_LOG_RECEIVER_BYTES)
+	if (step->samples == 0 || step->samples > NF_REPLAY_SAMPLES_MAX || step->receiver_count > NF_LOG_RECEIVER_BYTES)
 		return REPLAY_SIZE;
 	if (flags & (LOG_EDGE_MORE_BYTES | LOG_EDGE_BENCH))
 		return REPLAY_UNKNOWN;

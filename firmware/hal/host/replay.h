@@ -13,22 +13,6 @@
 #include "firmware.h"
 #include "nf_contract.h"
 
-#define REPLAY_SAMPLES_MAX 64 /* gyro samples a control step, of any policy */
-
-/* What one control step was given; the members of struct log_record of these names. */
-struct replay_step {
-	uint32_t forbidden;
-	float voltage_gain;
-	uint32_t edge_flags; /* enum log_edge, all 32 bits */
-	uint32_t lost;
-	uint16_t samples; /* used entries of gyro, at least 1 */
-	uint16_t receiver_count;
-	int16_t accel[3];
-	uint16_t reserved;
-	struct log_sample gyro[REPLAY_SAMPLES_MAX];
-	uint8_t receiver_bytes[NF_LOG_RECEIVER_BYTES];
-};
-
 enum replay_result {
 	REPLAY_DONE = 0,
 	REPLAY_SIZE = -1, /* a count is beyond its array, or there is no sample */
@@ -37,7 +21,8 @@ enum replay_result {
 	REPLAY_UNKNOWN = -4, /* receiver bytes are missing, or a motor test or a DShot command was under way */
 };
 
-/* Of sizes and places in struct firmware, and of the policy's architecture: bytes of it mean the same where it is the same. */
+/* Returns a number made of sizes and offsets in struct firmware and of the policy's architecture: states are compatible if it
+ * is equal. */
 uint32_t firmware_layout(void);
 
 /* `fw`, which was initialised with the log's settings, goes on from these bytes of another one; what it points to stays its own.
@@ -48,7 +33,7 @@ bool firmware_restore(struct firmware *fw, const uint8_t *bytes, size_t count, u
  * firmware_log. Not REPLAY_DONE: `fw` is to be restored anew. */
 enum replay_result replay_run(struct firmware *fw, const struct replay_step *step, uint16_t dshot[POLICY_ACTION_COUNT]);
 
-/* What of a record is given to a step. */
+/* Fills in a step from a record. */
 void replay_step_of(struct replay_step *step, const struct log_record *record);
 
 #endif

@@ -16,8 +16,8 @@ static bool replay_stream_refuse(const char *what, unsigned long got, unsigned l
 
 static bool replay_stream_fits(const struct firmware *fw, const struct replay_stream *head)
 {
-	if (head->magic != REPLAY_STREAM_MAGIC)
-		return replay_stream_refuse("the first word", head->magic, REPLAY_STREAM_MAGIC);
+	if (head->magic != NF_REPLAY_STREAM_MAGIC)
+		return replay_stream_refuse("the first word", head->magic, NF_REPLAY_STREAM_MAGIC);
 	if (head->state_bytes != sizeof *fw)
 		return replay_stream_refuse("bytes of the state", head->state_bytes, sizeof *fw);
 	if (head->layout != firmware_layout())

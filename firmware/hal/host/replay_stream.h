@@ -7,23 +7,8 @@
 #include "firmware.h"
 #include "nf_contract.h"
 
-#define REPLAY_STREAM_MAGIC 0x5052464Eu /* "NFRP" */
-
-/* The stream: this, the state, and one struct replay_step a control step up to the end. All of it little-endian. */
-struct replay_stream {
-	uint32_t magic;
-	uint32_t state_bytes;
-	uint32_t layout; /* firmware_layout */
-};
-
-/* What came of a control step. */
-struct replay_answer {
-	uint32_t step; /* control steps since boot */
-	float setpoint[3], gyro[3]; /* rad/s, body axes, as the controller had them */
-	float throttle; /* 0..1 */
-	uint16_t dshot[NF_MOTOR_COUNT_MAX]; /* motor order */
-};
-_Static_assert(sizeof(struct replay_answer) == 48, "without holes");
+/* The stream: a struct replay_stream, the state, and one struct replay_step a control step up to the end. All of it
+ * little-endian. */
 
 /* Reads a stream from the file `path`, "-" for stdin, and writes a struct replay_answer for each control step. Returns the
  * program's exit code: 0, or 1 after one line on stderr. */

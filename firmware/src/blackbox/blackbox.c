@@ -185,7 +185,7 @@ static void blackbox_tell_stop(struct blackbox *b, unsigned cause)
 	blackbox_event(b, NF_LOG_EVENT_DISARM, cause < sizeof reasons ? reasons[cause] : 0u, 0);
 }
 
-/* What happened since the last frame. */
+/* Writes an event frame for each change since the last frame. */
 static void blackbox_tell(struct blackbox *b, const struct log_step *step)
 {
 	const struct log_record *r = step->record;
@@ -210,8 +210,8 @@ static void blackbox_tell_slow(struct blackbox *b, const struct log_step *step)
 	b->slow = slow;
 }
 
-/* Events, slow frame and main frame of a step. The first main frame goes before all else: decoders that are about find the end of
- * the header by it. */
+/* Writes events, slow frame and main frame of a step. The first main frame comes first, because some decoders find
+ * the end of the header by it. */
 static void blackbox_frame(struct blackbox *b, const struct log_step *step)
 {
 	const bool intra = b->gap || step->iteration >= b->intra_at;
@@ -274,7 +274,7 @@ static bool blackbox_silent(const struct blackbox *b)
 	return !b->view.armed && since > b->config.about.settings->gyro_rate_hz * SILENT_MS / 1000u;
 }
 
-/* What became of a flight whose last control step came before its end. */
+/* Writes the end of a flight whose last control step was recorded before its motors stopped. */
 static void blackbox_tell_silence(struct blackbox *b)
 {
 	struct log_slow *slow = &b->slow;

@@ -17,7 +17,7 @@
 #include "port/log_device.h"
 #include "sensing/gyro.h"
 
-/* What it needs of the firmware; the pointers live as long as it. */
+/* Configuration; the pointers must outlive the blackbox. */
 struct blackbox_config {
 	const struct log_device *device; /* NULL: this chip has none of the kind that the settings choose */
 	struct log_ring *ring; /* NULL: nothing is recorded */
@@ -27,7 +27,7 @@ struct blackbox_config {
 		*snapshot; /* not taken; `about` has it as well. NULL: logs are without the firmware's state */
 };
 
-/* What only the background knows, as of now. */
+/* Current values that only the background has. */
 struct blackbox_view {
 	bool armed; /* the motors obey */
 	uint32_t modes; /* bits of enum mode_index that are on */
@@ -59,7 +59,7 @@ struct blackbox {
 	uint8_t out[LOG_LINE_BYTES];
 };
 
-/* What LOG_INFO tells. */
+/* Content of LOG_INFO. */
 struct blackbox_status {
 	struct log_device_status device;
 	uint8_t chosen; /* enum nf_log_device */

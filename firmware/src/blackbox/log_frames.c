@@ -63,7 +63,7 @@ static const struct row {
 	uint8_t predictor[LOG_FRAME_COUNT], encoding[LOG_FRAME_COUNT];
 } rows[] = { ROWS(ROW) };
 
-/* What is left out first where frames would become too long without any of the policy's inputs: the others tell it, too. */
+/* Fields to omit first if frames would become too long; the policy's inputs contain the same information. */
 static const uint8_t spare[] = { NF_LOG_GROUP_GYRO_UNFILTERED, NF_LOG_GROUP_ACC, NF_LOG_GROUP_PID,
 				 NF_LOG_GROUP_ATTITUDE, NF_LOG_GROUP_DEBUG };
 
@@ -128,7 +128,7 @@ static void frames_add(struct log_frames *f, unsigned number, unsigned index)
 		field->predictor[LOG_INTRA] = MIN_MOTOR;
 }
 
-/* Decoders that are about take a group of TAG8_8SVB for shorter than it is where it ends the frame: none does. */
+/* Some decoders truncate a TAG8_8SVB group at the end of a frame, so no frame ends with one. */
 static void frames_end(struct log_frames *f)
 {
 	for (unsigned i = f->count; i > 0 && f->fields[i - 1].encoding[LOG_INTER] == LOG_TAG8_8SVB; --i)
@@ -165,7 +165,7 @@ static unsigned frames_letters(const struct log_field *field)
 	return row->letters + (field->index + LOG_CHIRP_FIELDS < 10u ? 3u : 4u);
 }
 
-/* May all of it be as long as it can become? */
+/* Returns whether the longest possible frame fits into NF_LOG_FRAME_BYTES_MAX. */
 static bool frames_fit(const struct log_frames *f)
 {
 	size_t bytes = 1, characters = 0;
@@ -300,8 +300,8 @@ static int32_t frames_flags(const struct log_frames *f, const struct log_record 
 }
 _Static_assert(LOG_SUBSAMPLES_MAX <= 8, "a byte of bits");
 
-/* Of all that the step was given, and its motor values: a bit of them that a file has wrong is found at its step, also where no
- * motor answers to it. Two bytes of a field. */
+/* A checksum of all inputs of the step and of its motor values, in the two bytes of a field: a wrong bit in a file is
+ * found at its step, even if no motor value depends on it. */
 static int32_t frames_check(const struct log_step *step)
 {
 	const struct log_record *r = step->record;
@@ -420,7 +420,7 @@ static void frames_load(const struct log_frames *f, const struct log_step *step,
 }
 
 /* --- Frames ------------------------------------------------------------------------------------------------------ */
-/* What the field is taken for before it is read. All of it wraps. */
+/* Returns the predicted value of the field, modulo 2^32. */
 static uint32_t frames_predict(const struct log_frames *f, enum log_frame frame, unsigned i)
 {
 	const int32_t *now = f->values[f->present], *last = f->values[(f->present + 1) % 3],

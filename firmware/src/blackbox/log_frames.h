@@ -42,7 +42,7 @@ struct log_frames {
 	int32_t values[3][NF_LOG_FIELDS_MAX];
 };
 
-/* How the chip is turned in the aircraft, and what its gyro tells at rest. */
+/* Mounting of the chip in the aircraft, and the gyro's bias at rest. */
 struct log_mount {
 	float turn[3][3]; /* from the chip's axes to the body's */
 	const float *bias; /* rad/s, body axes */
@@ -58,7 +58,7 @@ struct log_step {
 	const struct log_mount *mount;
 };
 
-/* What a slow frame tells. */
+/* Content of a slow frame. */
 struct log_slow {
 	uint32_t flags; /* as log_flags */
 	uint32_t failsafe_phase, receiver_good, channels_good;
@@ -69,8 +69,9 @@ struct log_slow {
 	uint32_t dropped; /* control steps that this log lacks so far */
 };
 
-/* The fields of a log. `left_out`: the setting. What finds no room in a frame of NF_LOG_FRAME_BYTES_MAX or on the line of
- * names is left out besides: the policy's last inputs, which a replay computes again, then whole groups. */
+/* Chooses the fields of a log. `left_out`: the setting. Fields that do not fit into a frame of NF_LOG_FRAME_BYTES_MAX
+ * or on the line of names are omitted as well: first the policy's inputs, which a replay computes again, then whole
+ * groups. */
 void log_frames_init(struct log_frames *frames, uint32_t left_out, unsigned samples);
 
 /* The next main frame is the first, or the first behind a gap: an intra frame. Its values are predicted from nothing. */

@@ -79,7 +79,7 @@ static void header_aircraft(char **at, const struct log_about *about)
 			*(*at)++ = header.aircraft[i];
 }
 
-/* Of each term of the observation its block, its age in steps and the gain of its low-pass. */
+/* Writes each term of the observation: block, age in steps, gain of its low-pass. */
 static void header_observation(char **at)
 {
 	for (unsigned i = 0; i < POLICY_OBSERVATION_TERM_COUNT; ++i) {
@@ -117,11 +117,11 @@ static void header_craft(char **at, const struct nf_settings *s)
 		*(*at)++ = s->craft_name[i];
 }
 
-/* What the bits of nfFlags mean. */
+/* Names of the bits of nfFlags. */
 #define FLAGS "0 pid,1-3 state,4-7 stop cause,8-11 fallback cause,12-15 refused cause"
 
 /* --- All that are always there ----------------------------------------------------------------------------------- */
-/* The first two are where a log begins: logs behind one another are told apart by them. */
+/* The first two lines mark the begin of a log, by which decoders separate logs in one file. */
 #define LINES(X)                                                                                             \
 	X("Product", log_text(at, "Blackbox flight data recorder by Nicholas Sherlock"))                     \
 	X("Data version", log_text(at, "2"))                                                                 \
@@ -220,7 +220,7 @@ static bool header_setting(char **at, struct log_header *header, const struct nf
 	return false;
 }
 
-/* What each of debug is, and what its value of 1 stands for. */
+/* Writes name and unit of each debug field. */
 static bool header_debug(char **at, struct log_header *header, const struct log_frames *frames)
 {
 	static const char *const chirp[LOG_CHIRP_FIELDS] = { "chirp phase rad 0.0002", "chirp axis 1 1",
@@ -248,7 +248,7 @@ static bool header_debug(char **at, struct log_header *header, const struct log_
 	return true;
 }
 
-/* The firmware's state, in pieces; the first tells what it is. */
+/* The firmware's state, in pieces; the first one has its size and layout. */
 static bool header_state(char **at, struct log_header *header, const struct log_about *about)
 {
 	const struct log_snapshot *snapshot = about->snapshot;

@@ -14,7 +14,7 @@
 
 #define LOG_LINE_BYTES (LOG_NAME_LINE_MAX + 24u) /* of the longest line */
 
-/* What a log tells besides its frames; constant from boot on but for the second half. */
+/* Sources of the header lines; constant from boot on except for the second half. */
 struct log_about {
 	const struct nf_settings *settings;
 	const struct policy_slots *slots;

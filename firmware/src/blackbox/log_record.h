@@ -14,33 +14,6 @@
 #define LOG_SUBSAMPLES_MAX (NF_GYRO_EDGE_RATE_HZ / POLICY_CONTROL_RATE_HZ) /* gyro samples a control step */
 #define LOG_STICKS 4 /* roll, pitch, throttle, yaw: the first channels of the contract's order */
 
-/* Bits of struct log_record's edge_flags. */
-enum log_edge {
-	LOG_EDGE_POSTED = 1u << 0,       /* receiver bytes are 16 channels [us], little-endian, that MSP posted */
-	LOG_EDGE_ACKNOWLEDGED = 1u << 1, /* firmware_acknowledge */
-	LOG_EDGE_CALIBRATE = 1u << 2,    /* firmware_calibrate */
-	LOG_EDGE_WEIGHTS_BAD = 1u << 3,  /* firmware_weights: false, until true */
-	LOG_EDGE_WEIGHTS_GOOD = 1u << 4, /* firmware_weights: true, since the last step */
-	LOG_EDGE_MISSED = 1u << 5,       /* this step missed its deadline: firmware_deadline */
-	LOG_EDGE_SILENT = 1u << 6,       /* firmware_gyro_silent was called before this step */
-	LOG_EDGE_MORE_BYTES = 1u << 7,   /* more receiver bytes came than fit: cannot be replayed */
-	LOG_EDGE_BENCH = 1u << 8,        /* a motor test or DShot command was under way: cannot be replayed */
-	LOG_EDGE_SILENCE = 1u << 16, /* the upper half counts the calls of firmware_gyro_silent since the last step */
-};
-
-/* Bits of struct log_sample's flags. */
-enum log_sample_flag {
-	LOG_SAMPLE_INVALID = 1u << 0, /* the transfer failed */
-	LOG_SAMPLE_REPEATED = 1u << 1, /* a good sample that equals the good one before in every word; told of good ones
-					* alone, and only where the setting gyro_stuck_ms looks for it */
-};
-
-/* A gyro sample as it came. */
-struct log_sample {
-	int16_t counts[3]; /* chip axes */
-	uint16_t flags; /* enum log_sample_flag */
-};
-
 struct log_record {
 	struct control_trace trace;
 	uint32_t arming_reasons; /* bit field of enum nf_arming_reason, 0 when armed */

@@ -1,5 +1,5 @@
-/* Records of control steps on their way from the gyro's interrupt to the background: one writer, one reader, none waits.
- * What the interrupt does is in log_writer.h. */
+/* A ring of control step records from the gyro's interrupt to the background: one writer, one reader, neither waits.
+ * log_writer.h has the interrupt's part. */
 #ifndef NF_LOG_RING_H
 #define NF_LOG_RING_H
 

@@ -11,7 +11,7 @@
 
 #define LOG_SNAPSHOT_STEPS 64u /* control steps from one to the next */
 
-/* What is copied, and how the copy is known to be whole. */
+/* The memory to be copied, and the counters that show whether the copy is consistent. */
 struct log_state {
 	const void *bytes; /* aligned to 8 */
 	size_t size; /* a multiple of 8 */

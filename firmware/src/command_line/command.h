@@ -1,4 +1,4 @@
-/* What a command is, and those that there are. */
+/* Commands of the command line, and the state of one that runs. */
 #ifndef NF_COMMAND_H
 #define NF_COMMAND_H
 
@@ -23,7 +23,7 @@ struct command {
 	const char *name;
 	const char *arguments; /* that it takes, for help */
 	const char *help;
-	/* Says the next line or two, or nothing. Returns whether it wants to be called again. */
+	/* Prints the next one or two lines, or nothing. Returns whether it must be called again. */
 	bool (*run)(const struct task_line *t);
 };
 

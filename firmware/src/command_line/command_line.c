@@ -136,7 +136,7 @@ static bool command_line_forgotten(const struct command_line *cl, const struct f
 }
 
 /* --- Lines ------------------------------------------------------------------------------------------------------ */
-/* What a whole line asks for. A comment may hold anything, but not lack anything. */
+/* Returns the command of a whole line. A comment may contain any byte, but a line with lost bytes is an error. */
 static const struct command *command_line_meant(struct command_line *cl)
 {
 	const char *arguments;
@@ -225,7 +225,7 @@ size_t command_line_take(struct command_line *cl, uint8_t byte, uint8_t *out, si
 }
 
 /* --- Output ----------------------------------------------------------------------------------------------------- */
-/* What was running has ended. */
+/* Ends the running command. */
 static void command_line_done(struct command_line *cl, struct printer *out)
 {
 	cl->running = NULL;

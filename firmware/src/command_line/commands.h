@@ -9,7 +9,7 @@
 extern const struct command command_table[];
 extern const size_t command_count;
 
-/* The command that `line` begins with; NULL: none. *arguments is what stands behind it. */
+/* Returns the command that `line` begins with, or NULL. *arguments is set to the text after it. */
 const struct command *command_find(const char *line, const char **arguments);
 
 #endif

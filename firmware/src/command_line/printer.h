@@ -25,7 +25,7 @@ void printer_number(struct printer *p, uint32_t value);
 /* `value` behind spaces that make it `width` characters at least. */
 void printer_column(struct printer *p, uint32_t value, unsigned width);
 
-/* With so many decimals, at most 3, rounded; beyond 2 million: as that. */
+/* Prints a rounded number with `decimals` digits after the point, at most 3; limited to 2 million. */
 void printer_fixed(struct printer *p, float value, unsigned decimals);
 
 /* The last `digits` hexadecimal digits. */

@@ -1,4 +1,4 @@
-/* What several commands reply, and how they read their arguments. */
+/* Replies that several commands share, and functions that read arguments. */
 #ifndef NF_REPLY_H
 #define NF_REPLY_H
 

@@ -1,4 +1,4 @@
-/* What a session of the command line keeps, and what its commands act on. */
+/* State of a command line session, and the services that its commands use. */
 #ifndef NF_SESSION_H
 #define NF_SESSION_H
 
@@ -29,7 +29,7 @@ enum command_line_fault {
 
 struct command;
 
-/* What the commands act on; all of it belongs to the background. */
+/* Services for the commands; all of them belong to the background. */
 struct command_line_services {
 	const struct board_identity *identity;
 	const struct flash *flash;
@@ -54,7 +54,7 @@ struct command_line_services {
 	enum nf_refusal (*reboot)(void *context, enum nf_reboot kind);
 };
 
-/* A motor that a command turns. */
+/* The motor that a command runs. */
 struct command_line_motor {
 	bool allowed; /* `motor test on` was said */
 	uint32_t allowed_since; /* gyro sample of the last motor command */

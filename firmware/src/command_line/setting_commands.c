@@ -90,7 +90,7 @@ static bool setting_is_ratio(const struct setting *setting)
 	return settings_unit(setting)[0] == '1' && settings_unit(setting)[1] == '\0';
 }
 
-/* What values there are. */
+/* Prints the possible values. */
 static void setting_say_span(const struct task_line *t, const struct setting *setting)
 {
 	if (setting->kind == SETTING_text) {
@@ -113,7 +113,7 @@ static void setting_say_span(const struct task_line *t, const struct setting *se
 	}
 }
 
-/* What was expected where a text was refused for `error`. */
+/* Prints the expected value after a text was refused with `error`. */
 static void setting_say_expected(const struct task_line *t, const struct setting *setting,
 				 enum settings_text_error error)
 {

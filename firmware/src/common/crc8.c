@@ -2,8 +2,8 @@
 
 #include "nf_contract.h"
 
-/* What four bits at the top of the CRC become once they are shifted out. Half a byte at a time: 16 bytes of
- * table, and a quarter of the steps that single bits would take. */
+/* Remainders of the four top bits of the CRC. Processing half a byte at a time needs 16 bytes of table and a quarter
+ * of the steps of single bits. */
 static const uint8_t shifted[16] = {
 	0x00, 0xD5, 0x7F, 0xAA, 0xFE, 0x2B, 0x81, 0x54, 0x29, 0xFC, 0x56, 0x83, 0xD7, 0x02, 0xA8, 0x7D,
 };

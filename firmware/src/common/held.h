@@ -1,5 +1,5 @@
-/* Pointers inside struct firmware, whose layout must be the same on every target: a log begins with its bytes, and a program on
- * a computer goes on from them (hal/host/replay.h). */
+/* Pointers inside struct firmware, whose layout must be the same on every target, because a log begins with its bytes
+ * and a replay on a computer continues from them (hal/host/replay.h). */
 #ifndef NF_HELD_H
 #define NF_HELD_H
 

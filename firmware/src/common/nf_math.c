@@ -23,8 +23,8 @@ static float nf_cos_eighth(float turns)
 	return 1.0f + x2 * (-1.0f / 2 + x2 * (1.0f / 24 + x2 * (-1.0f / 720 + x2 * (1.0f / 40320))));
 }
 
-/* Up to a quarter of a turn. What is taken from a quarter or a half is taken exactly, as the two numbers are
- * within a factor of two of each other (Sterbenz): small results keep all their digits. */
+/* Sine and cosine up to a quarter of a turn. The subtractions from a quarter or a half are exact, because the two numbers
+ * are within a factor of two of each other (Sterbenz), so small results keep all their digits. */
 static float nf_sin_quarter(float turns)
 {
 	return turns <= EIGHTH ? nf_sin_eighth(turns) : nf_cos_eighth(QUARTER - turns);

@@ -18,7 +18,7 @@ struct control_trace {
 	uint16_t dshot[NF_MOTOR_COUNT_MAX];    /* 11-bit values, motor order; 0 stops */
 };
 
-/* All that is told of one control step. */
+/* All data of one control step that a stream sends. */
 struct control_record {
 	struct control_trace trace;
 	uint32_t cycles;                       /* that the step took */

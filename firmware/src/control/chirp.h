@@ -33,7 +33,7 @@ struct chirp {
 	float room[3];        /* rad/s, of each axis: errors up to this may come from the chirp */
 };
 
-/* What a control step allows. */
+/* Conditions of a control step. */
 struct chirp_input {
 	bool on;              /* the mode */
 	bool allowed;         /* armed, the receiver heard, no failsafe */
@@ -47,7 +47,7 @@ void chirp_init(struct chirp *chirp, const struct nf_settings *settings, unsigne
  * is not CHIRP_IDLE. */
 void chirp_step(struct chirp *chirp, const struct chirp_input *input, float setpoint[3]);
 
-/* The axis that it excites in this control step, -1: none. */
+/* Returns the axis excited in this control step, or -1. */
 int chirp_axis(const struct chirp *chirp);
 
 #endif

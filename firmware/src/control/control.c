@@ -102,7 +102,7 @@ static void control_fall_back(struct control *control, enum nf_fallback_cause ca
 	control->refused = cause;
 }
 
-/* The controller to fly: the one that the pilot wants, unless only the other is usable. */
+/* Returns the controller to fly: the pilot's choice, unless only the other one is usable. */
 static enum controller control_choose(const struct control *control, bool pid_wanted)
 {
 	const enum controller wanted = pid_wanted || control->latched ? CONTROLLER_PID : CONTROLLER_POLICY;
@@ -146,7 +146,7 @@ static bool control_answer(struct control *control, const struct control_input *
 	return control_within_range(control->action);
 }
 
-/* The model goes on by a control step, before the controller that flies. What only the policy sees begins with it. */
+/* Advances the model by a control step, before the controller that flies. */
 static __attribute__((noinline)) void control_estimate(struct control *control, const struct control_input *input)
 {
 	estimator_advance(&control->estimator);

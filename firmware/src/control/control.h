@@ -6,7 +6,6 @@
 #include <stdint.h>
 
 #include "common/held.h"
-#include "common/nf_err.h"
 #include "control/estimator.h"
 #include "control/mixer.h"
 #include "control/observation.h"

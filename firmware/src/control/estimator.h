@@ -11,7 +11,7 @@
 #include "nf_contract.h"
 #include "policy.h"
 
-/* Of one control step, as the flown policy's blob brings them. */
+/* Constants of the model for one control step, from the flown policy's blob. */
 struct estimator_model {
 	uint32_t delay;                          /* control steps from an output to the rotor; 0: there is no model */
 	float curve[3];                          /* a, b, c: an output u settles at (a u + b) u + c [rad/s] */

@@ -4,7 +4,6 @@
 
 #include <stdbool.h>
 
-#include "common/nf_err.h"
 #include "nf_contract.h"
 #include "policy.h"
 

@@ -25,7 +25,7 @@ SOURCE(rotor_estimate, input->rotor_estimate)
 SOURCE(rate_estimate, input->rate_estimate)
 SOURCE(rate_estimate_error, input->rate_estimate_error)
 
-/* Of each block at its code. */
+/* Sources of the blocks, indexed by block code. */
 static const struct block {
 	bool known;
 	unsigned char width; /* 0: one value a motor */

@@ -8,7 +8,6 @@
 #include <stdint.h>
 
 #include "common/held.h"
-#include "common/nf_err.h"
 #include "nf_contract.h"
 
 /* Input of a control step. */
@@ -18,7 +17,7 @@ struct observation_input {
 	const float *previous_action; /* [motor_count], the policy's last output; zeros on the first step */
 	float throttle;               /* 0..1 */
 	const float *previous_motors; /* [motor_count], the last fractions before the idle, less the throttle */
-	/* Of the estimator; only for terms that are made of them. */
+	/* Outputs of the estimator; used only by terms that need them. */
 	const float *rotor_estimate; /* [motor_count] rad/s */
 	const float *rate_estimate; /* [3] rad/s */
 	const float *rate_estimate_error; /* [3] rad/s */

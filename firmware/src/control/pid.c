@@ -15,7 +15,7 @@ void pid_init(struct pid *pid, const struct pid_gains *gains, const struct nf_se
 		pid->p[i] = factors[i][0] * gains->p[i];
 		pid->i[i] = factors[i][1] * gains->i[i];
 		pid->d[i] = factors[i][2] * gains->d[i];
-		/* What the integral alone may ask for of a motor stays. */
+		/* A factor of I changes how fast the integral acts, not the largest output that it may reach. */
 		pid->integral_max[i] = factors[i][1] > 0.0f ? gains->integral_max[i] / factors[i][1] : 0.0f;
 	}
 	pid_reset(pid);
@@ -39,7 +39,8 @@ float pid_compensation(const struct pid_gains *gains, float voltage)
 	return limit(ratio * ratio, 1.0f, NF_PID_COMPENSATION_MAX);
 }
 
-/* Of D, by the throttle; exactly 1 up to the breakpoint. P and I stay: they hold the axis, and do not make the noise. */
+/* Returns the factor of D for the throttle: exactly 1 up to the breakpoint. P and I are not reduced, because they hold the
+ * axis and amplify little noise. */
 static float pid_attenuation(const struct pid_gains *gains, float throttle)
 {
 	const float above = throttle - gains->tpa_breakpoint;

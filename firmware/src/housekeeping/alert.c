@@ -4,7 +4,7 @@
 #define FLASH_PAUSE 16u /* slots between two rounds of a fault's flashes */
 #define BEEP_SLOTS 3u   /* a beep lasts as long as so many flashes: ears count more slowly */
 
-/* Of a count that says why it does not arm: a buzz, by which it is known, then beeps. */
+/* Pattern of the count that tells why the aircraft does not arm: a buzz to recognise it by, then beeps. */
 #define BUZZ_SLOTS 10u
 #define LEAD_SLOTS 18u  /* the buzz and a pause */
 #define COUNT_SLOTS 7u  /* from one beep to the next */

@@ -45,7 +45,7 @@ struct alert_state {
 /* Conditions whose setting beep_... is off are not for the beeper: it plays the next one that holds. */
 void alert_init(struct alert *alert, const struct nf_settings *settings);
 
-/* What is counted out. */
+/* Numbers that beeper and LED count out. */
 struct alert_counts {
 	unsigned fault;      /* 0 counts as 1 */
 	unsigned not_arming;

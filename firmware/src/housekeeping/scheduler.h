@@ -12,7 +12,7 @@
 
 #define TASK_COUNT (NF_TASK_MSP + 1)
 
-/* What a task has taken since boot. */
+/* Processor time of a task since boot. */
 struct task_stats {
 	uint32_t rate_hz;    /* that it is meant to run at; 0: whenever there is something to do */
 	uint32_t runs;

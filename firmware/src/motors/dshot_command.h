@@ -38,7 +38,7 @@ enum nf_refusal dshot_command_ask(struct dshot_command *self, unsigned command, 
  * bit that these frames need. Not `stopped`: the sequence is over and `dshot` left alone. */
 bool dshot_command_step(struct dshot_command *self, bool stopped, uint16_t dshot[]);
 
-/* Is one asked for or under way? Until it is over nothing should arm. */
+/* Returns whether a command is requested or in progress; nothing should arm until it has ended. */
 bool dshot_command_busy(const struct dshot_command *self);
 
 #endif

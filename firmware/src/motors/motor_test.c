@@ -112,7 +112,7 @@ static void motor_test_count_down(struct motor_test *test)
 	}
 }
 
-/* A test that was asked for or is open, or one that is settling: never in flight, whose path does without it. */
+/* Updates a test that is requested, open or settling; never called in flight. */
 static __attribute__((noinline)) bool motor_test_run(struct motor_test *test, const struct motor_test_view *view,
 						     uint16_t dshot[])
 {

@@ -27,7 +27,7 @@ struct motor_test {
 	uint32_t motor_count;
 };
 
-/* What a test depends on besides the request. */
+/* Conditions of a test besides the request. */
 struct motor_test_view {
 	bool stopped;                            /* the flight state is NF_FLIGHT_DISARMED */
 	bool switch_on;                          /* the arm switch, as a frame says it, whatever the link is worth */

@@ -19,7 +19,7 @@
 #include "storage/image_update.h"
 #include "storage/policy_slots.h"
 
-/* What the commands act on. All of it belongs to the context that msp_serve is called from, the background; the
+/* Services for the commands. All of them belong to the context that msp_serve is called from, the background; the
  * functions reach everything else. NULL: the command is refused as absent. */
 struct msp_services {
 	const struct flash *flash;
@@ -43,7 +43,7 @@ struct msp_services {
 	 * test of that peer, limited to NF_MOTOR_WIZARD_MAX if `disabled`; if that is refused, nothing changes.
 	 * Not test: a test that the peer opened so is closed. */
 	enum nf_refusal (*arming)(void *context, struct msp_peer *peer, bool disabled, bool test);
-	/* A peer has made a request: the motor test that it opened by `arming` goes on. */
+	/* A peer has made a request, which keeps the motor test that it opened by `arming` alive. */
 	void (*heard)(void *context, const struct msp_peer *peer);
 	/* Opens the motor test with the right magic, closes it with any other. */
 	enum nf_refusal (*motor_test)(void *context, uint32_t magic);

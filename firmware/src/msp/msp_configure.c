@@ -4,7 +4,7 @@
 #include "msp/msp_lists.h"
 #include "storage/settings.h"
 
-/* Bits of what a peer was told: by message of msp_fields.h, and one for the modes, whose slots zeros clear. */
+/* A bit for each message that a peer has read: those of msp_fields.h, and one for the modes, whose slots zeros clear. */
 #define TOLD(message) ((uint64_t)1 << (message))
 #define TOLD_MODES TOLD(63)
 

@@ -138,7 +138,7 @@ static enum nf_refusal fields_put_scaled(const struct msp_view *view, const stru
 				NF_REFUSAL_RANGE;
 }
 
-/* Takes up what is not told already: what the ecosystem's units cannot say is never written back. */
+/* Applies a value that differs from the GET's: precision that the ecosystem's units lack is never written back. */
 static enum nf_refusal fields_put(const struct msp_view *view, const struct field *field, uint32_t raw)
 {
 	if (field->how == NF_MSP_HOW_UNUSED || raw == fields_tell(view, field))

@@ -13,7 +13,7 @@
 int msp_fields_find_get(uint16_t command);
 int msp_fields_find_set(uint16_t command);
 
-/* Does a SET of that message need that its peer was told before? All zeros mean something there. */
+/* Returns whether a SET of that message requires that its peer has read the GET: all zeros are valid values there. */
 bool msp_fields_read_first(int message);
 
 /* Writes the payload of a GET. NF_REFUSAL_ABSENT: the settings do not fit the message's form, or the board has none. */

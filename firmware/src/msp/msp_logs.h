@@ -6,7 +6,7 @@
 #include "msp/msp_payload.h"
 #include "nf_contract.h"
 
-/* Each answers the message of its name. *detail of NF_REFUSAL_LOG: enum nf_log_error. */
+/* Each function answers the message of its name. *detail is an enum nf_log_error for NF_REFUSAL_LOG. */
 enum nf_refusal msp_log_info(struct blackbox *blackbox, struct msp_reader *payload, struct msp_writer *reply,
 			     int *detail);
 enum nf_refusal msp_log_entry(struct blackbox *blackbox, struct msp_reader *payload, struct msp_writer *reply,

@@ -26,10 +26,10 @@ void msp_put_rounded(struct msp_writer *w, float value);
 /* Up to its end or `most` characters. */
 void msp_put_text(struct msp_writer *w, const char *text, unsigned most);
 
-/* The same behind a byte that tells how many. */
+/* The same, preceded by a byte with the count. */
 void msp_put_counted_text(struct msp_writer *w, const char *text, unsigned most);
 
-/* What is left of a payload to be read; behind its end stand zeros. */
+/* The unread rest of a payload; reading past its end gives zeros. */
 struct msp_reader {
 	const uint8_t *at;
 	size_t left; /* bytes */

@@ -1,4 +1,4 @@
-/* What belongs to the peer of a port beside its half-read request, and ends with it. */
+/* State of the peer of a port besides its partly read request; it ends with the peer. */
 #ifndef NF_MSP_PEER_H
 #define NF_MSP_PEER_H
 

@@ -77,7 +77,7 @@ static size_t msp_port_answer(struct msp_port *port, const struct firmware_statu
 	return msp_frame(msp->version, msp->command, refused, payload, (size_t)(writer.at - payload), reply, capacity);
 }
 
-/* Says what is due unasked. */
+/* Writes the stream record that is due. */
 static size_t msp_port_speak(struct msp_port *port, uint8_t *words, size_t capacity)
 {
 	struct control_record record;
@@ -94,7 +94,7 @@ bool msp_port_busy(const struct msp_port *port)
 	return port->held > 0 || command_line_busy(&port->command_line);
 }
 
-/* Is a session open, or what was typed into one outstanding? */
+/* Returns whether a session is open or its typed bytes are pending. */
 static bool msp_port_converses(const struct msp_port *port)
 {
 	return port->held > 0 || command_line_open(&port->command_line);
@@ -144,8 +144,8 @@ static size_t msp_port_type(struct msp_port *port, const struct firmware_status 
 	return written + command_line_take(cl, byte, reply + written, capacity - written);
 }
 
-/* Opens a command line session, if the byte opens one; returns the bytes of its reply. Streaming stops meanwhile. The
- * reply to a frame is itself a frame. */
+/* Opens a command line session if the byte is one that opens it; returns the bytes of its reply. Streaming stops
+ * during a session. The reply to a frame is itself a frame. */
 static size_t msp_port_open(struct msp_port *port, uint8_t byte, uint8_t *reply, size_t capacity)
 {
 	if (!command_line_begin(&port->command_line, byte))

@@ -40,7 +40,7 @@ void msp_port_pause(struct msp_port *port);
 /* Bytes from the peer were lost: a request half read is void. */
 void msp_port_lost(struct msp_port *port);
 
-/* Would msp_port_serve say something unasked, now that control step `step` is done? */
+/* Returns whether msp_port_serve has unsolicited output after control step `step`. */
 bool msp_port_speaks(const struct msp_port *port, uint32_t step);
 
 /* Is there more to say, or to carry out, before more bytes are read? They wait with the peer or in the line meanwhile;

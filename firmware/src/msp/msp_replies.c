@@ -96,7 +96,7 @@ static void reply_board_info(struct msp_writer *w, const struct msp_facts *s)
 	msp_put_u8(w, 0);
 }
 
-/* Builds are reproducible, so an image knows no date; the policy's hash tells two of them apart. */
+/* Builds are reproducible, so an image has no date; images differ by the policy's hash. */
 static void reply_build_info(struct msp_writer *w, const struct msp_facts *s)
 {
 	static const uint16_t options[NF_MSP_BUILD_OPTIONS_COUNT] = NF_MSP_BUILD_OPTIONS;

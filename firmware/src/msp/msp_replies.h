@@ -10,7 +10,7 @@
 #include "port/board_identity.h"
 #include "storage/policy_slots.h"
 
-/* What they tell about. */
+/* Sources of the replies. */
 struct msp_facts {
 	const struct board_identity *identity;
 	const struct firmware_status *status;

@@ -276,7 +276,7 @@ static uint32_t sources_lowpass_type(const struct nf_settings *s, unsigned numbe
 	return 0;
 }
 
-/* Of a stage that is none there is no type to keep. */
+/* An unused stage has no type to keep. */
 static enum nf_refusal sources_set_lowpass_type(struct nf_settings *s, unsigned number, uint32_t value)
 {
 	const struct stage stage = sources_stage(s, number);
@@ -402,7 +402,7 @@ uint32_t msp_source_get(const struct msp_view *view, enum nf_msp_source source, 
 	return 0;
 }
 
-/* What is only told: the app computes with 0.01 of some, and cuts what a binary fraction cannot say. */
+/* Read-only values: the app multiplies some by 0.01 and truncates what a binary fraction cannot represent. */
 static enum nf_refusal sources_refuse(const struct msp_view *view, enum nf_msp_source source, unsigned argument,
 				      uint32_t value)
 {

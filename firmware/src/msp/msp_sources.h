@@ -7,10 +7,10 @@
 
 #include "msp/msp_view.h"
 
-/* What a GET tells. */
+/* Returns the value that a GET sends. */
 uint32_t msp_source_get(const struct msp_view *view, enum nf_msp_source source, unsigned argument);
 
-/* What a SET brings, which is not what a GET would tell. NF_REFUSAL_PAYLOAD: it cannot be changed. */
+/* Applies a value from a SET that differs from the GET's. NF_REFUSAL_PAYLOAD: it cannot be changed. */
 enum nf_refusal msp_source_set(const struct msp_view *view, enum nf_msp_source source, unsigned argument,
 			       uint32_t value);
 

@@ -1,4 +1,4 @@
-/* Streaming telemetry: records of control steps that a peer gets unasked, at the rate that it was granted. */
+/* Streaming telemetry: records of control steps, sent to a peer unsolicited at the granted rate. */
 #ifndef NF_MSP_STREAM_H
 #define NF_MSP_STREAM_H
 

@@ -1,4 +1,4 @@
-/* What configuration messages of MSP tell about, and change. */
+/* State that the configuration messages of MSP report and change. */
 #ifndef NF_MSP_VIEW_H
 #define NF_MSP_VIEW_H
 

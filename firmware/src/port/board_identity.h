@@ -1,4 +1,4 @@
-/* What identifies a board to an MSP peer. */
+/* Identity of a board for MSP peers. */
 #ifndef NF_BOARD_IDENTITY_H
 #define NF_BOARD_IDENTITY_H
 

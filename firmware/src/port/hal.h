@@ -9,10 +9,8 @@
 #include <stddef.h>
 #include <stdint.h>
 
-#include "common/nf_err.h"
 #include "nf_contract.h"
 #include "port/board_identity.h"
-#include "port/fault_record.h"
 #include "port/flash.h"
 #include "port/imu.h"
 #include "port/log_device.h"
@@ -24,7 +22,7 @@ struct setting_change;
 #define HAL_RUN (-1)            /* hal_init: go on to hal_run */
 #define HAL_RECEIVER_BYTES 256  /* the most that one receiver_read hands over */
 
-/* What the chip does for the core. No function waits unless it says so. */
+/* Functions of the chip for the core. None waits unless its comment says so. */
 struct hal {
 	void *context; /* the first argument of every function */
 
@@ -37,8 +35,8 @@ struct hal {
 	void (*motors_write)(void *context, const uint16_t dshot[], size_t count, bool telemetry);
 	/* From `sample`, after motors_write: the control step just done. A chip without a trace does nothing. */
 	void (*trace_write)(void *context, const struct control_trace *trace);
-	/* From `sample`: did the control step that took `cycles` miss its deadline, the next control step's sample?
-	 * Host: only where a power packet says so, as the simulator's clock does not run meanwhile. */
+	/* From `sample`: returns whether the control step that took `cycles` missed its deadline, the next control
+	 * step's sample. On the host only if a power packet says so, because the simulator's clock stands meanwhile. */
 	bool (*deadline_missed)(void *context, uint32_t cycles);
 
 	/* A free-running counter, wrapping at 2^32. Only for measurement; no decision of the core depends on it. */
@@ -66,7 +64,7 @@ struct hal {
 	struct flash flash;
 };
 
-/* What the board is. Filled by hal_init. */
+/* Properties of the board, filled in by hal_init. */
 struct hal_info {
 	const struct hal *hal; /* lives as long as the program */
 	enum board_alignment alignment; /* of the gyro chip found, where the settings say "board" */

@@ -42,8 +42,8 @@ struct log_device {
 
 	/* A log begins. LOG_FAILED: there is nothing to write it to now. */
 	enum log_answer (*begin)(void *context);
-	/* Takes bytes of the log, as many as there is room for now; returns how many. Bytes that were taken may still be lost
-	 * with a card that is pulled: the status then says so. */
+	/* Takes bytes of the log, as many as there is room for now; returns how many. Accepted bytes may still be
+	 * lost if the card is pulled; the status then reports it. */
 	size_t (*write)(void *context, const uint8_t *bytes, size_t count);
 	/* No more bytes of this log follow. Asked until it is not LOG_LATER. */
 	enum log_answer (*end)(void *context);

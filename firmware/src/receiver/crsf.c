@@ -63,8 +63,8 @@ static bool crsf_decode(const uint8_t *bytes, struct crsf_frame *frame)
 	return false;
 }
 
-/* Terminates: each round removes at least one byte. What is left is shorter than the longest frame; after a pause it is
- * empty. */
+/* The loop ends because each round removes at least one byte. The rest is shorter than the longest frame; after a
+ * pause it is empty. */
 bool crsf_take(struct crsf *crsf, bool paused, struct crsf_frame *frame)
 {
 	size_t from = 0;

@@ -16,9 +16,9 @@ struct gesture {
 
 void gesture_init(struct gesture *gesture);
 
-/* Channels [us] as flown, at `ms` since any moment, wrapping. allowed: disarmed, with the arm switch off and a good
- * receiver; else the sticks say nothing. Returns true once, when the gesture has been held for NF_GESTURE_MS: it must
- * be left before it is told again. */
+/* Takes channels [us] as flown, at `ms` since any moment, wrapping. allowed: disarmed, with the arm switch off and a
+ * good receiver; otherwise sticks are ignored. Returns true once, when the gesture has been held for NF_GESTURE_MS;
+ * it must be released before it counts again. */
 bool gesture_step(struct gesture *gesture, const uint16_t channels_us[NF_CHANNEL_COUNT], bool allowed, uint32_t ms);
 
 #endif

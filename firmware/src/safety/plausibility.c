@@ -7,7 +7,7 @@
 #define WRONG_WAY_ANGLE (NF_WRONG_WAY_DEG * NF_RAD_PER_DEG)
 #define TAKEOFF_ANGLE (NF_WRONG_WAY_TAKEOFF_DEG * NF_RAD_PER_DEG)
 #define NO_RESPONSE_ERROR (NF_NO_RESPONSE_ERROR_DEG_S * NF_RAD_PER_DEG)
-/* Of all motors together: in the time that is remembered, and for each rad/s that an error moved. */
+/* Limits for all motors together: movement within the remembered time, and movement per rad/s of error change. */
 #define MOVED_MAX (NF_OSCILLATION_MOTORS * NF_OSCILLATION_MOTORS_MS * POLICY_ACTION_COUNT)
 #define MOVED_BY_ERROR (NF_OSCILLATION_MOTORS_BY_ERROR * POLICY_ACTION_COUNT)
 #define SWING (NF_OSCILLATION_ERROR_DEG_S * NF_RAD_PER_DEG)

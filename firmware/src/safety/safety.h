@@ -7,8 +7,9 @@
 
 #include "nf_contract.h"
 
-/* What holds at one moment, in two words. A reason only forbids arming, except that RECEIVER_LOST and GYRO_NOT_CALIBRATED also
- * move the state; an input only moves the state. SWITCH_NOT_CYCLED and CRASHED are computed by safety and ignored here. */
+/* Conditions at one moment, in two words. A reason only forbids arming, except that RECEIVER_LOST and
+ * GYRO_NOT_CALIBRATED also change the state; an input only changes the state. SWITCH_NOT_CYCLED and CRASHED are
+ * computed by safety and ignored here. */
 struct safety_conditions {
 	uint32_t reasons; /* bit field of enum nf_arming_reason: SAFETY_REASON(name) */
 	uint32_t inputs;  /* bit field of enum safety_input */

@@ -12,7 +12,7 @@ struct calibration {
 	int64_t sum_of_squares[3]; /* counts^2 */
 };
 
-/* Of NF_CALIBRATION_MS. */
+/* Prepares windows of NF_CALIBRATION_MS. */
 void calibration_init(struct calibration *calibration, unsigned gyro_rate_hz);
 
 /* A window begins. */

@@ -42,7 +42,7 @@ void dynamic_notch_init(struct dynamic_notch *d, const struct nf_settings *setti
 		.damping = 1.0f / settings->dynamic_notch_q,
 		.low_turns = low_hz / rate_hz,
 	};
-	/* Whole samples, and neighbouring bins one turn a window apart: so the refinement wants them. */
+	/* The window has whole samples and neighbouring bins are one turn per window apart, as the refinement requires. */
 	d->spacing = 1.0f / (float)d->window;
 	d->first = 2.0f * nf_cos_turns(d->low_turns);
 	d->step = 2.0f * nf_cos_turns(d->spacing);

@@ -8,8 +8,8 @@
 #include "common/nf_math.h"
 #include "policy.h"
 
-/* What a kind is made of. `widen`: n low-passes in a row reach 0.707 at f when each does at f widen,
- * 1 / sqrt(2^(1/n) - 1). */
+/* Composition of a kind. `widen`: n low-passes in a row reach 0.707 at f if each does at f widen, 1 / sqrt(2^(1/n) -
+ * 1). */
 static const struct kind {
 	const char *name;
 	uint8_t order;

@@ -23,8 +23,8 @@ static const struct rotation {
 };
 _Static_assert(sizeof rotations / sizeof rotations[0] == ALIGN_COUNT, "one rotation an alignment");
 
-/* Data sheets: MPU-6500 rev. 1.1 and ICM-20689 rev. 1.1, register TEMP_OUT. Of the others as PX4's register headers have
- * it, of the ICM-20601 as its kin: its data sheet was not read. */
+/* Data sheets: MPU-6500 rev. 1.1 and ICM-20689 rev. 1.1, register TEMP_OUT. The others are from PX4's register
+ * headers; the ICM-20601 is assumed to equal its family, because its data sheet was not read. */
 static const struct thermometer {
 	float counts_per_degree;
 	float zero_c; /* at 0 counts */
@@ -62,7 +62,7 @@ enum nf_err gyro_init(struct gyro *gyro, unsigned gyro_rate_hz, enum board_align
 		.bad_after = gyro_rate_hz * NF_GYRO_BAD_MS / 1000u,
 		.saturated_after = gyro_rate_hz * NF_GYRO_SATURATED_MS / 1000u,
 		.stuck_after = gyro_rate_hz * stuck_ms / 1000u,
-		/* Of all low-passes one of first order changes fastest after a step over the whole range. */
+		/* After a step over the whole range, a first-order low-pass changes faster than all others. */
 		.jump = (int32_t)(FULL_SWING * nf_one_minus_exp(NF_TAU * NF_GYRO_BANDWIDTH_HZ / (float)gyro_rate_hz)),
 	};
 	calibration_init(&gyro->calibration, gyro_rate_hz);

@@ -5,7 +5,6 @@
 #include <stdbool.h>
 #include <stdint.h>
 
-#include "common/nf_err.h"
 #include "nf_contract.h"
 #include "port/imu.h"
 #include "sensing/calibration.h"
@@ -54,7 +53,7 @@ enum nf_gyro_health gyro_step(struct gyro *gyro, const struct imu_sample *sample
 /* Do the motors stand? A window begins with their rest. */
 void gyro_rest(struct gyro *gyro, bool rests);
 
-/* Has an axis been at the end of its range for NF_GYRO_SATURATED_MS, without a good sample below it? */
+/* Returns whether an axis has been saturated for NF_GYRO_SATURATED_MS without a good sample below the limit. */
 bool gyro_railed(const struct gyro *gyro);
 
 /* Specific force of the last good sample [m/s^2], body axes: 9.81 upwards at rest. All zero: the chip does not measure

@@ -21,8 +21,8 @@ struct gyro_mean {
 /* count: of the mean, 1 to GYRO_MEAN_MAX; 0 or 1: off, not a bit changes. */
 void gyro_mean_init(struct gyro_mean *mean, uint32_t count);
 
-/* One gyro sample [rad/s]. The first stands for those before it too. Samples that were lost are not made up for: the mean is
- * that of the last ones taken, which then reach further back. */
+/* Takes one gyro sample [rad/s]. The first one also fills the samples before it. Lost samples are not replaced: the
+ * mean is that of the last samples taken, which then span a longer time. */
 void gyro_mean_take(struct gyro_mean *mean, const float rate[3]);
 
 /* The mean [rad/s], oldest first, of samples that were taken; `rate` stays where the mean is off. */

@@ -11,7 +11,6 @@
 #include <stdint.h>
 
 #include "nf_contract.h"
-#include "port/fault_record.h"
 #include "port/flash.h"
 
 struct fault_log {

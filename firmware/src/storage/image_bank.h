@@ -9,7 +9,6 @@
 #include <stddef.h>
 #include <stdint.h>
 
-#include "common/nf_err.h"
 #include "nf_contract.h"
 #include "port/flash.h"
 
@@ -22,7 +21,7 @@ extern const struct image_bank_place {
 	unsigned sector;
 } image_bank_places[IMAGE_BANK_COUNT];
 
-/* What the marks of a bank say; of no worth where the bank has no image. */
+/* Decoded marks of a bank; meaningless if the bank has no image. */
 struct image_bank_marks {
 	bool installed;     /* by the chip's ROM, and not numbered yet */
 	bool numbered;      /* `sequence` counts */

@@ -34,7 +34,7 @@ struct image_probation {
 	uint32_t last_ms, ran_ms;      /* time of the last call; how long steps went on */
 };
 
-/* What the firmware says of itself. */
+/* State of the firmware that the probation judges. */
 struct image_report {
 	bool policy_good;
 	uint32_t steps; /* control steps since boot */

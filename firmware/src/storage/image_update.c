@@ -29,8 +29,8 @@ static enum nf_refusal image_update_give_up(struct image_update *update, enum nf
 	return why;
 }
 
-/* What an erase that power interrupts leaves must not pass for an image, nor for one that the ROM has installed: its
- * magic goes first, and the mark of who writes here comes before any byte of the new one. */
+/* A power loss during an erase must not leave an image that looks valid or installed by the ROM: the magic is cleared
+ * first, and the mark of the writer is written before any byte of the new image. */
 static bool image_update_clear(const struct flash *flash, unsigned bank)
 {
 	static const uint32_t none = 0;

@@ -9,7 +9,6 @@
 #include <stddef.h>
 #include <stdint.h>
 
-#include "common/nf_err.h"
 #include "common/sha256.h"
 #include "nf_contract.h"
 #include "port/flash.h"
@@ -20,7 +19,7 @@ struct image_update {
 	const struct flash *flash;
 	char board[NF_IMAGE_BOARD_BYTES]; /* as a header has it */
 	unsigned running;                 /* bank */
-	/* What is under way; void after a restart. */
+	/* State of the running update; lost at a restart. */
 	bool begun;
 	struct nf_image_header header;    /* as it was told */
 	uint32_t written;                 /* bytes of the image so far */
@@ -36,9 +35,9 @@ void image_update_init(struct image_update *update, const struct flash *flash, u
 enum nf_refusal image_update_begin(struct image_update *update, const struct nf_image_header *header, uint32_t *offset,
 				   enum nf_err *why);
 
-/* The image's bytes from `offset` on, in order; both are multiples of 4, `words` is aligned to 4. What was just written
- * may be repeated, for a reply may have been lost. NF_REFUSAL_ORDER, NF_REFUSAL_PAYLOAD; NF_REFUSAL_FLASH: it has to be
- * begun anew. */
+/* Writes the image's bytes from `offset` on, in order; both are multiples of 4, `words` is aligned to 4. The last
+ * write may be repeated, because its reply may have been lost. NF_REFUSAL_ORDER, NF_REFUSAL_PAYLOAD;
+ * NF_REFUSAL_FLASH: the update must be begun anew. */
 enum nf_refusal image_update_write(struct image_update *update, uint32_t offset, const void *words, size_t bytes);
 
 /* Has all of it arrived? *crc: of the image as flash has it. May be repeated. NF_REFUSAL_ORDER: bytes are missing.

@@ -30,7 +30,7 @@ static bool policy_blob_tested(const struct nf_policy_blob_header *header)
 	       header->selftest_count % header->selftest_steps == 0;
 }
 
-/* Do the last of its `total` bytes say the CRC of those before? `magic` stands for the first four. */
+/* Returns whether the last of `total` bytes are the CRC of those before, with `magic` in place of the first four. */
 static bool policy_blob_whole(uint32_t magic, const uint8_t *blob, size_t total)
 {
 	const size_t checked = total - NF_POLICY_BLOB_CRC_BYTES;
@@ -40,7 +40,7 @@ static bool policy_blob_whole(uint32_t magic, const uint8_t *blob, size_t total)
 	return crc32_more(crc32_more(0, &magic, sizeof magic), blob + sizeof magic, checked - sizeof magic) == told;
 }
 
-/* Did it come with that image, or for any of its architecture? */
+/* Returns whether the blob came with that image or is for any image of its architecture. */
 static bool policy_blob_meant_for(const struct nf_policy_blob_header *header, const struct policy_blob_identity *image)
 {
 	static const uint8_t any[NF_IMAGE_BUILD_BYTES];
@@ -98,7 +98,7 @@ static bool policy_blob_models(const struct nf_policy_blob_header *header)
 	       policy_blob_positive(rotor[LOSS], NF_MODEL_NUMBER_MAX) && policy_blob_positive(rotor[CORRECTION], 1.0f);
 }
 
-/* Does one of its terms come from a model? The terms are those of this image, whose architecture is the same. */
+/* Returns whether an observation term needs a model. The terms are this image's, which has the same architecture. */
 static bool policy_blob_needs_model(const struct nf_policy_blob_header *header)
 {
 	for (uint32_t i = 0; i < header->observation_term_count && i < NF_OBSERVATION_TERMS_MAX; ++i) {

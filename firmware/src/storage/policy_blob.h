@@ -5,10 +5,9 @@
 #include <stddef.h>
 #include <stdint.h>
 
-#include "common/nf_err.h"
 #include "nf_contract.h"
 
-/* What the code of an image is made for. */
+/* Properties of a policy that an image's code requires. */
 struct policy_blob_identity {
 	uint32_t architecture_hash;
 	uint32_t filters_hash;      /* of the gyro filters before the policy, NF_POLICY_FILTERS_NONE for none */

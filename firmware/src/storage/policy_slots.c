@@ -40,7 +40,7 @@ static uint32_t policy_slots_sequence_of(const uint8_t *blob)
 	return sequence;
 }
 
-/* What keeps that image from flying the blob that stands there now. */
+/* Returns the error that keeps that image from flying the blob in the slot; NF_OK if it can. */
 static enum nf_err policy_slots_check_for(const struct policy_slots *slots, enum policy_source source,
 					  const struct policy_blob_identity *image)
 {
@@ -97,7 +97,7 @@ static bool policy_slots_newer(const struct policy_slots *slots, enum policy_sou
 				   policy_slots_sequence_of(policy_slots_blob_of(slots, b)));
 }
 
-/* Of the slots that are good the newer one, and the first where neither is newer; POLICY_SOURCE_COUNT: none is good. */
+/* Returns the good slot with the newer policy, the first if neither is newer, POLICY_SOURCE_COUNT if none is good. */
 static enum policy_source policy_slots_best(const struct policy_slots *slots)
 {
 	const bool a = slots->found[POLICY_SLOT_A] == NF_OK, b = slots->found[POLICY_SLOT_B] == NF_OK;
@@ -293,8 +293,8 @@ static bool policy_slots_other_image(const struct policy_slots *slots, struct po
 	return image_bank_fits(&header, bank, header.board);
 }
 
-/* What is wrong with the blob that was written, its first word kept back: for this image, or where it came with another one for
- * that of the other bank. */
+/* Returns the error of the written blob, whose first word is still held back: checked for this image, or for the
+ * other bank's if it came with that one. */
 static enum nf_err policy_slots_judge(const struct policy_slots *slots, const struct policy_update *update)
 {
 	const uint8_t *blob = policy_slots_blob_of(slots, update->target);

@@ -12,7 +12,6 @@
 #include <stddef.h>
 #include <stdint.h>
 
-#include "common/nf_err.h"
 #include "nf_contract.h"
 #include "policy.h"
 #include "port/flash.h"
@@ -72,8 +71,9 @@ bool policy_slots_restore(struct policy_slots *slots, struct policy *policy, flo
  * NF_REFUSAL_FLASH. */
 enum nf_refusal policy_slots_begin(struct policy_slots *slots, uint32_t total);
 
-/* The blob's bytes from `offset` on, in order; both are multiples of 4, `words` is aligned to 4. What was just written
- * may be repeated, for a reply may have been lost. NF_REFUSAL_ORDER, NF_REFUSAL_PAYLOAD, NF_REFUSAL_FLASH. */
+/* Writes the blob's bytes from `offset` on, in order; both are multiples of 4, `words` is aligned to 4. The last
+ * write may be repeated, because its reply may have been lost. NF_REFUSAL_ORDER, NF_REFUSAL_PAYLOAD,
+ * NF_REFUSAL_FLASH. */
 enum nf_refusal policy_slots_write(struct policy_slots *slots, uint32_t offset, const void *words, size_t bytes);
 
 /* Ends the update: checks all of it, then makes it valid. One that names the build of the other bank's image is checked against
@@ -90,8 +90,8 @@ uint32_t policy_slots_next_sequence(const struct policy_slots *slots);
  * holds no policy that this image can fly. NF_REFUSAL_FLASH. */
 enum nf_refusal policy_slots_revert(struct policy_slots *slots);
 
-/* What is wrong with the policy that stands there now, and its header; zeros where that is not to be trusted. Reads
- * all of it: some milliseconds. */
+/* Returns the error of the policy in the slot, and its header; zeros if that is not trustworthy. Reads the whole
+ * blob, which takes some milliseconds. */
 enum nf_err policy_slots_info(const struct policy_slots *slots, enum policy_source source,
 			      struct nf_policy_blob_header *header);
 

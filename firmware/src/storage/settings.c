@@ -296,7 +296,7 @@ static float settings_filter_delay_s(const struct nf_settings *settings)
 	return delay_s;
 }
 
-/* Is the chain fast enough for the PID that stands by? */
+/* Returns whether the filter chain is fast enough for the standby PID. */
 static bool settings_filter_delay_fits(const struct nf_settings *settings, unsigned first)
 {
 	(void)first;
@@ -380,7 +380,7 @@ static bool settings_failsafe_fits(const struct nf_settings *settings, unsigned 
 	return settings->failsafe_hold_ms < settings->failsafe_delay_ms;
 }
 
-/* Each of the motors that fly has an output of its own among the first ones. */
+/* Every motor has its own output among the first POLICY_ACTION_COUNT outputs. */
 static bool settings_outputs_fit(const struct nf_settings *settings, unsigned first)
 {
 	uint32_t met = 0;

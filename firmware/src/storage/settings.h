@@ -11,8 +11,6 @@
 #define SETTING_INDEX(name, kind, limits, unit, choices) SETTING_AT_##name,
 enum setting_index { NF_SETTINGS(SETTING_INDEX) };
 
-enum setting_kind { SETTING_uint32_t, SETTING_float, SETTING_mode, SETTING_text };
-
 /* A value of one of the kinds. */
 union setting_value {
 	uint32_t as_uint32_t;
@@ -21,7 +19,7 @@ union setting_value {
 	char as_text[NF_SETTING_TEXT_BYTES];  /* printable ASCII, then zeros */
 };
 
-/* A limit or a default; of a text: of its length. */
+/* A limit or a default; for a text, of its length. */
 union setting_number {
 	uint32_t as_uint32_t;
 	float as_float;
@@ -29,7 +27,7 @@ union setting_number {
 	uint32_t as_text;
 };
 
-/* What is known of a setting; small, as there are many. */
+/* Description of a setting; kept small because there are many. */
 struct setting {
 	const char *name; /* the contract's */
 	uint8_t offset;   /* of the value in struct nf_settings, in words */
@@ -39,7 +37,7 @@ struct setting {
 	uint8_t limits;   /* that settings_limits tells */
 };
 
-/* Of the setting's kind; both limits may be taken; a text is empty by default. */
+/* Limits (inclusive) and default, of the setting's kind; a text is empty by default. */
 struct setting_limits {
 	union setting_number low, high, preset;
 };
@@ -50,7 +48,7 @@ struct setting_change {
 	union setting_value value;
 };
 
-/* What an RC rate of the style betaflight counts. */
+/* Returns the effective RC rate of the style betaflight. */
 float settings_rc_rate(float rate);
 
 /* Every setting at its default. */

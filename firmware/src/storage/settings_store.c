@@ -9,8 +9,8 @@
 #define SETTINGS_MAGIC 0x5350464Eu /* "NFPS" */
 #define SETTINGS_LAYOUT 1u
 
-/* A set begins a sector: head, entries, CRC-32 of both. A setting is known by the CRC-32 of its name, so that sets
- * of other versions can be read; one that changes its kind or its unit has to change its name. */
+/* Layout of a set at the begin of a sector: header, entries, CRC-32 of both. A setting is identified by the CRC-32 of
+ * its name, so that sets of other versions can be read; a setting that changes its kind or unit must change its name. */
 struct head {
 	uint32_t magic;
 	uint32_t layout;
@@ -49,7 +49,7 @@ static uint32_t settings_store_key_of(const struct setting *setting)
 	return crc;
 }
 
-/* Reads the head at `set`. Returns whether a whole set stands there. */
+/* Reads the header at `set`. Returns whether a complete set is stored there. */
 static bool settings_store_read_head(const uint8_t *set, struct head *head)
 {
 	uint32_t told;

@@ -14,10 +14,10 @@ enum settings_loaded {
 	SETTINGS_MENDED, /* something was stored that this version does not take: what is flown is not what was set */
 };
 
-/* Reads the newest valid set. A setting that the set does not have gets its default. So does one whose value is beyond today's
- * limits, and so do those that contradict each other: SETTINGS_MENDED. A mode range that is none of today's is no range, so that
- * the default of its place does not arm on a switch that means something else; for a mode of a newer version it is as good as
- * stored. */
+/* Reads the newest valid set. Settings missing in the set get their defaults. So do values beyond today's limits and
+ * values that contradict each other: SETTINGS_MENDED. A mode range that is invalid today is treated as unused, so
+ * that the default of its slot does not arm by a switch with another meaning; a range for a mode of a newer version
+ * is kept as stored. */
 enum settings_loaded settings_load(struct nf_settings *settings, const struct flash *flash);
 
 /* Writes `settings` as the newest set, over the older one. Waits for the flash. NF_REFUSAL_CONFLICT: settings_conflict

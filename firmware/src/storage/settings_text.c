@@ -331,7 +331,7 @@ size_t settings_text_format(const struct setting *setting, const union setting_v
 		break;
 	case SETTING_float:
 		ink.at += decimal_format(value->as_float, text);
-		/* 1 has its point, so that nobody takes the whole of a ratio for a percent. */
+		/* 1 is written as 1.0, so that a ratio is not mistaken for a percentage. */
 		if (value->as_float == 1.0f)
 			settings_text_put(&ink, ".0", 2, false);
 		break;

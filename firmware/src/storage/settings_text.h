@@ -8,7 +8,7 @@
 
 #define SETTINGS_TEXT_BYTES 32 /* of the longest value, its end included */
 
-/* What is wrong with a text that is no value of a setting; in the order in which it is looked at. */
+/* Errors of a text that is not a valid value of a setting, in the order of the checks. */
 enum settings_text_error {
 	SETTINGS_TEXT_GOOD,
 	SETTINGS_TEXT_NO_NUMBER,   /* of a float, decimal_parse */

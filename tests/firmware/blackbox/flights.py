@@ -90,7 +90,7 @@ def fly(
         if until == 0:
             seen = board.trace()
             rows.append(
-                (seen.step, [*seen.gyro], [*seen.setpoint], seen.throttle, [*seen.dshot[: seen.motors]])
+                (seen.step, [*seen.gyro], [*seen.setpoint], seen.throttle, [*seen.dshot[0 : seen.motors]])
             )
         until = (until or divider) - 1
         if drained(index):

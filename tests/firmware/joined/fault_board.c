@@ -5,6 +5,7 @@
 
 #include "hal/host/board.h"
 #include "port/hal.h"
+#include "storage/settings.h"
 
 static struct host_board board;
 static struct hal hal;

@@ -7,13 +7,13 @@ from typing import Any
 
 from neuroflight.flash.link import messages, records
 from neuroflight.flash.link.client import Client
-from neuroflight.flash.link.records import FaultKind
 from neuroflight.toolchain import contract
 from neuroflight.toolchain.contract import (
     CHANNEL_PITCH,
     CHANNEL_ROLL,
     CHANNEL_YAW,
     GESTURE_MS,
+    FaultKind,
     FlightState,
     Msp,
     Task,

@@ -11,13 +11,13 @@ import pytest
 
 from neuroflight.flash.board.acknowledge import Acknowledged, acknowledge
 from neuroflight.flash.link.client import Client
-from neuroflight.flash.link.records import FaultKind
 from neuroflight.toolchain.contract import (
     CHANNEL_PITCH,
     CHANNEL_ROLL,
     CHANNEL_YAW,
     GESTURE_MS,
     FallbackCause,
+    FaultKind,
     FlightState,
     Msp,
 )

@@ -7,8 +7,7 @@ from typing import Any
 
 import pytest
 
-from neuroflight.flash.link.records import FaultKind
-from neuroflight.toolchain.contract import CHANNEL_AUX1, CHANNEL_BEEPER, SETTINGS, Mode, ModeRange
+from neuroflight.toolchain.contract import CHANNEL_AUX1, CHANNEL_BEEPER, SETTINGS, FaultKind, Mode, ModeRange
 from tests.firmware.joined.field import Field
 
 MUTED = {setting.name: 0 for setting in SETTINGS if setting.name.startswith("beep_")}

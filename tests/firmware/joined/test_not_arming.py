@@ -9,8 +9,7 @@ from typing import Any
 import pytest
 
 from neuroflight.flash.link.client import Client
-from neuroflight.flash.link.records import FaultKind
-from neuroflight.toolchain.contract import Msp
+from neuroflight.toolchain.contract import FaultKind, Msp
 from tests.firmware.joined.field import Field
 
 Make = Callable[..., Field]

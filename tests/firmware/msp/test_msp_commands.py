@@ -13,10 +13,12 @@ from neuroflight.flash.link import messages, records, requests
 from neuroflight.flash.link.msp import Decoder, Direction, Message, Version, encode
 from neuroflight.toolchain.contract import (
     CHANNEL_UNTOLD_US,
+    FAULT_REGISTERS,
     FLASH_POLICY_SLOTS,
     LOG_ERASE_MAGIC,
     MSP_PAYLOAD_MAX,
     SETTINGS,
+    FaultKind,
     LogError,
     LogState,
     Msp,
@@ -515,7 +517,7 @@ def test_the_fault_is_told_until_it_is_acknowledged_when_there_was_one(
     lib = s.core.lib
     lib.fault_log_boot(s.faults, s.chip.flash, s.core.ffi.NULL)
     assert records.faults(s.reply(Msp.FAULTS)) == records.Faults(1, None)
-    words = dict(zip(records.FAULT_REGISTERS, range(256, 256 + 13), strict=True))
+    words = dict(zip(FAULT_REGISTERS, range(256, 256 + 13), strict=True))
     fields = {name: value for name, value in words.items() if name not in ("r0", "r1", "r2", "r3")}
     record = s.core.new(
         "struct fault_record *",
@@ -523,7 +525,7 @@ def test_the_fault_is_told_until_it_is_acknowledged_when_there_was_one(
     )
     lib.fault_log_boot(s.faults, s.chip.flash, record)
     told = records.faults(s.reply(Msp.FAULTS))
-    assert told == records.Faults(2, records.Fault(2, records.FaultKind.HARD, words, "a.c", 12, 99))
+    assert told == records.Faults(2, records.Fault(2, FaultKind.HARD, words, "a.c", 12, 99))
     assert s.refusal(Msp.FAULTS, requests.acknowledge(1)) == (Refusal.INDEX, 0)
     assert s.reply(Msp.FAULTS, requests.acknowledge(2)) == b""
     assert records.faults(s.reply(Msp.FAULTS)) == records.Faults(2, None)

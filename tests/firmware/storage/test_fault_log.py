@@ -8,8 +8,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from neuroflight.flash.link.records import FAULT_FILE_BYTES, FAULT_REGISTERS, FaultKind
-from neuroflight.toolchain.contract import FLASH_FAULT_RECORD, Refusal
+from neuroflight.toolchain.contract import (
+    FAULT_FILE_BYTES,
+    FAULT_REGISTERS,
+    FLASH_FAULT_RECORD,
+    FaultKind,
+    Refusal,
+)
 
 MakeChip = Callable[..., Any]
 ENTRY_BYTES = 104

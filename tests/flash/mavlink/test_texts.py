@@ -7,10 +7,16 @@ from dataclasses import replace
 import pytest
 
 from neuroflight.flash.link.messages import BatteryLevel
-from neuroflight.flash.link.records import FaultKind
 from neuroflight.flash.mavlink import texts
 from neuroflight.flash.mavlink.texts import CHUNK, Condition, Text, changes, status_texts
-from neuroflight.toolchain.contract import ArmingReason, FallbackCause, FlightState, GyroHealth, StopCause
+from neuroflight.toolchain.contract import (
+    ArmingReason,
+    FallbackCause,
+    FaultKind,
+    FlightState,
+    GyroHealth,
+    StopCause,
+)
 from tests.flash.mavlink.test_telemetry import SAFE
 
 CALM = Condition(SAFE, armed=False)

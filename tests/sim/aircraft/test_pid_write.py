@@ -10,7 +10,7 @@ from neuroflight.sim.aircraft.pid_write import write_pid
 from neuroflight.toolchain.errors import AircraftError
 
 NF1 = (FOLDER / "nf1.toml").read_text()
-BARE = NF1[: NF1.index("# Found by `neuroflight pid tune")]
+BARE = NF1[: NF1.index("# Found by `neuroflight tune-pid")]
 OTHERS = """# Mine, by hand.
 # Do not touch.
 [pid.mine]
@@ -48,6 +48,7 @@ def test_table_is_replaced_where_it_stands_when_it_is_there(tmp_path: Path) -> N
     first = written(tmp_path, BARE + OTHERS)
     other = PidSettings(((1.0, 1.0, 1.0), (1.0, 1.0, 1.0), (1.0, 1.0, 1.0)), None, 0.0)
     assert written(tmp_path, written(tmp_path, first, other)) == first
+    assert written(tmp_path, first.replace("pid tune", "tune-pid")) == first, "by the old name, too"
     assert load_aircraft(tmp_path / "target.toml").pids[0][1] == SETTINGS
 
 

@@ -67,7 +67,8 @@ def test_plot_shows_setpoint_and_rates_of_each_flight_when_drawn() -> None:
     assert np.asarray(yaw.lines[2].get_ydata())[-1] == pytest.approx(-2)
     assert [line.get_label() for line in error.lines] == ["roll", "pitch", "yaw"]
     assert error.lines[0].get_ydata() == pytest.approx(np.full(3000, 2.0))
-    assert [line.get_label() for line in motors.lines[1::2]] == [f"motor {n}" for n in range(1, 5)]
+    names = ["1 rear right", "2 front right", "3 rear left", "4 front left"]
+    assert [line.get_label() for line in motors.lines[1::2]] == names
     assert motors.lines[1].get_ydata() == pytest.approx(np.full(3000, 25.0))
 
 

@@ -20,9 +20,9 @@ from neuroflight.sim.physics.twin import Twin
 from neuroflight.sim.ports.library import ReferencePort
 from neuroflight.sim.ports.port import Reply, Sample, flight_settings, twin_settings
 from neuroflight.sim.ports.receiver_frames import sbus_frame
-from neuroflight.sim.replay.inputs import Answers, Edge, Flight, Inputs
+from neuroflight.sim.replay.inputs import Answers, Flight, Inputs
 from neuroflight.sim.replay.library import ReplayLibrary
-from neuroflight.toolchain.contract import LOG_RECEIVER_BYTES
+from neuroflight.toolchain.contract import LOG_RECEIVER_BYTES, LogEdge
 from neuroflight.toolchain.errors import LinkError
 
 START_S = 0.9  # after the boot, the gyro calibrated and nothing armed: the flight's state is of then
@@ -85,7 +85,7 @@ class Recorder(ReferencePort):
             self._close()
         self._count += 1
         if self._count == round(START_S * CONTROL_HZ) * self._depth + 1:
-            self.state, self.steps = bytes(memoryview(self.reference._memory).cast("B")[: self.size]), []
+            self.state, self.steps = self.reference._memory.tobytes()[: self.size], []
         return reply
 
     def _close(self) -> None:
@@ -137,7 +137,7 @@ def _flight(library: Path, port: Recorder, settings: Mapping[str, float]) -> Fli
         accel=np.array([step.accel for step in steps], np.int16),
         lost=np.zeros(rows, np.int64),
         silences=np.array([step.silences for step in steps]),
-        flags=np.array([Edge.MISSED * step.missed for step in steps], np.uint32),
+        flags=np.array([LogEdge.MISSED * step.missed for step in steps], np.uint32),
         forbidden=np.array([step.edges[0] for step in steps], np.uint32),
         gain=np.array([step.edges[1] for step in steps], np.float32),
         received=np.array([len(step.received) for step in steps]),

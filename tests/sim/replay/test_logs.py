@@ -17,9 +17,9 @@ from neuroflight.sim.replay.comparison import compare
 from neuroflight.sim.replay.emulator import replay_on_board
 from neuroflight.sim.replay.flight import replayable
 from neuroflight.sim.replay.host import replay_on_host
-from neuroflight.sim.replay.inputs import Edge, Flight
+from neuroflight.sim.replay.inputs import Flight
 from neuroflight.sim.replay.library import replay_on_library
-from neuroflight.toolchain.contract import DSHOT_STOP, FallbackCause, FlightState, LogGroup
+from neuroflight.toolchain.contract import DSHOT_STOP, FallbackCause, FlightState, LogEdge, LogGroup
 from neuroflight.toolchain.errors import TraceError
 from tests.sampling import sampled
 from tests.sim.replay.logs import LoggingPort, logged
@@ -53,7 +53,7 @@ def test_a_log_is_replayed_to_the_bit_when_the_flight_was_in_trouble(
 ) -> None:
     flight = replayable(read_log(troubled_log))
     inputs = flight.inputs
-    assert (inputs.flags & Edge.MISSED).any() and inputs.invalid.any() and inputs.silences.sum() == 1
+    assert (inputs.flags & LogEdge.MISSED).any() and inputs.invalid.any() and inputs.silences.sum() == 1
     assert 500 < (flight.answers.dshot != DSHOT_STOP).any(axis=1).sum() < 1200 and not flight.incomplete
     for found in (
         compare(flight, replay_on_library(reference_library, flight)),

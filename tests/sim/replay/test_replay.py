@@ -14,9 +14,9 @@ from neuroflight.sim.flight.scenario import load_scenario
 from neuroflight.sim.replay.comparison import compare
 from neuroflight.sim.replay.emulator import replay_on_board
 from neuroflight.sim.replay.host import replay_on_host
-from neuroflight.sim.replay.inputs import Answers, Edge, Flight
+from neuroflight.sim.replay.inputs import Answers, Flight
 from neuroflight.sim.replay.library import replay_on_library
-from neuroflight.toolchain.contract import DSHOT_STOP
+from neuroflight.toolchain.contract import DSHOT_STOP, LogEdge
 from neuroflight.toolchain.errors import LinkError, TraceError
 from tests.sim.replay.recorder import recorded
 
@@ -47,7 +47,7 @@ def test_the_troubled_flight_has_a_fallback_and_a_fault(calm_flight: Flight, tro
     inputs = troubled_flight.inputs
     assert turning(calm_flight) > 1400
     assert 500 < turning(troubled_flight) < turning(calm_flight) - 100
-    assert (inputs.flags & Edge.MISSED).any() and inputs.invalid.any() and inputs.silences.any()
+    assert (inputs.flags & LogEdge.MISSED).any() and inputs.invalid.any() and inputs.silences.any()
 
 
 @pytest.mark.parametrize("machine", ["on_library", "on_host"])
@@ -123,7 +123,7 @@ def test_a_flipped_bit_of_a_stick_is_found_at_its_step(calm_flight: Flight, on_l
 def test_a_deadline_that_was_not_missed_is_found_as_soon_as_the_pid_would_not_have_flown(
     troubled_flight: Flight, on_library: Replay
 ) -> None:
-    late = np.flatnonzero(troubled_flight.inputs.flags & Edge.MISSED)
+    late = np.flatnonzero(troubled_flight.inputs.flags & LogEdge.MISSED)
     changed = flipped(troubled_flight, "flags", (int(late[-1]),), 5)
     found = compare(changed, on_library(changed))
     assert found.first is not None and found.first.step == late[-1] + 1

@@ -191,7 +191,7 @@ def test_file_is_called_what_it_is_when_it_is_no_model(
         ["policy", "verify", str(path)],
         ["policy", "compile", str(path), "--explain"],
     ):
-        if name == "state dict" and arguments[0] != "freeze":
+        if name == "state dict" and arguments[1] != "import":
             words = "a checkpoint, which `neuroflight policy import` makes a policy of"
         if name == "state dict" and OPTIONS[0] in arguments:
             continue  # taken for a checkpoint, which knows these itself

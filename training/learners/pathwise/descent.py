@@ -68,7 +68,7 @@ class State:
     square: Floats  # likewise of its square
     weights: Weights
     figures: LossFigures | None  # running means; None before the first update
-    good: Good  # to go back to
+    good: Good  # state that a setback restores
     length: float = 0.0  # usual length of the gradient; 0 before the first
     skipped: int = 0  # updates whose gradient was not followed
     begun: int = 0  # updates at which Adam began, at 0 or after a setback

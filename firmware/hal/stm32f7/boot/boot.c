@@ -17,7 +17,7 @@
 #define PULL_UP_US 20u /* until a line that nobody drives has risen: 50 kOhm and 100 pF take 5 us each time constant */
 #define BREAK_MS 50u /* far longer than a character at any speed, in which a talking line is low too */
 
-/* Of the chip's boot loader (AN2606: STM32F72x). */
+/* Addresses of the chip's boot loader (AN2606: STM32F72x). */
 #define ROM_ADDRESS 0x1FF00000u
 #define ROM_END 0x1FF0EDC0u
 #define RAM_END 0x20040000u
@@ -31,7 +31,7 @@ void boot_fault(void);
 
 extern void (*const boot_vectors[])(void);
 
-/* How a program begins: the head of its vector table. */
+/* The head of a program's vector table. */
 struct head {
 	uint32_t stack;
 	uint32_t reset;
@@ -95,7 +95,7 @@ static bool boot_reset_was(uint32_t cause)
 	return (RCC_CSR & RESETS) == cause;
 }
 
-/* What the image left word of before it reset the chip. */
+/* Returns the request that the image left before it reset the chip. */
 static bool boot_is_asked(void)
 {
 	const bool asked = kept.request == KEPT_ENTER_ROM;
@@ -156,7 +156,7 @@ static bool boot_is_image(unsigned bank)
 	       head->reset < address + NF_FLASH_BANK_A_SIZE && head->reset % 2u == 1u;
 }
 
-/* Is there an image that has run well? It answers MSP, by which it can be asked for the ROM. */
+/* Returns whether there is a confirmed image. It answers MSP, by which it can be asked for the ROM. */
 static bool boot_has_proven(void)
 {
 	for (unsigned bank = 0; bank < IMAGE_BANK_COUNT; ++bank)

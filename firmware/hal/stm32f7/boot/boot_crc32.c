@@ -12,7 +12,7 @@ extern uint32_t boot_scratch[SLICES][ENTRIES];
 /* A word that may lie over anything. */
 typedef uint32_t __attribute__((may_alias)) word;
 
-/* What eight more bits of 0 make of the register. */
+/* Returns the register after eight more zero bits. */
 static uint32_t boot_crc32_shift(uint32_t crc)
 {
 	for (unsigned bit = 0; bit < 8u; ++bit)

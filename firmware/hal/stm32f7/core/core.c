@@ -7,7 +7,7 @@
 enum { FULL_ACCESS = 3, NORMAL_UNCACHED = 1 }; /* AP; TEX with C and B 0 */
 #define UNCACHED (FIELD(MPU_RASR_AP, FULL_ACCESS) | FIELD(MPU_RASR_TEX, NORMAL_UNCACHED))
 
-/* What is not as the chip's default map says. */
+/* MPU regions that differ from the chip's default memory map. */
 static const struct region {
 	uint32_t address;
 	uint32_t log2_size;

@@ -6,7 +6,7 @@
 #include <stdbool.h>
 #include <stdint.h>
 
-#include "port/fault_record.h"
+#include "nf_contract.h"
 
 /* For programming errors, not for bad input: ends the program. Any context. */
 #define HAL_ASSERT(condition)                                                         \
@@ -15,10 +15,10 @@
 			fault_assert_failed(__FILE__ + FAULT_FILE_SKIPPED, __LINE__); \
 	} while (0)
 
-/* Of a path only the end is kept. */
-#define FAULT_FILE_SKIPPED (sizeof __FILE__ > FAULT_FILE_BYTES ? sizeof __FILE__ - FAULT_FILE_BYTES : 0u)
+/* Only the end of a path is kept. */
+#define FAULT_FILE_SKIPPED (sizeof __FILE__ > NF_FAULT_FILE_BYTES ? sizeof __FILE__ - NF_FAULT_FILE_BYTES : 0u)
 
-/* `file`: at most FAULT_FILE_BYTES with its 0. */
+/* `file`: at most NF_FAULT_FILE_BYTES with its 0. */
 _Noreturn void fault_assert_failed(const char *file, uint32_t line);
 
 /* Reads the cause of the reset and clears it. Called first. */

@@ -11,7 +11,7 @@ enum { BITS_8 = 7 }; /* SPI_CR2 DS */
 enum { SPEED_211K = 7, SPEED_13M5 = 1 };
 #define TRANSFER_MS 50u /* the longest takes 20 */
 
-/* What is sent; DMA puts what comes in its place, a byte behind at least. */
+/* Bytes to send; DMA overwrites them with the received bytes, at least one byte behind. */
 static DMA_BUFFER_SLOW uint8_t card_bytes[SD_TRANSFER_BYTES];
 static struct card_log card_log;
 static struct log_device device;

@@ -50,7 +50,7 @@ struct chip_setting {
 #define SPI_ONLY_BY_USER_CTRL { USER_CTRL, 0x10 } /* I2C_IF_DIS */
 #define SPI_ONLY_BY_I2C_IF { I2C_IF, 0x40 }       /* I2C_IF_DIS of the ICM-20602, whose USER_CTRL has no such bit */
 
-/* What the chips differ in. */
+/* Differences between the chips. */
 static const struct chip {
 	uint8_t identity;    /* WHO_AM_I */
 	enum gyro_chip kind;

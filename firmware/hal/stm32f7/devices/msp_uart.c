@@ -56,7 +56,7 @@ void msp_uart_start(unsigned port, uint32_t baud)
 	ports[port].started = true;
 }
 
-/* Looks what has come, and tells of losses and pauses. */
+/* Reads received bytes and reports losses and pauses. */
 static void msp_uart_look(unsigned number, const struct hal_handlers *handlers)
 {
 	struct port *port = &ports[number];
@@ -90,7 +90,7 @@ static bool msp_uart_answer(unsigned number, const struct hal_handlers *handlers
 	return true;
 }
 
-/* What is said unasked leaves room for a reply: requests are answered however much is said. */
+/* Unsolicited output leaves room for a reply, so that requests are always answered. */
 static void msp_uart_speak(unsigned number, const struct hal_handlers *handlers)
 {
 	struct uart_line *line = &ports[number].line;

@@ -184,7 +184,7 @@ static void files_add(struct card_files *files, const uint8_t *entry)
 
 /* ---- which file is next ---- */
 
-/* The first one in `state`, whole or not; `count`: none. */
+/* Returns the index of the first file in `state`, complete or not; `count` if there is none. */
 static uint32_t files_find(const struct card_files *files, enum card_file_state state, bool whole)
 {
 	uint32_t i = 0;

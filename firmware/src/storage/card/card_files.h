@@ -61,7 +61,7 @@ bool card_files_idle(const struct card_files *files);
 bool card_files_known(const struct card_files *files);
 /* Finds out how long the log in `file` is: until then it is not idle. Only where all has been looked at. */
 void card_files_measure(struct card_files *files, uint32_t file);
-/* The first file that can take a log; `count` of files: none. */
+/* Returns the index of the first file that can take a log; `count` if there is none. */
 uint32_t card_files_empty(const struct card_files *files);
 
 /* Where sectors `sector` to `sector` + `count` - 1 of `file` lie; SD_NO_BLOCK: they are not all in a sound file. */

@@ -2,8 +2,8 @@
 
 #include <string.h>
 
-/* A sequence of writes lasts so long: at its end the card has all that it was given, also what it may have kept to
- * itself until then, and is asked whether all is well [ms]. */
+/* Duration of a sequence of writes [ms]. At its end the card has written all data, also what it may have buffered,
+ * and its status is checked. */
 #define SEQUENCE_MS 500u
 
 enum log_state {
@@ -51,7 +51,7 @@ static void log_break(struct card_log *log, enum nf_log_error error)
 	log->error = (uint8_t)error;
 }
 
-/* What the file holds from now on. */
+/* Records the new content of the file. */
 static void log_note(struct card_log *log)
 {
 	struct card_file *const file = &log->files.files[log->file];
@@ -284,7 +284,7 @@ static enum log_answer log_end(void *context)
 	return LOG_LATER;
 }
 
-/* The file of log `index`; where that cannot be told now, NULL and why. */
+/* Returns the file of log `index`; NULL and the error if it is not known now. */
 static const struct card_file *log_find(struct card_log *log, unsigned index, enum log_answer *answer)
 {
 	*answer = LOG_FAILED;

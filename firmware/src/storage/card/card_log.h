@@ -12,7 +12,7 @@
 #include "storage/card/card_files.h"
 #include "storage/card/sd_card.h"
 
-/* Of two ordinary pauses of a card, 50 ms each, at 125 KB/s; a multiple of a block. */
+/* Bytes that two ordinary pauses of a card, 50 ms each, need at 125 KB/s; a multiple of a block. */
 #define CARD_RING_BYTES 16384u
 
 struct card_log {

@@ -113,7 +113,7 @@ static void sd_listen(struct sd_card *card, size_t count)
 	sd_transfer(card, count);
 }
 
-/* What a phase with a command sends; also once more. */
+/* Sends the command of the current phase; also to repeat it. */
 static void sd_send(struct sd_card *card)
 {
 	uint8_t *const bytes = card->bus->bytes, *const frame = bytes + 1;
@@ -193,7 +193,7 @@ static void sd_send_block(struct sd_card *card)
 	sd_transfer(card, SD_TRANSFER_BYTES);
 }
 
-/* Begins the job, or goes on with it. */
+/* Begins or continues the job. */
 static void sd_go_on(struct sd_card *card)
 {
 	if (card->writing && card->trouble) {
@@ -214,7 +214,7 @@ static void sd_go_on(struct sd_card *card)
 		sd_command(card, SD_OPEN);
 }
 
-/* Something went wrong with the job: the card is asked how it is, then the job begins anew. */
+/* After an error of the job, reads the card's status and then restarts the job. */
 static void sd_stumble(struct sd_card *card)
 {
 	sd_select(card, false);

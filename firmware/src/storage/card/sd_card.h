@@ -28,7 +28,7 @@ struct sd_bus {
 
 enum sd_outcome { SD_PENDING, SD_DONE, SD_FAILED };
 
-/* All of it is private but what is said to be read. */
+/* All members are private except those marked as readable. */
 struct sd_card {
 	const struct sd_bus *bus;
 	uint32_t blocks; /* read: of the card; 0: there is none that can be used */

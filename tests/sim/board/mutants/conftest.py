@@ -88,7 +88,7 @@ def mutate(source: Path, mutant: Mutant) -> None:
             f"mutant {mutant.name}: {mutant.file} has {found} times {mutant.old!r}, expected once: "
             f"the source has changed, choose another place for the mistake"
         )
-    source.write_text(replaced(text, mutant.old, mutant.new))
+    source.write_text(replaced(text, mutant.old, mutant.new.lstrip()))  # the indentation before `old` stays
 
 
 def fly(elf: Path, mutant: Mutant) -> Flight:
