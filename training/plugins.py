@@ -93,7 +93,7 @@ def load_plugin(path: Path) -> Plugin:
     plugin: Plugin = load_file(path).__neuroflight_plugin__
     if not any(getattr(kind, "plugin", None) == plugin for kind in _registered()):
         raise TrainingError(
-            f"{path}: registers nothing; put @register, of training.plugins, above its reward or task"
+            f"{path}: registers nothing; put neuroflight.training.plugins.register above its reward or task"
         )
     return plugin
 
@@ -198,7 +198,13 @@ def blaming(where: str) -> Iterator[None]:
         named = "" if file is None or where.endswith(Path(file).name) else f"{Path(file).name}, "
         place = f"{named}line {line}: " if file else ""
         told = " ".join(str(error.msg if isinstance(error, SyntaxError) else error).split())
+        if isinstance(error, ModuleNotFoundError) and _is_room(error.name or ""):
+            told += f"; it is imported as neuroflight.{error.name}"
         raise TrainingError(f"{where}: {place}{type(error).__name__}{f': {told}' if told else ''}") from error
+
+
+def _is_room(name: str) -> bool:
+    return name.isidentifier() and importlib.util.find_spec(f"neuroflight.{name}") is not None
 
 
 def real_array(where: str, value: object, shape: tuple[int, ...], meaning: str) -> NDArray[np.float32]:

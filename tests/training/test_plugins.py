@@ -175,13 +175,22 @@ def test_an_object_is_known_in_another_process(write: Write) -> None:
     ]
 
 
+def test_a_room_is_told_by_its_name_when_it_is_imported_without_the_package(
+    write: Write, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path, _ = write("from training.plugins import register\n")
+    monkeypatch.setattr(sys, "path", [folder for folder in sys.path if Path(folder).resolve() != ROOT])
+    with pytest.raises(TrainingError, match=r"named 'training'; it is imported as neuroflight\.training$"):
+        load_plugin(path)
+
+
 @pytest.mark.parametrize(
     ("parts", "message"),
     [
         (["import nothing_of_that_name\n"], r"mine\.py: line 9: ModuleNotFoundError: No module named"),
         (["def f(:\n"], r"mine\.py: line 9: SyntaxError"),
         (["import sys\nsys.exit(3)\n"], r"mine\.py: line 10: SystemExit: 3"),
-        (["x = 1\n"], r"mine\.py: registers nothing; put @register"),
+        (["x = 1\n"], r"mine\.py: registers nothing; put neuroflight"),
         (
             [REWARD.replace('"NAME"', '"tracking"')],
             "reward tracking: the name is taken by this program's own",
