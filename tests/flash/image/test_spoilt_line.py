@@ -18,7 +18,7 @@ from neuroflight.toolchain.contract import FLASH_BANK_B, FLASH_BASE, Msp, image_
 from neuroflight.toolchain.errors import LinkError
 from tests.firmware.images import make_image
 
-SPEED = 100  # so much faster than the real one is the client's time: silence of 5 s takes 50 ms
+SPEED = 40  # so much faster than the real one is the client's time: silence of 5 s takes 125 ms
 FRAME_BYTES = 521  # the longest one
 SMALL = 1200  # bytes of an image of three frames
 Fault = Callable[[bytes], list[bytes]]

@@ -196,7 +196,7 @@ def test_step_inside_the_image_is_counted_when_it_was_linked_for_the_board(
 def test_command_prints_one_document_when_asked_for_json(
     shipped_policy: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["timing", str(shipped_policy), "--inputs", "12", "--json", "--blocks"]) == 0
+    assert main(["policy", "time", str(shipped_policy), "--inputs", "12", "--json", "--blocks"]) == 0
     out, err = capsys.readouterr()
     document = json.loads(out)
     assert err == ""
