@@ -23,7 +23,8 @@ export PYTHONDONTWRITEBYTECODE :=
 VENV := .venv
 # By module: where the path of the checkout holds a space, an installed script may not find its interpreter.
 RUN  := $(VENV)/bin/python -m neuroflight.cli.main
-PYTEST = $(VENV)/bin/python -m pytest -n $(JOBS) --dist worksteal
+# Tests call make themselves: what this call of it was told is not for them.
+PYTEST = env -u MAKEFLAGS -u ARGS -u JOBS $(VENV)/bin/python -m pytest -n $(JOBS) --dist worksteal
 CLANG_PACKAGES := clang libclang-rt-dev
 ARM_PACKAGES := gcc-arm-none-eabi libnewlib-arm-none-eabi llvm
 PEER_PACKAGES := dfu-util dosfstools gdb-multiarch mtools stm32flash
