@@ -28,7 +28,7 @@ SOURCES = ("README.md", "docs", "tests")
 ROOMS = ("cli", "flash", "sim", "toolchain", "training")
 PARSED = """
 import contextlib, io, json, sys
-from neuroflight.cli.main import parser
+from cli.main import parser
 known = parser()
 def words(line):
     with contextlib.redirect_stderr(io.StringIO()), contextlib.redirect_stdout(io.StringIO()):
@@ -41,8 +41,9 @@ print(json.dumps([words(line) for line in json.load(sys.stdin)], default=str))
 """
 NOT_ASKED = (  # names in a namespace that no option gave: words, defaults that the work looks up itself
     *("command", "action", "list", "revert", "rom", "usage_error"),
-    *("episodes_default", "mount"),
+    "episodes_default",
 )
+LATER = ("count", "mount")  # whose default the work looks up now
 POLICY = "training/policies/nf1"
 SAMPLE = (  # what takes seconds; {out}: a folder of the run's own
     "aircraft check nf1 --json",
@@ -124,7 +125,7 @@ def parsed(words: list[str]) -> dict[str, object] | None:
     """Return what today's parser says; None: it refuses."""
     with contextlib.redirect_stderr(io.StringIO()), contextlib.redirect_stdout(io.StringIO()):
         try:
-            return dict(vars(parse(words)))
+            return {name: value for name, value in vars(parse(words)).items() if name != "renamed"}
         except SystemExit:
             return None
 
@@ -145,6 +146,7 @@ def differs(words: list[str], before: dict[str, object], folder: Path) -> str:
         name: value
         for name, value in before.items()
         if name not in NOT_ASKED
+        and not (name in LATER and now.get(name) is None)
         and value not in (None, False, [], "False")
         and _plain(value, folder) not in (_ways(now[name], folder) if name in now else said | _several(now))
     }
