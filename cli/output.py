@@ -7,8 +7,6 @@ import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from neuroflight.cli.report import print_table as print_table
-from neuroflight.cli.report import with_margin as with_margin
 from neuroflight.toolchain.errors import NeuroflightError
 from neuroflight.toolchain.files import check_writable
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from neuroflight.cli.fly.blackbox import LogReport, log_rows
 from neuroflight.cli.fly.emulator import EMULATOR_HEADINGS, emulator_cells, emulator_document, emulator_rows
 from neuroflight.cli.fly.telemetry import telemetry_document
-from neuroflight.cli.output import print_table
+from neuroflight.cli.report import print_table
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

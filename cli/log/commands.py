@@ -15,7 +15,7 @@ from neuroflight.cli.log.reading import (
     part,
     tell_damage,
 )
-from neuroflight.cli.output import print_table
+from neuroflight.cli.report import print_table
 from neuroflight.toolchain.contract import AXES
 
 if TYPE_CHECKING:

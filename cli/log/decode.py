@@ -7,7 +7,7 @@ import json
 from pathlib import Path
 
 from neuroflight.cli.log.reading import add_file_arguments, open_log, tell_damage
-from neuroflight.cli.output import print_table
+from neuroflight.cli.report import print_table
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Annotated
 
 from neuroflight.cli.options import Json
-from neuroflight.cli.output import print_table
+from neuroflight.cli.report import print_table
 from neuroflight.cli.requests import Argument, Request
 from neuroflight.toolchain.errors import NeuroflightError
 

@@ -8,7 +8,7 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING
 
 from neuroflight.cli.log.reading import add_file_arguments, add_part_arguments, open_log, part, tell_damage
-from neuroflight.cli.output import print_table
+from neuroflight.cli.report import print_table
 from neuroflight.toolchain.contract import Mix
 from neuroflight.toolchain.errors import NeuroflightError
 

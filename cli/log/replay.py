@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 from neuroflight.cli.log.reading import add_file_arguments, open_log, tell_damage
 from neuroflight.cli.options import add_plot, machine
-from neuroflight.cli.output import print_table
+from neuroflight.cli.report import print_table
 from neuroflight.toolchain.errors import NeuroflightError
 
 if TYPE_CHECKING:

@@ -125,7 +125,7 @@ def _document(curve: Curve) -> dict[str, object]:
 
 
 def _print(found: Sequence[Curve], *, episodes: bool) -> None:
-    from neuroflight.cli.output import print_table
+    from neuroflight.cli.report import print_table
 
     heading = "reward of an episode" if episodes else "reward"
     rows: list[tuple[str, ...]] = [("", "seeds", "steps", heading, "95 % after", "best seed")]
